@@ -1,0 +1,27 @@
+"""The one exception for faults that a user can cause and mend."""
+
+
+class DerenderError(Exception):
+    """A fault in what the user gave: printed as one line, exit status 1.
+
+    Parameters
+    ----------
+    what : what is wrong, as a sentence without a full stop.
+    where : the file, line or address at fault.
+    remedy : what would be right, or what to do.
+    """
+
+    def __init__(self, what: str, where: object = None, remedy: str | None = None) -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        super().__init__(what, where, remedy)
+
+    def __reduce__(self):
+        return type(self), (self.what, self.where, self.remedy)
+
+    def __str__(self) -> str:
+        line = f"{self.where}: {self.what}" if self.where is not None else self.what
+        if self.remedy:
+            line += f"; {self.remedy}"
+        return " ".join(line.split())

@@ -1,0 +1,1 @@
+"""How good an answer is: matching, metrics, truth files."""

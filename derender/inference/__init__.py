@@ -1,0 +1,1 @@
+"""What was there: targets, kernels, chains, structure, posteriors."""

@@ -1,0 +1,1 @@
+"""Fixed-structure chains without Python in the inner loop."""

@@ -1,0 +1,1 @@
+"""Inference over the discrete part of scene graphs."""

@@ -1,0 +1,1 @@
+"""What happens next: MuJoCo models, simulation, stability."""

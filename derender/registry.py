@@ -1,0 +1,76 @@
+"""Registries of named types: shapes, contacts, distributions, likelihoods, kernels.
+
+Another package adds a type by an entry point in the registry's group; naming it there is enough.
+"""
+
+import difflib
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from typing import Generic, TypeVar
+
+from derender.errors import DerenderError
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Names to types of one kind.
+
+    Parameters
+    ----------
+    kind : what the entries are, in the singular ("shape"), for error messages.
+    entry_point_group : group in which other packages announce theirs ("derender.shapes");
+        each entry point is a module or object whose import registers it.
+    """
+
+    def __init__(self, kind: str, entry_point_group: str) -> None:
+        self.kind = kind
+        self.entry_point_group = entry_point_group
+        self._entries: dict[str, T] = {}
+        self._loaded = False
+
+    def register(self, name: str) -> Callable[[type], type]:
+        """Class decorator: put an instance of the class under `name`. A name can be taken once."""
+
+        def decorate(cls: type) -> type:
+            if name in self._entries:
+                raise ValueError(f"the {self.kind} {name!r} is registered already")
+            entry = cls()
+            entry.name = name
+            self._entries[name] = entry
+            return cls
+
+        return decorate
+
+    def _load(self) -> None:
+        if not self._loaded:
+            self._loaded = True
+            for point in entry_points(group=self.entry_point_group):
+                point.load()
+
+    def __getitem__(self, name: str) -> T:
+        if name not in self._entries:
+            self._load()
+        try:
+            return self._entries[name]
+        except (KeyError, TypeError):
+            raise DerenderError(f"no {self.kind} is called {name!r}", remedy=suggest(name, self._entries)) from None
+
+    def __contains__(self, name: object) -> bool:
+        self._load()
+        return name in self._entries
+
+    def __iter__(self) -> Iterator[str]:
+        self._load()
+        return iter(sorted(self._entries))
+
+    def names(self) -> list[str]:
+        """Return the registered names, sorted."""
+        return list(self)
+
+
+def suggest(name: object, choices) -> str:
+    """Return "did you mean X?" where a choice is near, else the list of choices."""
+    choices = sorted(map(str, choices))
+    near = difflib.get_close_matches(str(name), choices, n=1)
+    return f"did you mean {near[0]!r}?" if near else "choose from " + ", ".join(choices)

@@ -1,0 +1,1 @@
+"""What a camera sees: cameras, depth files, renderers, likelihoods. Knows no sampler."""
