@@ -1,0 +1,5 @@
+"""`python -m derender` is `derender`."""
+
+from derender.cli import main
+
+main()

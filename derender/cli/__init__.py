@@ -1,0 +1,112 @@
+"""The command line: one file per command, no logic. `derender --help` imports none of them."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+import click
+
+from derender import __version__
+from derender.errors import DerenderError
+
+# Each command's module is derender.cli.NAME and holds it as `command`. The summaries stand here so that
+# `derender --help` imports no command.
+COMMANDS = {
+    "sample": "Draw scenes from a prior, with their depth images.",
+    "render": "Render scenes to depth images, or to a picture.",
+    "infer": "Turn one depth image into a posterior over scene graphs.",
+    "simulate": "Let physics act on a scene or posterior: is it stable?",
+    "show": "Print a scene graph as a tree, or as JSON.",
+    "score": "Print log prior, log likelihood and each object's share.",
+    "eval": "Compare predicted scenes with the truth.",
+    "report": "Write HTML and tables from one or more posteriors.",
+    "export": "Write a scene as GLB, OBJ, MJCF, URDF or BOP JSON.",
+    "types": "List shapes, contacts, distributions and likelihoods.",
+    "doctor": "Say which versions and renderers work here.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group that imports a command's module only when that command runs or shows its own help."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module_name = f"derender.cli.{name}"
+        try:
+            return importlib.import_module(module_name).command
+        except ModuleNotFoundError as error:
+            if error.name != module_name:
+                raise
+            return _missing(name)
+
+    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(self, context: click.Context, args: list[str]):
+        try:
+            return super().resolve_command(context, args)
+        except click.UsageError as error:
+            from derender.registry import suggest
+
+            raise click.UsageError(f"{error.message.rstrip('.')}: {suggest(args[0], COMMANDS)}", context) from None
+
+
+def _missing(name: str) -> click.Command:
+    """Stand in for a command that this version does not have."""
+
+    def fail() -> None:
+        raise DerenderError(f"this version has no command {name}")
+
+    return click.Command(name, callback=fail, help=COMMANDS[name] + " This version does not have the command yet.")
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="derender")
+def group() -> None:
+    """From one depth image to a scene graph: which solids there are, how big, where, and what rests on what.
+
+    stdout carries data, stderr talks, `-` is stdin or stdout.
+
+    \b
+    Start here, in an empty folder:
+        derender sample && derender infer sample_000.npz
+        derender sample -o - | derender show -
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit.
+
+    Exit status: 0 done, 1 the user's input is at fault, 2 usage, 3 done but not to be trusted,
+    130 interrupted. A command returns None, or the status as an int.
+    """
+    try:
+        result = group.main(args=arguments, prog_name="derender", standalone_mode=False)
+        status = result if isinstance(result, int) else 0
+        sys.stdout.flush()
+    except DerenderError as error:
+        status = _complain(str(error))
+    except click.ClickException as error:
+        error.show()
+        status = error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        status = _complain("interrupted", 130)
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep Python's own flush at exit quiet too.
+        sys.stdout = None  # type: ignore[assignment]
+        status = 0
+    except OSError as error:
+        if error.errno is None or error.strerror is None:
+            raise
+        status = _complain(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
+    sys.exit(status)
+
+
+def _complain(line: str, status: int = 1) -> int:
+    click.echo(f"derender: {line}", err=True)
+    return status

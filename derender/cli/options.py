@@ -1,0 +1,104 @@
+"""Options that commands share, each as a decorator, and `Talk`, the voice on stderr.
+
+A command is written as
+
+    @click.command()
+    @options.seed
+    @options.verbosity
+    def command(seed: int, talk: Talk) -> int | None: ...
+
+Paths are plain strings, not click.Path: a file that is missing is the user's input at fault (status 1), not usage (2).
+"""
+
+import functools
+import os
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+
+class Talk:
+    """What a command says to a person, on stderr; stdout is for data.
+
+    Attributes
+    ----------
+    level : -1 quiet (warnings only), 0 normal, 1 and more verbose.
+    """
+
+    def __init__(self, level: int = 0) -> None:
+        self.level = level
+
+    def say(self, message: str) -> None:
+        """Say what a person who did not ask for silence should know."""
+        if self.level >= 0:
+            click.echo(message, err=True)
+
+    def detail(self, message: str) -> None:
+        """Say what a person who asked with -v wants to know."""
+        if self.level >= 1:
+            click.echo(message, err=True)
+
+    def warn(self, message: str) -> None:
+        """Say what must be seen even under -q."""
+        click.echo(f"warning: {message}", err=True)
+
+
+def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add -v and -q; the command gets `talk`, a `Talk`."""
+
+    @click.option("-v", "--verbose", count=True, help="Say more on stderr; repeat for still more.")
+    @click.option("-q", "--quiet", is_flag=True, help="Say nothing but warnings on stderr.")
+    @functools.wraps(function)
+    def wrapper(*arguments: Any, verbose: int, quiet: bool, **keywords: Any) -> Any:
+        return function(*arguments, talk=Talk(-1 if quiet else verbose), **keywords)
+
+    return wrapper
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+seed = click.option(
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
+    default=0,
+    show_default=True,
+    help="Of the random numbers; a seed gives the same bytes, whatever --jobs is.",
+)
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON on stdout.")
+jobs = click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(1, 1024),
+    default=processors,
+    show_default="processors here",
+    help="Processes to use; the result does not depend on it.",
+)
+camera = click.option(
+    "--camera",
+    metavar="FILE",
+    help="Camera file: BOP, Open3D, ROS camera_info or RealSense intrinsics (JSON or YAML), or a derender scene.",
+)
+depth_scale = click.option(
+    "--depth-scale",
+    type=click.FloatRange(0, min_open=True),
+    metavar="MM",
+    help="Millimetres for one unit of a 16-bit image; overrides the camera's. Default 1.",
+)
+renderer = click.option(
+    "--renderer",
+    default="raycast",
+    show_default=True,
+    metavar="NAME",
+    help="raycast (compiled, needs no OpenGL) or pyrender (OpenGL through OSMesa or EGL).",
+)
+noise = click.option("--noise/--no-noise", default=False, show_default=True, help="Draw from the likelihood (Eq. 6).")
+strict = click.option("--strict", is_flag=True, help="Exit with status 3 where the result is not to be trusted.")
+
+
+def output(help: str, default: str | None = None, metavar: str = "PATH") -> Callable[..., Any]:
+    """Return the option -o, `output` in the command."""
+    return click.option("-o", "--output", metavar=metavar, default=default, show_default=default is not None, help=help)
