@@ -1,1 +1,21 @@
-"""How good an answer is: matching, metrics, truth files."""
+"""How good an answer is: matching, metrics, truth files.
+
+Scenes are the dictionaries that `derender show --json` prints (see `derender.report.scene_json`), so that the answer of
+another system can be judged as well as ours.
+"""
+
+from derender.evaluation.convex import box_iou, intersection_over_union, intersection_volume
+from derender.evaluation.matching import f1, match_planes, match_solids
+from derender.evaluation.metrics import compare_scenes, edges_of, mask_f1
+
+__all__ = [
+    "box_iou",
+    "compare_scenes",
+    "edges_of",
+    "f1",
+    "intersection_over_union",
+    "intersection_volume",
+    "mask_f1",
+    "match_planes",
+    "match_solids",
+]

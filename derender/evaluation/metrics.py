@@ -1,0 +1,240 @@
+"""How far a predicted scene is from the true one.
+
+Scenes are dictionaries as `derender show --json` prints them. Lengths are metres and angles radians throughout.
+"""
+
+from collections.abc import Collection, Mapping
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+
+from derender.evaluation.matching import (
+    assign,
+    f1,
+    iou_matrix,
+    match_planes,
+    solids_of,
+)
+from derender.evaluation.surface import distance_to_surface, surface_points
+
+THRESHOLDS = (0.5, 0.75, 0.9)
+# Who rests on whom does not hang on a hidden side whose length nobody can see: matching for edges is lenient.
+GRAPH_IOU = 0.25
+ROOT = "root"
+
+
+def edges_of(scene: Mapping[str, Any]) -> set[tuple[str, str]] | None:
+    """Return the support edges (child, parent) of the solids, second supports included.
+
+    Nothing rests on the root, so that a floating object has no edge. None where the scene says nothing of parents.
+    """
+    solids = solids_of(scene)
+    if solids and not any("parent" in item for item in solids):
+        return None
+    edges = set()
+    for item in solids:
+        for parent in (item.get("parent"), *item.get("supports", ())):
+            if parent is not None and parent != ROOT:
+                edges.add((item["name"], parent))
+    return edges
+
+
+def relabellings(size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the 24 ways to name a box's axes: (R, size along the new axes), new axes to old ones.
+
+    The box with pose T and `size` is the box with pose T R and the size returned.
+    """
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            rotation = np.zeros((3, 3))
+            rotation[list(order), range(3)] = signs
+            if np.linalg.det(rotation) > 0:
+                found.append((rotation, np.asarray(size, float)[list(order)]))
+    return found
+
+
+def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
+    """Return errors of position, rotation and size of one solid, up to the symmetry of its shape.
+
+    A box's axes may be named in 24 ways: the naming taken brings the corners closest together. A cylinder is the same
+    turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand.
+
+    Returns
+    -------
+    dict with `position` (metres), `rotation` (radians; None between shapes that have no common axes) and `size`
+    (three differences predicted - true along the true axes, metres).
+    """
+    pose_p, pose_t = np.asarray(predicted["pose"], float), np.asarray(truth["pose"], float)
+    size_p, size_t = np.asarray(predicted["size"], float), np.asarray(truth["size"], float)
+    kinds = {_family(predicted), _family(truth)}
+    position = float(np.linalg.norm(pose_p[:3, 3] - pose_t[:3, 3]))
+    rotation: float | None
+    if kinds == {"sphere"}:
+        rotation, size = 0.0, size_p - size_t
+    elif kinds == {"cylinder"}:
+        # arctan2, because arccos loses half the digits near 1.
+        axis_p, axis_t = pose_p[:3, 2], pose_t[:3, 2]
+        rotation = float(np.arctan2(np.linalg.norm(np.cross(axis_p, axis_t)), abs(axis_p @ axis_t)))
+        size = size_p - size_t
+    elif kinds == {"mesh"}:
+        rotation, size = _angle(pose_p[:3, :3], pose_t[:3, :3]), size_p - size_t
+    else:
+        best = min(relabellings(size_p), key=lambda way: _corner_gap(pose_p, way, pose_t, size_t))
+        size = best[1] - size_t
+        rotation = _angle(pose_p[:3, :3] @ best[0], pose_t[:3, :3]) if kinds == {"box"} else None
+    return {"position": position, "rotation": rotation, "size": [float(value) for value in size]}
+
+
+def add_s(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> float:
+    """Return ADD-S in metres: the mean distance from the true surface to the nearest point of the predicted one.
+
+    Where both are the same solid this is Hodan et al.'s measure; where sizes differ it judges size with pose.
+    """
+    return float(np.mean(distance_to_surface(surface_points(truth), predicted)))
+
+
+def compare_scenes(
+    predicted: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    graph_iou: float = GRAPH_IOU,
+    ignored: Collection[str] = (),
+) -> dict[str, Any]:
+    """Compare a predicted scene with the true one.
+
+    Parameters
+    ----------
+    predicted, truth : scenes as `derender show --json` prints them, in the same frame.
+    graph_iou : overlap from which two solids count as the same object in edges, errors and the list of pairs.
+    ignored : names of true objects that need not be found (too few visible pixels): neither missing them nor finding
+        them counts.
+
+    Returns
+    -------
+    dict: `objects` (numbers and, for each threshold, hits, precision, recall, F1), `edges` (the same, None where the
+    truth has none to compare), `graph_exact` (every object found, none invented, each on what it stands on; None
+    likewise), `pairs` (errors of each object found), `missed`, `extra`.
+    """
+    left, right = solids_of(predicted), solids_of(truth)
+    overlap = iou_matrix(left, right)
+    spared = {j for j, item in enumerate(right) if item["name"] in ignored}
+
+    def score(pairs: list[tuple[int, int]]) -> dict[str, Any]:
+        hits = sum(j not in spared for _, j in pairs)
+        said = len(left) - sum(j in spared for _, j in pairs)
+        return _rates(hits, said, len(right) - len(spared))
+
+    objects: dict[str, Any] = {"predicted": len(left), "truth": len(right) - len(spared)}
+    for threshold in THRESHOLDS:
+        objects[f"{threshold:g}"] = score(assign(overlap, threshold))
+
+    pairs = assign(overlap, graph_iou)
+    names = {left[i]["name"]: right[j]["name"] for i, j in pairs}
+    spared_names = {right[j]["name"] for j in spared}
+    extra = [item["name"] for item in left if item["name"] not in names]
+    missed = [item["name"] for item in right if item["name"] not in names.values() and item["name"] not in spared_names]
+
+    edges, exact = None, None
+    said_edges, true_edges = edges_of(predicted), edges_of(truth)
+    if said_edges is not None and true_edges is not None:
+        translate = names | match_planes(predicted, truth)
+        # An edge between things that are not in the truth is wrong, and different from every true edge.
+        said = {(translate.get(c, f"?{c}"), translate.get(p, f"?{p}")) for c, p in said_edges}
+        said = {edge for edge in said if not spared_names & set(edge)}
+        true_edges = {edge for edge in true_edges if not spared_names & set(edge)}
+        edges = _rates(len(said & true_edges), len(said), len(true_edges))
+        exact = not missed and not extra and said == true_edges
+
+    details = []
+    for i, j in pairs:
+        errors = pose_and_size_errors(left[i], right[j])
+        details.append(
+            {
+                "predicted": left[i]["name"],
+                "truth": right[j]["name"],
+                "iou": float(overlap[i, j]),
+                "same_type": _family(left[i]) == _family(right[j]),
+                **errors,
+                "add_s": add_s(left[i], right[j]),
+            }
+        )
+    return {
+        "objects": objects,
+        "edges": edges,
+        "graph_exact": exact,
+        "pairs": details,
+        "missed": missed,
+        "extra": extra,
+    }
+
+
+def mask_f1(
+    predicted: np.ndarray,
+    truth: np.ndarray,
+    threshold: float = 0.5,
+    background: Collection[int] = (0,),
+    predicted_background: Collection[int] = (-1,),
+    ignore: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Compare label images: F1 of the objects whose masks overlap (intersection over union) at least `threshold`.
+
+    Parameters
+    ----------
+    predicted, truth : (height, width) int, one number for each object.
+    background, predicted_background : labels that are no object (nothing, the table).
+    ignore : (height, width) bool, pixels that count for neither (say, without a return).
+
+    Returns
+    -------
+    dict: hits, predicted, truth, precision, recall, f1, `pairs` {predicted label: true label}, `iou` (of each pair).
+    """
+    if predicted.shape != truth.shape:
+        raise ValueError(f"label images of {predicted.shape} and {truth.shape} pixels cannot be compared")
+    keep = np.ones(truth.shape, bool) if ignore is None else ~ignore
+    said = [label for label in np.unique(predicted[keep]) if label not in predicted_background]
+    true = [label for label in np.unique(truth[keep]) if label not in background]
+    overlap = np.zeros((len(said), len(true)))
+    for i, a in enumerate(said):
+        mask = (predicted == a) & keep
+        for j, b in enumerate(true):
+            other = (truth == b) & keep
+            overlap[i, j] = np.count_nonzero(mask & other) / np.count_nonzero(mask | other)
+    pairs = assign(overlap, threshold)
+    return _rates(len(pairs), len(said), len(true)) | {
+        "pairs": {int(said[i]): int(true[j]) for i, j in pairs},
+        "iou": {int(said[i]): float(overlap[i, j]) for i, j in pairs},
+    }
+
+
+def _rates(hits: int, predicted: int, truth: int) -> dict[str, Any]:
+    return {
+        "hits": hits,
+        "predicted": predicted,
+        "truth": truth,
+        "precision": hits / predicted if predicted else 1.0,
+        "recall": hits / truth if truth else 1.0,
+        "f1": f1(hits, predicted, truth),
+    }
+
+
+def _family(solid: Mapping[str, Any]) -> str:
+    return "box" if solid["type"] == "cube" else solid["type"]
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the angle between two rotations, (3, 3) each; exact to rounding near 0 as near pi."""
+    relative = a.T @ b
+    # The skew part holds sin(angle) twice for each axis, in both of its halves.
+    sine = np.linalg.norm(relative - relative.T) / np.sqrt(8)
+    return float(np.arctan2(sine, 0.5 * (np.trace(relative) - 1)))
+
+
+def _corner_gap(
+    pose: np.ndarray, way: tuple[np.ndarray, np.ndarray], other: np.ndarray, other_size: np.ndarray
+) -> float:
+    """Return how far the corners of a box under a naming of its axes are from those of another (a sum of squares)."""
+    rotation, size = way
+    # Corners are centre + R (+-half sizes): the cross terms cancel in the sum over signs.
+    difference = pose[:3, :3] @ rotation * (0.5 * size) - other[:3, :3] * (0.5 * other_size)
+    return float(np.sum(difference**2))
