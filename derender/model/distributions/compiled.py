@@ -2,6 +2,8 @@
 
 `log_density(code, row, x)` and `sample(rng, code, row)` compile the very functions that the readable types use; the
 same generator gives both the same draws.  Importing this module imports numba.
+
+numba's cache watches this file only, by its content: after a change to a density or a draw, raise REVISION.
 """
 
 import math
@@ -19,6 +21,8 @@ from derender.model.distributions import (
     uniform,
     von_mises,
 )
+
+REVISION = 1
 
 _uniform = njit(uniform.density)
 _normal = njit(normal.density)
@@ -43,7 +47,7 @@ _draw_von_mises = njit(von_mises.draw)
 
 @njit(cache=True, nogil=True)
 def log_density(code, row, x):
-    """Return the log density at x (float64) of the distribution `code` with the row (4,) float64; NaN for no such code."""
+    """Return the log density at x (float64) of distribution `code` with the row (4,) float64; NaN if there is none."""
     if code == 1:
         return _uniform(x, row)
     if code == 2:
