@@ -1,0 +1,275 @@
+"""The observed image in the floor's axes and how well solids explain it: compiled, rectangle by rectangle.
+
+Everything in inference/structure works in the *floor frame*: z up, the floor at z = 0, the camera's centre at
+`origin`.  A solid is one row of ROW numbers: kind, rotation (9, row-major, object to floor), centre (3), size (3).
+A pixel's ray is origin + depth * direction with depth along the camera's z, so depths need no conversion.
+
+The misfit of a pixel is min(r^2 / (2 sigma^2), LIMIT): minus the logarithm of a mixture of sensor noise with a broad
+outlier, up to a constant, without the exponentials (Bolles and Fischler's score as made continuous in MSAC).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from derender.model.solids import BOX, CYLINDER, SPHERE
+
+KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
+LIMIT = 8.0
+FAR = 1e9
+
+
+class Image(NamedTuple):
+    """What the compiled functions need to know of the observation.
+
+    Attributes
+    ----------
+    depth : (H, W) float64 metres, 0 where nothing returned or the pixel is left out of account.
+    weight : (H, W) float64, 1 / (2 sigma^2) of each pixel, 0 where left out.
+    direction : (H, W, 3) float64, ray per metre of depth, floor axes.
+    origin : (3,) float64, the camera's centre in the floor frame.
+    floor : (H, W) float64, depth at which the ray meets the floor, FAR where it does not.
+    projection : (3, 4) float64, floor frame to homogeneous pixel (i, j, 1) times depth.
+    """
+
+    depth: np.ndarray
+    weight: np.ndarray
+    direction: np.ndarray
+    origin: np.ndarray
+    floor: np.ndarray
+    projection: np.ndarray
+
+
+def make_image(depth, sigma, camera, floor_pose):
+    """Return the Image of an observation.
+
+    Parameters
+    ----------
+    depth : (H, W) float metres, NaN or 0 = no return.
+    sigma : (H, W) float or float, standard deviation of the noise in metres.
+    camera : anything with fx, fy, cx, cy as attributes or a dict of them.
+    floor_pose : (4, 4) floor frame (z up) to camera.
+    """
+    fx, fy, cx, cy = intrinsics(camera)
+    height, width = depth.shape
+    rotation, shift = floor_pose[:3, :3], floor_pose[:3, 3]
+    column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    direction = np.stack([(column - cx) / fx, (row - cy) / fy, np.ones_like(column)], axis=-1) @ rotation
+    origin = -rotation.T @ shift
+    with np.errstate(divide="ignore", invalid="ignore"):
+        floor = np.where(direction[..., 2] < -1e-9, -origin[2] / direction[..., 2], FAR)
+    floor = np.where((floor > 0) & (floor < FAR), floor, FAR)
+    good = np.isfinite(depth) & (depth > 0)
+    weight = np.where(good, 0.5 / np.broadcast_to(sigma, depth.shape) ** 2, 0.0)
+    projection = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]) @ np.column_stack([rotation, shift])
+    filled = np.where(good, depth, 0.0)
+    return Image(*(np.ascontiguousarray(a, dtype=np.float64)
+                   for a in (filled, weight, direction, origin, floor, projection)))  # fmt: skip
+
+
+def intrinsics(camera):
+    """Return fx, fy, cx, cy of a camera object or dict."""
+    if isinstance(camera, dict):
+        return camera["fx"], camera["fy"], camera["cx"], camera["cy"]
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+@njit(cache=True, nogil=True)
+def bounding_rectangle(row, projection, height, width):
+    """Return (i0, i1, j0, j1): the pixels, ends excluded, that can see the solid; the whole image if it reaches behind."""
+    left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
+    for corner in range(8):
+        x = row[13] * (0.5 if corner & 1 else -0.5)
+        y = row[14] * (0.5 if corner & 2 else -0.5)
+        z = row[15] * (0.5 if corner & 4 else -0.5)
+        px = row[1] * x + row[2] * y + row[3] * z + row[10]
+        py = row[4] * x + row[5] * y + row[6] * z + row[11]
+        pz = row[7] * x + row[8] * y + row[9] * z + row[12]
+        w = projection[2, 0] * px + projection[2, 1] * py + projection[2, 2] * pz + projection[2, 3]
+        if w < 1e-3:
+            return 0, width, 0, height
+        u = (projection[0, 0] * px + projection[0, 1] * py + projection[0, 2] * pz + projection[0, 3]) / w
+        v = (projection[1, 0] * px + projection[1, 1] * py + projection[1, 2] * pz + projection[1, 3]) / w
+        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    i0 = int(min(max(np.ceil(left), 0), width))
+    i1 = int(min(max(np.floor(right) + 1, i0), width))
+    j0 = int(min(max(np.ceil(top), 0), height))
+    j1 = int(min(max(np.floor(bottom) + 1, j0), height))
+    return i0, i1, j0, j1
+
+
+@njit(cache=True, nogil=True, inline="always")
+def hit(kind, row, ox, oy, oz, dx, dy, dz):
+    """Return the depth of the first hit of a ray with a solid, or FAR. Origin (o) and direction (d) in the solid's axes."""
+    if kind == BOX:
+        near, far = 1e-6, FAR
+        half = 0.5 * row[13]
+        if abs(dx) < 1e-12:
+            if abs(ox) > half:
+                return FAR
+        else:
+            inverse = 1.0 / dx
+            a, b = (-half - ox) * inverse, (half - ox) * inverse
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+        half = 0.5 * row[14]
+        if abs(dy) < 1e-12:
+            if abs(oy) > half:
+                return FAR
+        else:
+            inverse = 1.0 / dy
+            a, b = (-half - oy) * inverse, (half - oy) * inverse
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+        half = 0.5 * row[15]
+        if abs(dz) < 1e-12:
+            if abs(oz) > half:
+                return FAR
+        else:
+            inverse = 1.0 / dz
+            a, b = (-half - oz) * inverse, (half - oz) * inverse
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+        return near if near <= far else FAR
+    if kind == SPHERE:
+        radius = 0.5 * row[13]
+        a = dx * dx + dy * dy + dz * dz
+        b = ox * dx + oy * dy + oz * dz
+        c = ox * ox + oy * oy + oz * oz - radius * radius
+        root = b * b - a * c
+        if root < 0:
+            return FAR
+        t = (-b - np.sqrt(root)) / a
+        return t if t > 0 else FAR
+    # cylinder about z
+    radius, half = 0.5 * row[13], 0.5 * row[15]
+    near, far = 1e-6, FAR
+    a = dx * dx + dy * dy
+    c = ox * ox + oy * oy - radius * radius
+    if a < 1e-14:
+        if c > 0:
+            return FAR
+    else:
+        b = ox * dx + oy * dy
+        root = b * b - a * c
+        if root < 0:
+            return FAR
+        root = np.sqrt(root)
+        near, far = max(near, (-b - root) / a), min(far, (-b + root) / a)
+    if abs(dz) < 1e-12:
+        if abs(oz) > half:
+            return FAR
+    else:
+        inverse = 1.0 / dz
+        a, b = (-half - oz) * inverse, (half - oz) * inverse
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near if near <= far else FAR
+
+
+@njit(cache=True, nogil=True)
+def draw(image, rows, skip, depth, label):
+    """Draw the floor (label -1; -2 nothing) and all solids but number `skip` into depth and label, in place."""
+    height, width = image.depth.shape
+    for j in range(height):
+        for i in range(width):
+            depth[j, i] = image.floor[j, i]
+            label[j, i] = -1 if image.floor[j, i] < FAR else -2
+    for index in range(rows.shape[0]):
+        if index != skip:
+            draw_one(image, rows[index], index, depth, label)
+
+
+@njit(cache=True, nogil=True)
+def draw_one(image, row, index, depth, label):
+    """Draw one solid into depth and label, in place."""
+    height, width = image.depth.shape
+    kind = int(row[KIND])
+    i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
+    ex, ey, ez = image.origin[0] - row[10], image.origin[1] - row[11], image.origin[2] - row[12]
+    ox = row[1] * ex + row[4] * ey + row[7] * ez
+    oy = row[2] * ex + row[5] * ey + row[8] * ez
+    oz = row[3] * ex + row[6] * ey + row[9] * ez
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            ax, ay, az = image.direction[j, i, 0], image.direction[j, i, 1], image.direction[j, i, 2]
+            t = hit(kind, row, ox, oy, oz,
+                    row[1] * ax + row[4] * ay + row[7] * az,
+                    row[2] * ax + row[5] * ay + row[8] * az,
+                    row[3] * ax + row[6] * ay + row[9] * az)  # fmt: skip
+            if t < depth[j, i]:
+                depth[j, i] = t
+                label[j, i] = index
+
+
+@njit(cache=True, nogil=True)
+def misfit_map(image, depth, out):
+    """Fill out (H, W) with each pixel's misfit against the model depth and return the sum."""
+    total = 0.0
+    height, width = depth.shape
+    for j in range(height):
+        for i in range(width):
+            r = image.depth[j, i] - depth[j, i]
+            m = min(r * r * image.weight[j, i], LIMIT)
+            out[j, i] = m
+            total += m
+    return total
+
+
+@njit(cache=True, nogil=True)
+def added_misfit(image, row, depth, misfit):
+    """Return how the misfit changes when the solid `row` is added to a scene with this depth and misfit map."""
+    height, width = image.depth.shape
+    kind = int(row[KIND])
+    i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
+    ex, ey, ez = image.origin[0] - row[10], image.origin[1] - row[11], image.origin[2] - row[12]
+    ox = row[1] * ex + row[4] * ey + row[7] * ez
+    oy = row[2] * ex + row[5] * ey + row[8] * ez
+    oz = row[3] * ex + row[6] * ey + row[9] * ez
+    total = 0.0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            weight = image.weight[j, i]
+            if weight == 0.0:
+                continue
+            ax, ay, az = image.direction[j, i, 0], image.direction[j, i, 1], image.direction[j, i, 2]
+            t = hit(kind, row, ox, oy, oz,
+                    row[1] * ax + row[4] * ay + row[7] * az,
+                    row[2] * ax + row[5] * ay + row[8] * az,
+                    row[3] * ax + row[6] * ay + row[9] * az)  # fmt: skip
+            if t < depth[j, i]:
+                r = image.depth[j, i] - t
+                total += min(r * r * weight, LIMIT) - misfit[j, i]
+    return total
+
+
+def make_row(kind, rotation, centre, size):
+    """Return a solid's row from its kind, rotation (3, 3), centre (3,) and size (3,)."""
+    row = np.empty(ROW)
+    row[KIND] = kind
+    row[ROTATION:CENTRE] = np.asarray(rotation).ravel()
+    row[CENTRE:SIZE] = centre
+    row[SIZE:ROW] = size
+    return row
+
+
+def rotation_of(row):
+    """Return the rotation (3, 3), object to floor, of a row."""
+    return row[ROTATION:CENTRE].reshape(3, 3)
+
+
+KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
+
+
+def render_floor_scene(kinds, poses, sizes, floor_pose, camera):
+    """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
+
+    poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera; camera : dict of intrinsics.
+    """
+    blank = np.zeros((camera["height"], camera["width"]))
+    image = make_image(blank, 1.0, camera, floor_pose)
+    local = np.linalg.inv(floor_pose) @ poses
+    rows = np.array(
+        [make_row(KINDS[k], p[:3, :3], p[:3, 3], s) for k, p, s in zip(kinds, local, sizes, strict=True)]
+    ).reshape(-1, ROW)
+    depth, label = blank.copy(), np.zeros(blank.shape, np.int32)
+    draw(image, rows, -1, depth, label)
+    depth[depth >= FAR] = np.nan
+    return depth, label

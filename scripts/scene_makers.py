@@ -1,0 +1,223 @@
+"""Scenes with known truth for scripts/evaluate.py: settled, noisy, mixed, tower, groups.
+
+A scene is a dict: depth (H, W) float64 metres with NaN where nothing returned, camera (fx, fy, cx, cy, width, height),
+label (H, W) int32 (index of the object, -1 floor, -2 nothing), and objects: list of dicts with type, size (3,),
+pose (4, 4) object to camera, parent ("floor" or an index) and pixels (how many are visible).
+"""
+
+import numpy as np
+
+SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes")
+
+
+def camera_of(width, height, field_of_view=np.radians(60.0)):
+    """Return the intrinsics dict of a pinhole camera with this horizontal field of view."""
+    focal = width / 2 / np.tan(field_of_view / 2)
+    return {
+        "fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, "width": width, "height": height,
+    }  # fmt: skip
+
+
+def look_at(rng, distance, elevation, target):
+    """Return the pose of the world (z up) in a camera at this distance and elevation that looks at `target`."""
+    azimuth = rng.uniform(0, 2 * np.pi)
+    direction = np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    forward = -direction
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ (np.asarray(target) + distance * direction)
+    return pose
+
+
+def random_size(rng, kind, low=0.04, high=0.14):
+    """Return the full extents (3,) of a solid of this kind, each edge or diameter uniform in [low, high] metres."""
+    if kind == "cube":
+        return np.full(3, rng.uniform(low, high))
+    if kind == "sphere":
+        return np.full(3, rng.uniform(low, 0.8 * high))
+    if kind == "cylinder":
+        diameter = rng.uniform(low, 0.7 * high)
+        return np.array([diameter, diameter, rng.uniform(low, high)])
+    return rng.uniform(low, high, 3)
+
+
+def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
+    """Drop solids one above the other into MuJoCo, let them come to rest, and read who carries whom.
+
+    Returns
+    -------
+    poses : (N, 4, 4) object to world (z up, floor at 0); parents : list of "floor" or index: the body that bears
+        most of the object's weight (upward part of the contact force); None where the scene does not come to rest.
+    """
+    import mujoco
+
+    geoms, height = [], 0.02
+    for index, (kind, size) in enumerate(zip(kinds, sizes, strict=True)):
+        shape, half = {
+            "sphere": ("sphere", f"{size[0] / 2}"),
+            "cylinder": ("cylinder", f"{size[0] / 2} {size[2] / 2}"),
+        }.get(kind, ("box", " ".join(str(s / 2) for s in size)))
+        quaternion = rng.normal(size=4)
+        if rng.random() < upright_share:
+            yaw = rng.uniform(0, 2 * np.pi)
+            quaternion = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        quaternion /= np.linalg.norm(quaternion)
+        height += np.linalg.norm(size) / 2
+        x, y = rng.uniform(-spread, spread, 2)
+        geoms.append(
+            f'<body name="b{index}" pos="{x} {y} {height}" quat="{" ".join(map(str, quaternion))}"><freejoint/>'
+            f'<geom type="{shape}" size="{half}" density="500" friction="0.8 0.005 0.002" condim="6"/></body>'
+        )
+        height += np.linalg.norm(size) / 2 + 0.005
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>'
+        '<geom type="plane" size="3 3 .1" friction="0.8 0.005 0.002" condim="6"/>' + "".join(geoms) + "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    quiet = 0
+    for _ in range(int(seconds / 0.002)):
+        mujoco.mj_step(model, data)
+        quiet = quiet + 1 if np.abs(data.qvel).max() < 0.005 else 0
+        if quiet > 100:
+            break
+    if quiet <= 100:
+        return None
+    count = len(kinds)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, 3] = data.xpos[1:]
+    poses[:, :3, :3] = data.xmat[1:].reshape(-1, 3, 3)
+    lift = np.zeros((count, count + 1))
+    force = np.zeros(6)
+    for index in range(data.ncon):
+        contact = data.contact[index]
+        first, second = model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2]
+        mujoco.mj_contactForce(model, data, index, force)
+        upward = (contact.frame.reshape(3, 3).T @ force[:3])[2]  # the force on the second body
+        if second > 0:
+            lift[second - 1, first] += upward
+        if first > 0:
+            lift[first - 1, second] -= upward
+    parents = ["floor" if j == 0 else int(j - 1) for j in lift.argmax(axis=1)]
+    return poses, parents
+
+
+def stack(rng, count, low=0.04, high=0.14):
+    """Return kinds, sizes, poses and parents of a flush tower of boxes: upright, centres anywhere on the face below."""
+    kinds, sizes, poses, parents = [], [], [], []
+    height, centre, yaw = 0.0, np.zeros(2), rng.uniform(0, np.pi / 2)
+    for index in range(count):
+        kind = "cube" if rng.random() < 0.5 else "box"
+        size = random_size(rng, kind, low, high)
+        if index:
+            half = sizes[-1][:2] / 2
+            offset = rng.uniform(-0.8, 0.8, 2) * half
+            turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+            centre = centre + turn @ offset
+            yaw += rng.uniform(-np.pi / 4, np.pi / 4)
+        pose = np.eye(4)
+        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        pose[:3, 3] = [*centre, height + size[2] / 2]
+        height += size[2]
+        kinds.append(kind)
+        sizes.append(size)
+        poses.append(pose)
+        parents.append(index - 1 if index else "floor")
+    return kinds, np.array(sizes), np.array(poses), parents
+
+
+def kinect_noise(rng, depth, label, focal=580.0, baseline=0.075):
+    """Return the depth as a Kinect-like sensor gives it: noise 1.2 mm + 1.9 mm/m^2 (z - 0.4)^2, disparity in steps of
+    1/8 pixel at the sensor's own focal length, 60 % of the edge pixels and 1 % of all lost."""
+    noisy = depth + rng.normal(size=depth.shape) * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
+    disparity = np.round(focal * baseline / noisy * 8) / 8
+    noisy = focal * baseline / disparity
+    filled = np.nan_to_num(depth, nan=10.0)
+    edge = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        jump = np.abs(np.diff(filled, axis=axis)) > 0.02
+        change = (np.diff(label, axis=axis) != 0) & jump
+        before = [slice(None)] * 2
+        after = [slice(None)] * 2
+        before[axis], after[axis] = slice(None, -1), slice(1, None)
+        edge[tuple(before)] |= change
+        edge[tuple(after)] |= change
+    lost = (edge & (rng.random(depth.shape) < 0.6)) | (rng.random(depth.shape) < 0.01)
+    return np.where(lost, np.nan, noisy)
+
+
+def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, noise="millimetre", distance=(0.65, 0.9)):
+    """Return the scene dict that a camera 20 to 50 degrees up sees."""
+    from derender.inference.structure.image import render_floor_scene
+
+    middle = poses[:, :3, 3].mean(axis=0) * [1, 1, 0.8]
+    world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(20, 50)), middle)
+    camera = camera_of(width, height)
+    posed = world @ poses
+    depth, label = render_floor_scene(kinds, posed, sizes, world, camera)
+    if noise == "kinect":
+        observed = kinect_noise(rng, depth, label)
+    else:
+        observed = depth + rng.normal(size=depth.shape) * 0.001
+    objects = [
+        {
+            "type": kind, "size": size, "pose": pose, "parent": parent, "pixels": int((label == index).sum()),
+        }
+        for index, (kind, size, pose, parent) in enumerate(zip(kinds, sizes, posed, parents, strict=True))
+    ]  # fmt: skip
+    return {"depth": observed, "clean": depth, "label": label, "camera": camera, "floor": world, "objects": objects}
+
+
+def make_scene(rng, name):
+    """Return one scene of the set `name` (one of SETS)."""
+    while True:
+        if name in ("settled", "noisy", "mixed"):
+            count = int(rng.integers(1, 7))
+            choices = ["box", "cube"] if name != "mixed" else ["box", "cube", "cylinder", "sphere"]
+            kinds = [str(rng.choice(choices)) for _ in range(count)]
+            sizes = np.array([random_size(rng, kind) for kind in kinds])
+            settled = settle(rng, kinds, sizes, spread=0.1)
+            if settled is None:
+                continue
+            poses, parents = settled
+            if np.abs(poses[:, :2, 3] - poses[:, :2, 3].mean(0)).max() > 0.3:
+                continue
+        elif name == "tower":
+            kinds, sizes, poses, parents = stack(rng, int(rng.integers(3, 6)))
+        elif name == "cubes":
+            kinds, sizes, poses, parents = stack(rng, 3)
+            kinds, sizes = ["cube"] * 3, np.full((3, 3), 0.1)
+            poses[:, 2, 3] = [0.05, 0.15, 0.25]
+        elif name == "groups":
+            return make_groups(rng)
+        else:
+            raise ValueError(f"unknown set {name!r}; choose from {', '.join(SETS)}")
+        scene = photograph(rng, kinds, sizes, poses, parents, noise="kinect" if name == "noisy" else "millimetre")
+        if all(o["pixels"] >= 1 for o in scene["objects"]):
+            return scene
+
+
+def make_groups(rng, count=20):
+    """Return 20 boxes scattered in three groups at 320 x 240."""
+    kinds, sizes, poses, parents = [], [], [], []
+    centres = np.array([[np.cos(a), np.sin(a)] for a in rng.uniform(0, 6.28) + np.arange(3) * 2 * np.pi / 3]) * 0.3
+    for group, members in enumerate(np.array_split(np.arange(count), 3)):
+        while True:
+            k = ["cube" if rng.random() < 0.5 else "box" for _ in members]
+            s = np.array([random_size(rng, kind, 0.04, 0.10) for kind in k])
+            settled = settle(rng, k, s, spread=0.12)
+            if settled is not None:
+                break
+        pose, parent = settled
+        pose[:, :2, 3] += centres[group] - pose[:, :2, 3].mean(0)
+        parents += [p if p == "floor" else p + len(kinds) for p in parent]
+        kinds += k
+        sizes += list(s)
+        poses += list(pose)
+    return photograph(
+        rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2)
+    )
