@@ -1,0 +1,67 @@
+"""Writing files so that a reader, or a crash, never meets half of one."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from derender.errors import DerenderError
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary name in the same folder; when the block ends well, the file there becomes `path`.
+
+    The temporary name keeps the suffix, since many writers choose their format by it.  After an exception nothing is
+    left behind and an older file stays as it was.
+
+    Raises
+    ------
+    DerenderError : where the folder is missing, read-only or full.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        if path.is_dir():
+            raise DerenderError("this is a folder", where=path, remedy="give the name of a file")
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}-", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner reads
+        temporary.replace(path)
+        temporary = None
+    except OSError as error:
+        remedy = "make the folder first" if isinstance(error, FileNotFoundError) else "choose another place with -o"
+        raise DerenderError(f"cannot be written: {error.strerror or error}", where=path, remedy=remedy) from None
+    except ValueError as error:
+        if "null" not in str(error):
+            raise
+        raise DerenderError("a file name cannot hold a null character", where=repr(str(path))) from None
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write UTF-8 text atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def make_folder(path: str | Path) -> Path:
+    """Make a folder and its parents where missing, and return it."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DerenderError(
+            f"the folder cannot be made: {reason}", where=path, remedy="choose another with -o"
+        ) from None
+    return path

@@ -1,0 +1,245 @@
+"""Nodes of a strict YAML tree: each knows its file, line and address, so that every fault is one helpful line.
+
+Text becomes a number, a name or a truth value only when the caller asks for one, and only if every YAML 1.1 reader
+would agree.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any, NoReturn
+
+from derender.errors import DerenderError
+from derender.numbers import parse_number
+from derender.registry import suggest
+
+# What YAML 1.1 readers take for something else than text when it is not quoted.
+_BOOLEAN = re.compile(r"y|n|yes|no|on|off|true|false", re.IGNORECASE)
+_NOT_TEXT = re.compile(
+    r"~|null|[-+]?\.(?:inf|nan)|[-+]?[0-9.][0-9_.:]*(?:e[-+][0-9]+)?|0x[0-9a-f_]+|<<|=", re.IGNORECASE
+)
+
+
+class Node:
+    """A place in a file.
+
+    Attributes
+    ----------
+    file : name of the file, for messages.
+    line : int, from 1.
+    address : str, dotted path from the top, such as "objects.red.side".
+    """
+
+    kind = "value"
+
+    def __init__(self, file: str, line: int, address: str) -> None:
+        self.file = file
+        self.line = line
+        self.address = address
+
+    @property
+    def where(self) -> str:
+        return f"{self.file}, line {self.line}" + (f", {self.address}" if self.address else "")
+
+    def fault(self, what: str, remedy: str | None = None) -> DerenderError:
+        """Return (to be raised) a DerenderError that names this place."""
+        return DerenderError(what, where=self.where, remedy=remedy)
+
+    def _expected(self, what: str) -> NoReturn:
+        raise self.fault(f"here stands {self.kind}", f"write {what}")
+
+    # What every node answers; the fitting subclass overrides.
+    def number(self, unit: str = "", lower: float | None = None, upper: float | None = None) -> float:
+        self._expected("a number")
+
+    def integer(self, lower: int | None = None, upper: int | None = None) -> int:
+        self._expected("a whole number")
+
+    def text(self, choices: Iterable[str] | None = None) -> str:
+        self._expected("a name")
+
+    def boolean(self) -> bool:
+        self._expected("true or false")
+
+    def section(self) -> Section:
+        self._expected("a section of keys with values")
+
+    def sequence(self, length: int | None = None) -> list[Node]:
+        self._expected("a list in [brackets]")
+
+    def plain(self) -> Any:
+        """Return plain Python data: dict, list, float, int, bool, str or None."""
+        raise NotImplementedError
+
+
+class Item(Node):
+    """A single value.
+
+    Attributes
+    ----------
+    raw : str, the text as it stands in the file.
+    quoted : bool, it stood in quotes: text, whatever it looks like.
+    """
+
+    def __init__(self, file: str, line: int, address: str, raw: str, quoted: bool) -> None:
+        super().__init__(file, line, address)
+        self.raw = raw
+        self.quoted = quoted
+
+    @property
+    def kind(self) -> str:  # type: ignore[override]
+        if not self.raw and not self.quoted:
+            return "nothing"
+        return "text in quotes" if self.quoted else f"the value {shown(self.raw)}"
+
+    @property
+    def empty(self) -> bool:
+        return not self.quoted and self.raw in ("", "~", "null", "Null", "NULL")
+
+    def number(self, unit: str = "", lower: float | None = None, upper: float | None = None) -> float:
+        """Return the number in the base unit; refuse one outside [lower, upper]."""
+        if self.empty:
+            self._expected("a number")
+        try:
+            value = parse_number(self.raw, unit)
+        except DerenderError as error:
+            raise self.fault(error.what, error.remedy) from None
+        if self.quoted and not re.search(r"[a-z]\s*$", self.raw):
+            raise self.fault(
+                f"the number {shown(self.raw)} stands in quotes and so is text", f"write {self.raw.strip()}"
+            )
+        self._check_range(value, lower, upper)
+        return value
+
+    def integer(self, lower: int | None = None, upper: int | None = None) -> int:
+        """Return the whole number; refuse one outside [lower, upper]."""
+        value = self.number()
+        if value != int(value):
+            raise self.fault(f"{shown(self.raw)} is not a whole number", f"write {round(value)}")
+        self._check_range(value, lower, upper)
+        return int(value)
+
+    def _check_range(self, value: float, lower: float | None, upper: float | None) -> None:
+        if lower is not None and value < lower:
+            raise self.fault(f"{shown(self.raw)} is too small", f"give at least {lower:g}")
+        if upper is not None and value > upper:
+            raise self.fault(f"{shown(self.raw)} is too large", f"give at most {upper:g}")
+
+    def text(self, choices: Iterable[str] | None = None) -> str:
+        """Return the text; with `choices` it must be one of them."""
+        if choices is not None:
+            choices = list(choices)
+            if self.raw not in choices or (not self.quoted and self.empty):
+                what = f"{shown(self.raw)} is no choice here" if not self.empty else "a name is missing"
+                raise self.fault(what, suggest(self.raw, choices))
+            return self.raw
+        if self.empty:
+            self._expected("a name")
+        if not self.quoted and (_BOOLEAN.fullmatch(self.raw) or _NOT_TEXT.fullmatch(self.raw)):
+            raise self.fault(
+                f"{self.raw} is not text to a YAML reader", f"write '{self.raw}' in quotes or another name"
+            )
+        return self.raw
+
+    def boolean(self) -> bool:
+        """Return a truth value: only `true` and `false` say one."""
+        if not self.quoted and self.raw in ("true", "false"):
+            return self.raw == "true"
+        right = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
+        word = self.raw.lower()
+        remedy = f"write {right.get(word, word)}" if word in (*right, "true", "false") else "write true or false"
+        raise self.fault(f"{shown(self.raw)} is not a truth value", remedy)
+
+    def plain(self) -> Any:
+        if self.empty:
+            return None
+        if not self.quoted:
+            if self.raw in ("true", "false"):
+                return self.raw == "true"
+            if re.fullmatch(r"[-+]?(0|[1-9][0-9]{0,15})", self.raw):
+                return int(self.raw)
+            if (
+                _NOT_TEXT.fullmatch(self.raw)
+                or _BOOLEAN.fullmatch(self.raw)
+                or re.fullmatch(r"[-+]?[0-9.]+e[0-9]+|[-+]?[0-9]+e[-+]?[0-9]+", self.raw, re.I)
+            ):
+                return self.number()
+        return self.raw
+
+
+class List(Node):
+    """A sequence of nodes."""
+
+    kind = "a list"
+
+    def __init__(self, file: str, line: int, address: str, nodes: list[Node]) -> None:
+        super().__init__(file, line, address)
+        self.nodes = nodes
+
+    def sequence(self, length: int | None = None) -> list[Node]:
+        """Return the nodes; with `length` there must be as many."""
+        if length is not None and len(self.nodes) != length:
+            raise self.fault(f"the list has {len(self.nodes)} entries", f"give {length}")
+        return self.nodes
+
+    def plain(self) -> list:
+        return [node.plain() for node in self.nodes]
+
+
+class Section(Node):
+    """Keys with values, in the order of the file."""
+
+    kind = "a section"
+
+    def __init__(self, file: str, line: int, address: str, nodes: dict[str, Node], lines: dict[str, int]) -> None:
+        super().__init__(file, line, address)
+        self.nodes = nodes
+        self.lines = lines
+
+    def section(self) -> Section:
+        return self
+
+    def __contains__(self, key: object) -> bool:
+        return key in self.nodes
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.nodes)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def items(self) -> Iterable[tuple[str, Node]]:
+        return self.nodes.items()
+
+    def __getitem__(self, key: str) -> Node:
+        """Return the node under a key, which must be there."""
+        try:
+            return self.nodes[key]
+        except KeyError:
+            raise self.fault(f"{key!r} is missing", f"add {key}: ...") from None
+
+    def get(self, key: str) -> Node | None:
+        return self.nodes.get(key)
+
+    def allow(self, *keys: str) -> Section:
+        """Refuse any other key, and return this section."""
+        for key in self.nodes:
+            if key not in keys:
+                place = Node(self.file, self.lines[key], f"{self.address}.{key}" if self.address else key)
+                raise place.fault("this key is unknown here", suggest(key, keys))
+        return self
+
+    def only(self) -> tuple[str, Node]:
+        """Return the one key and its node, where there must be exactly one."""
+        if len(self.nodes) != 1:
+            raise self.fault(f"{len(self.nodes)} keys stand here", "give exactly one")
+        return next(iter(self.nodes.items()))
+
+    def plain(self) -> dict:
+        return {key: node.plain() for key, node in self.nodes.items()}
+
+
+def shown(text: str) -> str:
+    """Quote a piece of input, shortened, in printable characters."""
+    return repr(text if len(text) <= 40 else text[:37] + "...")
