@@ -62,7 +62,7 @@ def load_pyrender() -> types.ModuleType:
         viewer.Viewer = None  # type: ignore[attr-defined]
         sys.modules.setdefault("pyrender.viewer", viewer)
         if not hasattr(np, "infty"):
-            np.infty = np.inf  # type: ignore[attr-defined]  # pyrender's, gone from numpy 2
+            setattr(np, "infty", np.inf)  # noqa: B010  # pyrender's name, gone from numpy 2
         if platform == "osmesa":
             _patch_osmesa()
         import pyrender

@@ -105,7 +105,7 @@ class OpenGLRenderer:
         self.offscreen = self.pyrender.OffscreenRenderer(64, 64)
         # On OSMesa pyrender would make a new context for each image size; a frame buffer object needs none.
         self.offscreen._platform.supports_framebuffers = lambda: True
-        self.scene = self.pyrender.Scene(bg_color=np.ones(4), ambient_light=np.full(3, 0.35))
+        self.scene = self.pyrender.Scene(bg_color=np.ones(4), ambient_light=np.full(3, 0.3))
         self.eye = self.scene.add(self.pyrender.IntrinsicsCamera(1, 1, 0, 0), pose=FLIP)
         self.nodes: list[Any] = []
         self.keys: list[Any] = []
@@ -198,7 +198,7 @@ class OpenGLRenderer:
         return self.pyrender.Mesh.from_trimesh(shape, material=material, smooth=kind == SPHERE)
 
     def _add_lights(self) -> None:
-        for direction, strength in (((0.5, 1.0, 0.8), 2.6), ((-0.8, 0.3, 0.6), 1.1), ((0.0, -0.2, 1.0), 0.6)):
+        for direction, strength in (((0.5, 1.0, 0.6), 1.9), ((-0.8, 0.3, 0.6), 0.8), ((0.0, -0.2, 1.0), 0.5)):
             back = -np.array(direction) / np.linalg.norm(direction)
             side = np.cross([0.0, 0.0, 1.0] if abs(back[2]) < 0.9 else [1.0, 0.0, 0.0], back)
             side /= np.linalg.norm(side)

@@ -1,0 +1,62 @@
+# make help says what there is. Everything happens in .venv; nothing outside this folder changes, but that `make demo`
+# and `make test` install OSMesa when they run as root on a system with apt.
+
+PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3 python; do \
+	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+IMAGE ?=
+CAMERA ?=
+OUT ?= demo
+JOBS ?= 2
+
+.PHONY: help demo test test-all lint bench figures eval build clean osmesa
+.DEFAULT_GOAL := help
+
+help:  ## Say what there is
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: .venv/installed osmesa  ## See one depth image become a scene graph; IMAGE=frame.png CAMERA=camera.json for your own
+	@PATH="$(CURDIR)/$(BIN):$$PATH" sh scripts/demo.sh "$(OUT)" "$(IMAGE)" "$(CAMERA)"
+
+test: .venv/developed osmesa lint  ## Check style, types and tests, in under 5 minutes
+	$(BIN)/python -m pytest -n $(JOBS)
+
+test-all: .venv/developed osmesa lint  ## The slow tests too, such as simulation-based calibration
+	$(BIN)/python -m pytest -n $(JOBS) -m ''
+
+lint: .venv/developed  ## Check style and types only
+	$(BIN)/ruff check derender tests scripts
+	$(BIN)/mypy
+
+bench: .venv/developed osmesa  ## Measure speed beside pyrender, Embree and scipy
+	$(BIN)/python scripts/benchmark.py
+
+figures: .venv/developed osmesa  ## Draw the paper's figures from our own runs, into figures/
+	$(BIN)/python scripts/figures.py
+
+eval: .venv/developed  ## Measure structure inference on made and real frames
+	$(BIN)/python scripts/evaluate.py
+
+build: .venv/developed  ## Build wheel and sdist into dist/
+	$(BIN)/python -m build
+
+clean:  ## Remove what the other targets made
+	rm -rf .venv build dist demo figures .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/made:
+	@test -n "$(PYTHON)" || { echo "derender needs Python 3.11 or newer with venv:" \
+		"apt-get install python3 python3-venv, or make PYTHON=/path/to/python3"; exit 1; }
+	$(PYTHON) -m venv .venv
+	@touch $@
+
+.venv/installed: .venv/made pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+.venv/developed: .venv/made pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@ .venv/installed
+
+osmesa:
+	@sh scripts/get_osmesa.sh
