@@ -337,6 +337,10 @@ def find_patches(points, mask, origin, sigma, footprint, smallest=8):
     for _ in range(2):
         plane_normal, plane_offset, count, centre, residual = fit_regions(points, label, regions, origin)
         reassign(points, mask, label, plane_normal, plane_offset, tolerance, jump, 4)
+    # reassignment can leave a region with next to nothing: number the others anew
+    alive = np.bincount(label[label >= 0], minlength=regions) >= max(smallest // 2, 4)
+    number = np.append(np.where(alive, np.cumsum(alive) - 1, -1), -1).astype(np.int32)
+    label, regions = np.ascontiguousarray(number[label]), int(alive.sum())
     plane_normal, plane_offset, count, centre, residual = fit_regions(points, label, regions, origin)
     return Patches(label, plane_normal, plane_offset, count, centre, residual,
                    touching_pixels(points, label, regions, jump))  # fmt: skip

@@ -1,0 +1,326 @@
+"""Hypotheses of single solids from planar patches: boxes from one to three orthogonal ones, round solids from clusters."""
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.inference.structure.image import make_row
+from derender.inference.structure.polish import FREE, UPRIGHT
+from derender.model.solids import BOX, CYLINDER, SPHERE
+
+UP = np.array([0.0, 0.0, 1.0])
+THINNEST = 0.008
+
+
+class Hypothesis(NamedTuple):
+    """A solid that may be in the scene.
+
+    Attributes
+    ----------
+    row : (ROW,) float64, see image.py.
+    form : UPRIGHT (its own z axis is the floor's) or FREE.
+    cube : whether its edges are equal by construction.
+    patches : indices of the patches that suggested it.
+    """
+
+    row: np.ndarray
+    form: int
+    cube: bool
+    patches: tuple[int, ...]
+
+
+class Surface(NamedTuple):
+    """What hypotheses are made from: the points of each patch, the patches, and the camera's place in the floor frame."""
+
+    points: list[np.ndarray]
+    normal: np.ndarray
+    offset: np.ndarray
+    count: np.ndarray
+    centre: np.ndarray
+    touching: np.ndarray
+    origin: np.ndarray
+    footprint: float
+    sigma: float
+
+
+def make_surface(points, patches, origin, footprint, sigma):
+    """Collect the points (H, W, 3) of each patch."""
+    flat = patches.label.ravel()
+    order = np.argsort(flat, kind="stable")
+    starts = np.searchsorted(flat[order], np.arange(len(patches.count) + 1))
+    coordinates = points.reshape(-1, 3)
+    lists = [coordinates[order[starts[k] : starts[k + 1]]] for k in range(len(patches.count))]
+    return Surface(lists, patches.normal, patches.offset, patches.count, patches.centre, patches.touching,
+                   origin, footprint, sigma)  # fmt: skip
+
+
+def snap(normal, level=0.16):
+    """Return a patch normal made exactly vertical or horizontal where it is within about nine degrees of it, and which.
+
+    Returns (normal (3,), "top", "side" or "tilted").
+    """
+    if normal[2] > np.sqrt(1 - level**2):
+        return UP, "top"
+    if abs(normal[2]) < level:
+        flat = np.array([normal[0], normal[1], 0.0])
+        return flat / np.linalg.norm(flat), "side"
+    return normal, "tilted"
+
+
+def convex(surface, a, b):
+    """Whether two patches meet in a convex edge (or none): each one's middle lies behind the other's plane."""
+    slack = 3 * surface.sigma
+    return (
+        surface.normal[a] @ surface.centre[b] - surface.offset[a] < slack
+        and surface.normal[b] @ surface.centre[a] - surface.offset[b] < slack
+    )
+
+
+def groups_of_faces(surface, orthogonal=0.2, touch=2):
+    """Return the index tuples of one to three patches that can be faces of one box: touching, orthogonal, convex."""
+    count = len(surface.count)
+    pairs = {
+        (a, b)
+        for a, b in combinations(range(count), 2)
+        if surface.touching[a, b] >= touch
+        and abs(surface.normal[a] @ surface.normal[b]) < orthogonal
+        and convex(surface, a, b)
+    }
+    triples = [
+        (a, b, c)
+        for (a, b) in pairs
+        for c in range(b + 1, count)
+        if ((a, c) in pairs or (b, c) in pairs)
+        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
+        and abs(surface.normal[b] @ surface.normal[c]) < orthogonal
+        and convex(surface, a, c)
+        and convex(surface, b, c)
+    ]
+    wedges = [
+        tuple(sorted((a, b, c)))
+        for (a, b) in pairs
+        for c in range(b)
+        if c != a
+        and (min(b, c), max(b, c)) in pairs
+        and (a, c) not in pairs
+        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
+        and convex(surface, a, c)
+    ]
+    return sorted(set(triples) | set(wedges)), sorted(pairs), [(a,) for a in range(count)]
+
+
+def smallest_rectangle(points):
+    """Return the angle of the smallest rectangle about points (N, 2)."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return 0.0
+    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
+    x = np.outer(np.cos(angles), points[:, 0]) + np.outer(np.sin(angles), points[:, 1])
+    y = -np.outer(np.sin(angles), points[:, 0]) + np.outer(np.cos(angles), points[:, 1])
+    return angles[np.argmin(np.ptp(x, axis=1) * np.ptp(y, axis=1))]
+
+
+def tangent(normal):
+    """Return two unit vectors that make a right-handed frame with the normal."""
+    first = np.cross(UP, normal) if abs(normal[2]) < 0.9 else np.cross([1.0, 0, 0], normal)
+    first = first / np.linalg.norm(first)
+    return first, np.cross(normal, first)
+
+
+def box_axes(surface, group):
+    """Return (rotation (3, 3), form) of the box whose faces are these patches."""
+    snapped = [snap(surface.normal[k]) for k in group]
+    kinds = [kind for _, kind in snapped]
+    if "tilted" not in kinds:
+        weight, turn = 0.0, 0.0 + 0.0j
+        for k, (normal, kind) in zip(group, snapped, strict=True):
+            if kind == "side":
+                angle = np.arctan2(normal[1], normal[0])
+                turn += surface.count[k] * np.exp(4j * angle)
+                weight += surface.count[k]
+        if weight > 0:
+            yaw = np.angle(turn) / 4
+        else:
+            yaw = smallest_rectangle(surface.points[group[0]][:, :2])
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), UPRIGHT
+    order = sorted(group, key=lambda k: -surface.count[k])
+    first = surface.normal[order[0]]
+    if len(order) == 1:
+        u, v = tangent(first)
+        angle = smallest_rectangle(surface.points[order[0]] @ np.column_stack([u, v]))
+        second = np.cos(angle) * u + np.sin(angle) * v
+    else:
+        second = surface.normal[order[1]] - (surface.normal[order[1]] @ first) * first
+        second /= np.linalg.norm(second)
+    third = np.cross(first, second)
+    axes = [first, second, third]
+    up = int(np.argmax([abs(a[2]) for a in axes]))  # name the axis nearest the vertical z
+    z = axes[up] * np.sign(axes[up][2])
+    x = axes[(up + 1) % 3]
+    return np.column_stack([x, np.cross(z, x), z]), FREE
+
+
+def boxes(surface, group):
+    """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it."""
+    rotation, form = box_axes(surface, group)
+    points = np.concatenate([surface.points[k] for k in group])
+    along = points @ rotation
+    margin = 0.25 * surface.footprint
+    low = np.quantile(along, 0.01, axis=0) - margin
+    high = np.quantile(along, 0.99, axis=0) + margin
+    seen = np.zeros(3, bool)  # is the extent along this axis seen (from a face that is not across it)?
+    face = np.zeros(3)
+    for k in group:
+        cosine = surface.normal[k] @ rotation
+        axis = int(np.argmax(np.abs(cosine)))
+        face[axis] = np.sign(cosine[axis])
+        plane = surface.centre[k] @ rotation[:, axis]
+        if face[axis] > 0:
+            high[axis] = plane
+        else:
+            low[axis] = plane
+        for other in range(3):
+            if other != axis:
+                seen[other] = True
+    if form == UPRIGHT and low[2] < max(0.02, 2 * surface.footprint):
+        low[2] = 0.0
+        seen[2] = True
+    hidden = [axis for axis in range(3) if not seen[axis]]
+    if not hidden:
+        yield from box_between(rotation, low, high, form, group)
+        return
+    axis = hidden[0]
+    others = [k for k in range(3) if k != axis]
+    guesses = [high[k] - low[k] for k in others] + [0.04, 0.08]
+    if form == UPRIGHT and axis == 2:
+        guesses.append(high[2])
+    for guess in guesses:
+        a, b = low.copy(), high.copy()
+        if face[axis] > 0:
+            a[axis] = b[axis] - guess
+        else:
+            b[axis] = a[axis] + guess
+        yield from box_between(rotation, a, b, form, group)
+
+
+def box_between(rotation, low, high, form, group):
+    """Yield the box between two corners given along its own axes."""
+    size = np.maximum(high - low, THINNEST)
+    yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False, tuple(group))
+
+
+def fit_sphere(points):
+    """Return (centre, radius) of the least-squares sphere through points (N, 3)."""
+    a = np.column_stack([2 * points, np.ones(len(points))])
+    solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
+    return solution[:3], np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-8))
+
+
+def spheres(surface, group):
+    """Yield the sphere through a cluster of patches, if it has a sensible size."""
+    points = np.concatenate([surface.points[k] for k in group])
+    if len(points) < 12:
+        return
+    centre, radius = fit_sphere(points)
+    residual = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
+    if 0.008 < radius < 0.3 and np.median(residual) < 3 * surface.sigma + 0.02 * radius:
+        if abs(centre[2] - radius) < 0.25 * radius:
+            centre = np.array([centre[0], centre[1], radius])
+        yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False, tuple(group))
+
+
+def cylinders(surface, group):
+    """Yield upright and lying cylinders through a cluster of patches."""
+    points = np.concatenate([surface.points[k] for k in group])
+    if len(points) < 12:
+        return
+    normals = surface.normal[list(group)]
+    weight = surface.count[list(group)].astype(float)
+    sides = [k for k in group if abs(surface.normal[k][2]) < 0.35]
+    tops = [k for k in group if surface.normal[k][2] > 0.95]
+    axes = []
+    if sides or tops:
+        axes.append((UP, UPRIGHT))
+    # a lying cylinder's side normals are all across its axis: the direction in the floor that they share least
+    scatter = np.einsum("k,ki,kj->ij", weight, normals, normals)
+    values, vectors = np.linalg.eigh(scatter)
+    if len(group) >= 2 and values[0] < 0.2 * values[1]:
+        axes.append((vectors[:, 0], FREE))
+    if len(group) >= 2:
+        flat = np.linalg.eigh(scatter[:2, :2])[1][:, 0]
+        axes.append((np.array([flat[0], flat[1], 0.0]), FREE))
+    for axis, form in axes:
+        u, v = tangent(axis)
+        cosine = normals @ axis
+        side = [k for k, c in zip(group, cosine, strict=True) if abs(c) < 0.4]
+        cap = [k for k, c in zip(group, cosine, strict=True) if abs(c) > 0.9]
+        choices = []
+        if side:
+            flat = np.concatenate([surface.points[k] for k in side]) @ np.column_stack([u, v])
+            if len(flat) >= 8:
+                choices.append(fit_circle(flat))
+        if cap:
+            flat = np.concatenate([surface.points[k] for k in cap]) @ np.column_stack([u, v])
+            choices.append((flat.mean(axis=0), np.sqrt(2 * flat.var(axis=0).mean()) + 0.25 * surface.footprint))
+        heights = points @ axis
+        low, high = np.quantile(heights, [0.01, 0.99]) + 0.25 * surface.footprint * np.array([-1, 1])
+        if form == UPRIGHT and (low < max(0.02, 2 * surface.footprint) or not side):
+            low = 0.0
+        for centre, radius in choices:
+            if not 0.006 < radius < 0.25 or high - low < THINNEST:
+                continue
+            middle = centre[0] * u + centre[1] * v + 0.5 * (low + high) * axis
+            rotation = np.column_stack([u, v, axis])
+            row = make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, high - low])
+            yield Hypothesis(row, form, False, tuple(group))
+
+
+def fit_circle(points):
+    """Return (centre, radius) of the least-squares circle through points (N, 2)."""
+    a = np.column_stack([2 * points, np.ones(len(points))])
+    solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
+    return solution[:2], np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 1e-8))
+
+
+def clusters(surface, touch=2):
+    """Return tuples of patches joined by convex edges: each patch with its neighbours, and the whole components."""
+    count = len(surface.count)
+    joined = np.zeros((count, count), bool)
+    for a in range(count):
+        for b in range(count):
+            if a != b and surface.touching[a, b] >= touch and convex(surface, a, b):
+                joined[a, b] = True
+    found = set()
+    remaining = set(range(count))
+    while remaining:
+        component, frontier = set(), {remaining.pop()}
+        while frontier:
+            component |= frontier
+            frontier = {b for a in frontier for b in np.flatnonzero(joined[a])} - component
+        remaining -= component
+        found.add(tuple(sorted(int(k) for k in component)))
+    for a in range(count):
+        found.add((a, *[int(b) for b in np.flatnonzero(joined[a])]))
+    return sorted({tuple(sorted(c)) for c in found})
+
+
+def all_hypotheses(surface, shapes):
+    """Return every hypothesis that the patches suggest, for the allowed shapes ("box", "cube", "cylinder", "sphere")."""
+    found = []
+    if "box" in shapes or "cube" in shapes:
+        triples, pairs, singles = groups_of_faces(surface)
+        for group in triples + pairs + singles:
+            found.extend(boxes(surface, group))
+    if "cylinder" in shapes or "sphere" in shapes:
+        for group in clusters(surface):
+            if "sphere" in shapes:
+                found.extend(spheres(surface, group))
+            if "cylinder" in shapes:
+                found.extend(cylinders(surface, group))
+    return found

@@ -1,0 +1,84 @@
+"""The state of the search over structures: which solids there are and what each one stands on."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from derender.inference.structure.image import ROW, draw, misfit_map
+from derender.inference.structure.polish import contact_energy, size_energy
+
+FLOOR = -1
+
+
+@dataclass
+class State:
+    """Solids over a floor, in the floor frame.
+
+    Attributes
+    ----------
+    rows : (N, ROW) float64, see image.py.
+    forms : UPRIGHT or FREE for each solid.
+    cubes : whether each solid's edges are equal.
+    parents : what each one stands on: FLOOR or an index.
+    bottoms : height that each one's lowest point is held to, NaN for none.
+    """
+
+    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))
+    forms: list[int] = field(default_factory=list)
+    cubes: list[bool] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    bottoms: list[float] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.forms)
+
+    def copy(self) -> "State":
+        return State(self.rows.copy(), list(self.forms), list(self.cubes), list(self.parents), list(self.bottoms))
+
+    def add(self, row, form, cube, parent=FLOOR, bottom=np.nan) -> "State":
+        """Return the state with one more solid."""
+        return State(
+            np.vstack([self.rows, row[None]]), [*self.forms, form], [*self.cubes, cube],
+            [*self.parents, parent], [*self.bottoms, bottom],
+        )  # fmt: skip
+
+    def without(self, index) -> "State":
+        """Return the state without one solid; what stood on it stands on what it stood on."""
+        keep = [k for k in range(len(self)) if k != index]
+        heir = self.parents[index]
+
+        def moved(parent):
+            parent = heir if parent == index else parent
+            return parent - 1 if parent > index else parent
+
+        return State(
+            self.rows[keep], [self.forms[k] for k in keep], [self.cubes[k] for k in keep],
+            [moved(self.parents[k]) for k in keep], [self.bottoms[k] for k in keep],
+        )  # fmt: skip
+
+
+def blank(image):
+    """Return depth (H, W), label (H, W) and misfit (H, W) arrays to draw into."""
+    shape = image.depth.shape
+    return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
+
+
+def held_out(image, state, index):
+    """Return depth, label, misfit and total misfit of the scene without solid `index` (-1: all of it)."""
+    depth, label, misfit = blank(image)
+    draw(image, state.rows, index, depth, label)
+    total = misfit_map(image, depth, misfit)
+    return depth, label, misfit, total
+
+
+def energy(image, state, slack, per_object):
+    """Return misfit + prior + contact energies of a state: minus its log posterior density up to a constant.
+
+    per_object : price in nats of each solid (minus the log of the prior odds of one more, and its parameters' Occam
+        factor where that is taken as a constant).
+    """
+    *_, total = held_out(image, state, -1)
+    for k in range(len(state)):
+        total += size_energy(state.rows[k], state.cubes[k])
+        total += contact_energy(state.rows[k], state.rows, k, state.bottoms[k], slack)
+    return total + per_object * len(state)
