@@ -1,0 +1,113 @@
+"""Figure 2: the offsets at which two flat outlines touch, exactly.
+
+Every outline is a rounded rectangle about its centre: a rectangle (a, b, 0), a disc (0, 0, r), a segment (a, 0, 0),
+a point (0, 0, 0). All are symmetric about their centres, so the offsets of a child at angle theta that touch the
+parent are the Minkowski sum of the two: a zonogon with the generators a e_x, b e_y, c R e_x, d R e_y, grown by a disc
+of the two radii. `reach` gives half its x-range and `upper` its upper boundary; the lower one is its mirror image.
+
+The two are scalar functions without calls of their own, so that `contacts.compiled` compiles these very lines.
+"""
+
+import math
+
+# A generator this much steeper than long is vertical: cos(pi/2) is 6e-17 and not 0 in floating point.
+VERTICAL = 1e-12
+
+
+def reach(theta: float, a: float, b: float, c: float, d: float, radius: float) -> float:
+    """Return half the length of the x-range [-reach, reach] of touching offsets, in metres.
+
+    Parameters: `theta` child's angle; `a`, `b` full sides of the parent; `c`, `d` of the child; `radius` sum of radii.
+    """
+    return 0.5 * (a + c * abs(math.cos(theta)) + d * abs(math.sin(theta))) + radius
+
+
+def upper(x: float, theta: float, a: float, b: float, c: float, d: float, radius: float) -> float:
+    """Return the largest touching y-offset at the x-offset `x` (clipped into the range); the smallest is -upper(-x).
+
+    The boundary is walked from the left in order of falling slope: an arc of the disc, an edge, an arc, an edge, ...
+    """
+    cosine, sine = math.cos(theta), math.sin(theta)
+    # The two slanted generators, pointing right; b is vertical, and a has slope zero.
+    width_1, rise_1 = c * cosine, c * sine
+    if width_1 < 0.0:
+        width_1, rise_1 = -width_1, -rise_1
+    width_2, rise_2 = -d * sine, d * cosine
+    if width_2 < 0.0:
+        width_2, rise_2 = -width_2, -rise_2
+    height = b
+    if width_1 <= VERTICAL * abs(rise_1):
+        height, width_1, rise_1 = height + abs(rise_1), 0.0, 0.0
+    if width_2 <= VERTICAL * abs(rise_2):
+        height, width_2, rise_2 = height + abs(rise_2), 0.0, 0.0
+    # One of the two rises and the other falls (they are perpendicular), so a lies between them.
+    if rise_1 < rise_2:
+        width_1, rise_1, width_2, rise_2 = width_2, rise_2, width_1, rise_1
+    left = -0.5 * (a + width_1 + width_2)
+    y = 0.5 * (height - rise_1 - rise_2)
+    offset = min(max(x, left - radius), -left + radius) - left
+    # `offset` is measured from the vertex walked to; the arc about it ends where the next edge's normal points.
+    length_1 = math.hypot(width_1, rise_1)
+    if length_1 > 0.0:
+        normal_x, normal_y = -rise_1 / length_1, width_1 / length_1
+        if offset <= radius * normal_x:
+            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
+        if offset <= radius * normal_x + width_1:
+            return y + radius * normal_y + rise_1 * (offset - radius * normal_x) / width_1
+        offset -= width_1
+        y += rise_1
+    if a > 0.0:
+        if offset <= 0.0:
+            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
+        if offset <= a:
+            return y + radius
+        offset -= a
+    length_2 = math.hypot(width_2, rise_2)
+    if length_2 > 0.0:
+        normal_x, normal_y = -rise_2 / length_2, width_2 / length_2
+        if offset <= radius * normal_x:
+            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
+        if offset <= radius * normal_x + width_2:
+            return y + radius * normal_y + rise_2 * (offset - radius * normal_x) / width_2
+        offset -= width_2
+        y += rise_2
+    return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
+
+
+def chord(x: float, theta: float, a: float, b: float, c: float, d: float, radius: float) -> tuple[float, float]:
+    """Return the interval (lowest, highest) of touching y-offsets at the x-offset `x`."""
+    return -upper(-x, theta, a, b, c, d, radius), upper(x, theta, a, b, c, d, radius)
+
+
+def offset_from_uv(u: float, v: float, theta: float, parent, child) -> tuple[float, float]:
+    """Return the offset (x, y) in metres that (u, v) in [0, 1]^2 stand for.
+
+    `parent`, `child`: outlines as (a, b, radius) of two bounded faces.
+    """
+    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
+    x = (2.0 * u - 1.0) * reach(theta, *sides)
+    low, high = chord(x, theta, *sides)
+    return x, low + v * (high - low)
+
+
+def uv_from_offset(x: float, y: float, theta: float, parent, child) -> tuple[float, float, float]:
+    """Return (u, v, outside): the nearest touching (u, v), x first, and by how many metres (x, y) misses it.
+
+    Where the range is a single point the fraction is not defined and 1/2 is returned.
+    """
+    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
+    half = reach(theta, *sides)
+    near_x = min(max(x, -half), half)
+    low, high = chord(near_x, theta, *sides)
+    near_y = min(max(y, low), high)
+    u = 0.5 + 0.5 * near_x / half if half > 0.0 else 0.5
+    v = (near_y - low) / (high - low) if high > low else 0.5
+    return u, v, math.hypot(x - near_x, y - near_y)
+
+
+def area_element(u: float, theta: float, parent, child) -> float:
+    """Return |d(x, y) / d(u, v)| in square metres, what a jump between offsets in metres and (u, v) needs."""
+    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
+    half = reach(theta, *sides)
+    low, high = chord((2.0 * u - 1.0) * half, theta, *sides)
+    return 2.0 * half * (high - low)

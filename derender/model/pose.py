@@ -1,0 +1,135 @@
+"""Rigid poses as (4, 4) float64 arrays, child to parent. Quaternions are wxyz, angles radians, lengths metres."""
+
+import math
+
+import numpy as np
+
+
+def translation(x: float, y: float, z: float) -> np.ndarray:
+    """Return the (4, 4) pose that shifts by (x, y, z) metres."""
+    pose = np.eye(4)
+    pose[0, 3], pose[1, 3], pose[2, 3] = x, y, z
+    return pose
+
+
+def rotation_x(angle: float) -> np.ndarray:
+    """Return the (4, 4) right-handed rotation about x by `angle` radians."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0, 0, 0], [0, cosine, -sine, 0], [0, sine, cosine, 0], [0, 0, 0, 1.0]])
+
+
+def rotation_y(angle: float) -> np.ndarray:
+    """Return the (4, 4) right-handed rotation about y by `angle` radians."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, 0, sine, 0], [0, 1.0, 0, 0], [-sine, 0, cosine, 0], [0, 0, 0, 1.0]])
+
+
+def rotation_z(angle: float) -> np.ndarray:
+    """Return the (4, 4) right-handed rotation about z by `angle` radians."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
+
+
+def from_axes(x_axis, y_axis, z_axis, origin=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the (4, 4) pose of a frame whose axes and origin are given in the parent's coordinates, (3,) each."""
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x_axis, y_axis, z_axis, origin
+    return pose
+
+
+def inverse(pose: np.ndarray) -> np.ndarray:
+    """Return the inverse of a (..., 4, 4) rigid pose (its rotation transposed, not a general matrix inverse)."""
+    pose = np.asarray(pose, dtype=float)
+    result = np.zeros_like(pose)
+    transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
+    result[..., :3, :3] = transposed
+    result[..., :3, 3] = -(transposed @ pose[..., :3, 3:])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def from_quaternion(quat_wxyz, position=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return the (4, 4) pose of a (4,) quaternion (w, x, y, z), normalised first, and a (3,) position.
+
+    Raises ValueError for a quaternion of zero length.
+    """
+    quat = [float(part) for part in quat_wxyz]
+    length = math.sqrt(sum(part * part for part in quat))
+    if not 0.0 < length < math.inf:
+        raise ValueError("a quaternion needs a finite length above zero")
+    w, x, y, z = (part / length for part in quat)
+    px, py, pz = position
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), px],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), py],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), pz],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def quaternion(pose: np.ndarray) -> np.ndarray:
+    """Return the (4,) unit quaternion (w, x, y, z), w >= 0, of a (4, 4) pose or (3, 3) rotation.
+
+    The largest of the four components is found first (Shepperd 1978), so no rotation loses precision.
+    """
+    r = np.asarray(pose, dtype=float)
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    squares = (1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace)
+    largest = int(np.argmax(squares))
+    if largest == 0:
+        quat = (squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+    elif largest == 1:
+        quat = (r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
+    elif largest == 2:
+        quat = (r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1])
+    else:
+        quat = (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3])
+    quat = np.array(quat)
+    return quat / math.copysign(math.sqrt(quat @ quat), quat[0])
+
+
+def from_rotation_vector(vector) -> np.ndarray:
+    """Return the (4, 4) rotation about `vector` (3,) by its length in radians (Rodrigues' formula)."""
+    x, y, z = (float(part) for part in vector)
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = 0.5 * angle
+    scale = math.sin(half) / angle if angle > 0.0 else 0.5
+    return from_quaternion((math.cos(half), scale * x, scale * y, scale * z))
+
+
+def rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """Return the (3,) rotation vector, of length at most pi, of a (4, 4) pose or (3, 3) rotation."""
+    quat = quaternion(rotation)
+    sine = math.sqrt(quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
+    scale = 2.0 * math.atan2(sine, quat[0]) / sine if sine > 0.0 else 2.0
+    return scale * quat[1:]
+
+
+def twist_exp(v, w) -> np.ndarray:
+    """Return the (4, 4) exponential of the twist with linear part `v` (3,) and angular part `w` (3,).
+
+    The rotation is that of `w`; the shift is V v with V = I + (1 - cos a)/a^2 [w] + (a - sin a)/a^3 [w]^2, a = |w|.
+    """
+    v, w = np.asarray(v, dtype=float), np.asarray(w, dtype=float)
+    pose = from_rotation_vector(w)
+    angle = math.sqrt(w @ w)
+    if angle < 1e-4:  # the series' next terms are below 1e-17 here; the closed form would cancel
+        first, second = 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    else:
+        first, second = (1 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    turned = np.cross(w, v)
+    pose[:3, 3] = v + first * turned + second * np.cross(w, turned)
+    return pose
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """Return a (4, 4) rotation drawn uniformly (Haar measure): a normalised normal quaternion."""
+    return from_quaternion(rng.standard_normal(4))
+
+
+def rotation_angle(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the angle in [0, pi] of the rotation from `first` to `second`, both (4, 4) or (3, 3)."""
+    relative = np.asarray(first)[:3, :3].T @ np.asarray(second)[:3, :3]
+    return float(np.linalg.norm(rotation_vector(relative)))
