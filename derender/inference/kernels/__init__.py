@@ -1,0 +1,16 @@
+"""Kernels, by name; each leaves the posterior invariant, and any mixture or cycle of them does so too."""
+
+from derender.inference.kernels import (  # noqa: F401  (importing registers)
+    choose,
+    drift,
+    flip,
+    independence,
+    jump,
+    langevin,
+    resimulate,
+    slide,
+    window,
+)
+from derender.inference.kernels.base import Info, Kernel, KernelType, Part, State, Target, Tuning, kernels, mixture
+
+__all__ = ["Info", "Kernel", "KernelType", "Part", "State", "Target", "Tuning", "kernels", "mixture"]

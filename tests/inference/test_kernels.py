@@ -1,0 +1,340 @@
+"""Every kernel leaves the posterior where it is, and a broken twin of each does not."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from invariance import bound, verdict
+from toy_worlds import WORLDS
+
+from derender.errors import DerenderError
+from derender.inference import kernels as kernels_package
+from derender.inference.kernels import (
+    base,
+    choose,
+    drift,
+    flip,
+    independence,
+    jump,
+    langevin,
+    resimulate,
+    slide,
+    window,
+)
+from derender.inference.kernels.base import Info, State, Tuning, decide, evaluate, kernels, mixture
+from derender.inference.space import Block, turn, turn_between, wrap
+
+REPLICATES = 1500
+
+
+@functools.cache
+def tuning(space, temperature=1.0):
+    """Deliberately rough: invariance must not depend on a good tuning."""
+    rng = np.random.default_rng(5)
+    size = int(space.directions[-1])
+    scales = 0.7 * space.scales
+    mixing = np.eye(size) + 0.3 * rng.standard_normal((size, size))
+    covariance = (mixing @ mixing.T) * np.outer(scales, scales)
+    centre = np.median([space.sample(rng) for _ in range(25)], axis=0)
+    for i, unknown in enumerate(space.unknowns):
+        if unknown.distribution.size == 4:
+            centre[space.offsets[i] : space.offsets[i] + 4] = (1.0, 0.0, 0.0, 0.0)
+    return Tuning(centre, covariance, {}, temperature)
+
+
+def maker(type_name, twin=None, **options):
+    """Return target -> kernel, the first of the type's kernels that the space gives; or its broken twin."""
+
+    def make(target):
+        parts = [p for p in mixture(target.space, [{type_name: options}, {"resimulate": {}}]) if p.type == type_name]
+        kind = kernels[type_name]
+        kernel = kind.build(target, parts[0].block, tuning(target.space), parts[0].options)
+        if twin:
+            kernel.__class__ = twin
+        return kernel
+
+    return make
+
+
+# ---- broken twins: each is the kernel with the one fault that people make ----
+
+
+class ResimulatePriorTwice(resimulate.Resimulate):
+    """Forgets that the proposal was the prior."""
+
+    def __call__(self, rng, state):
+        values = state.values.copy()
+        for unknown in self.block.unknowns:
+            self.target.space.resample(rng, values, unknown)
+        return decide(rng, state, evaluate(self.target, values), 0.0, 1.0, self.name)
+
+
+class DriftOneWay(drift.Drift):
+    """Steps with a bias: the proposal is not symmetric."""
+
+    def __call__(self, rng, state):
+        normal = np.abs(rng.standard_normal(len(self.factor)))
+        values = self.target.space.move(state.values, self.block, self.scale * (self.factor @ normal))
+        return decide(rng, state, evaluate(self.target, values), 0.0, 1.0, self.name)
+
+
+class IndependenceWithoutRatio(independence.Independence):
+    """Takes the proposal for symmetric."""
+
+    def log_proposal(self, tangent):
+        return 0.0 if super().log_proposal(tangent) > -math.inf else -math.inf
+
+
+class WindowFromItsEnd(window.Window):
+    """The row always starts at the present state: from the chosen place another row would arise."""
+
+    def __call__(self, rng, state):
+        return super().__call__(Replayed(rng, 1 + len(self.directions), 0.0), state)
+
+
+class Replayed:
+    """A generator whose `number`-th uniform is `value`."""
+
+    def __init__(self, rng, number, value):
+        self.rng, self.left, self.value = rng, number, value
+
+    def standard_normal(self, *size):
+        return self.rng.standard_normal(*size)
+
+    def random(self):
+        drawn = self.rng.random()
+        self.left -= 1
+        return self.value if self.left == -1 else drawn
+
+
+class JumpByAThird(jump.Jump):
+    """A third of a period forward is not a third forward back."""
+
+    def __call__(self, rng, state):
+        angle = self.angles[0]
+        period = self.target.space.unknowns[angle].period
+        values = self.target.space.move(state.values, Block("", (angle,)), (period / 3,))
+        return decide(rng, state, evaluate(self.target, values), 0.0, 1.0, self.name)
+
+
+class FlipThatStretches(flip.Flip):
+    """Exchanges and stretches by 1.1 and 1 / 1.2, without the Jacobian (and it is no involution)."""
+
+    def __call__(self, rng, state):
+        new, info = super().__call__(rng, state)
+        if not info.accepted:
+            return new, info
+        _, length, width = self.flips[0]
+        values = new.values.copy()
+        values[length] *= 1.1
+        values[width] /= 1.2
+        stretched = evaluate(self.target, values)
+        return (stretched if stretched.log_prior > -math.inf else new), info
+
+
+class ChooseUnbalanced(choose.Choose):
+    """Prefers the next value, and does not correct for it."""
+
+    def __call__(self, rng, state):
+        at = self.target.space.offsets[self.discrete[0]]
+        values = state.values.copy()
+        values[at] = (values[at] + (1 if rng.random() < 0.8 else 2)) % 3
+        return decide(rng, state, evaluate(self.target, values), 0.0, 1.0, self.name)
+
+
+class SlideWithoutJacobian(slide.Slide):
+    """Drops the Jacobian of the children's contacts."""
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+
+    def __call__(self, rng, state):
+        genuine = self.target
+        self.target = _WithoutJacobian(genuine)
+        try:
+            return super().__call__(rng, state)
+        finally:
+            self.target = genuine
+
+
+class _WithoutJacobian:
+    def __init__(self, target):
+        self.target = target
+
+    def __getattr__(self, name):
+        return getattr(self.target, name)
+
+    def keep_children(self, *arguments):
+        values, _ = self.target.keep_children(*arguments)
+        return values, 0.0
+
+
+class LangevinUncorrected(langevin.Langevin):
+    """Takes the step along the gradient for symmetric."""
+
+    def _log_proposal(self, tangent, mean):
+        return 0.0
+
+
+CASES = {
+    "resimulate": ("angle", ResimulatePriorTwice),
+    "drift": ("angle", DriftOneWay),
+    "drift-all": ("angle", DriftOneWay),
+    "independence": ("angle", IndependenceWithoutRatio),
+    "window": ("angle", WindowFromItsEnd),
+    "jump": ("angle", JumpByAThird),
+    "flip": ("box", FlipThatStretches),
+    "choose": ("box", ChooseUnbalanced),
+    "slide": ("angle", SlideWithoutJacobian),
+    "langevin": ("angle", LangevinUncorrected),
+}
+OPTIONS = {"langevin": {"scale": 0.6}, "slide": {"scale": 2.0}}
+MORE = {"langevin": 6, "independence": 4}  # times as many replicates, where the fault is small
+
+
+def test_every_kernel_is_here():
+    assert set(CASES) == set(kernels.names())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_kernel_is_invariant(name):
+    result = verdict(WORLDS[CASES[name][0]](), maker(name, **OPTIONS.get(name, {})), REPLICATES, steps=4)
+    assert result.moved > 0.02, "a kernel that never moves is invariant for nothing"
+    assert result.worst < bound(len(result.z)), result
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_broken_twin_is_caught(name):
+    world, twin = CASES[name]
+    result = verdict(WORLDS[world](), maker(name, twin, **OPTIONS.get(name, {})), MORE.get(name, 1) * REPLICATES, 4)
+    assert result.worst > bound(len(result.z)), f"{twin.__doc__} passed with {result.worst:.1f}"
+
+
+@pytest.mark.parametrize("name", ["resimulate", "drift", "independence", "window"])
+def test_kernel_is_invariant_on_rotations(name):
+    result = verdict(WORLDS["floating"](), maker(name), REPLICATES, steps=4)
+    assert result.moved > 0.02
+    assert result.worst < bound(len(result.z)), result
+
+
+def test_rotation_without_haar_factor_is_caught():
+    class WithoutHaar(independence.Independence):
+        """Takes the density per volume of the rotation vector for the density per Haar measure."""
+
+        def log_proposal(self, tangent):
+            log_density = super().log_proposal(tangent)
+            angle = float(np.linalg.norm(tangent[:3]))
+            if log_density == -math.inf or angle < 1e-9:
+                return log_density
+            return log_density + 2 * math.log(math.sin(angle / 2) / (angle / 2))
+
+    make = maker("independence", WithoutHaar, inflation=2.0)
+    result = verdict(WORLDS["floating"](), make, 4 * REPLICATES, steps=6)
+    assert result.worst > bound(len(result.z)), result.worst
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_mixture_of_all_is_invariant(world):
+    def make(target):
+        parts = mixture(target.space, [{name: {}} for name in kernels.names() if name != "langevin"])
+        built = [kernels[p.type].build(target, p.block, tuning(target.space), p.options) for p in parts]
+        shares = np.cumsum([p.weight for p in parts])
+
+        def kernel(rng, state):
+            return built[int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))](rng, state)
+
+        return kernel
+
+    result = verdict(WORLDS[world](), make, REPLICATES, steps=6)
+    assert result.worst < bound(len(result.z)), result
+
+
+@pytest.mark.parametrize("name", sorted(set(CASES) - {"langevin"}))
+def test_temperature_tempers(name):
+    """At temperature 0 the prior is what a kernel keeps: started from the prior, moments stay the prior's."""
+    world = WORLDS[CASES[name][0]]()
+    rng = np.random.default_rng(4)
+    target = world.target(rng, world.space.sample(rng))
+    kind = kernels[name]
+    block = next(b for b in (*world.space.blocks, world.space.everything) if kind.applies(world.space, b))
+    if not kind.per_block:
+        block = world.space.everything
+    options = dict(kind.options)
+    kernel = kind.build(target, block, tuning(world.space, 0.0), options)
+    differences = []
+    for _ in range(1200):
+        values = world.space.sample(rng)
+        state = evaluate(target, values)
+        for _ in range(3):
+            state, _ = kernel(rng, state)
+        differences.append(np.concatenate([state.values - values, state.values**2 - values**2]))
+    differences = np.array(differences)
+    spread = np.std(differences, axis=0)
+    z = np.mean(differences, axis=0)[spread > 0] / spread[spread > 0] * math.sqrt(len(differences))
+    assert np.max(np.abs(z)) < bound(len(z))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_signature_and_honest_state(name):
+    """kernel(rng, state) -> (State, Info), and the densities carried along are those of the values."""
+    world = WORLDS[CASES[name][0]]()
+    rng = np.random.default_rng(8)
+    target = world.target(rng, world.space.sample(rng))
+    kernel = maker(name)(target)
+    state = evaluate(target, world.space.sample(rng))
+    for _ in range(50):
+        before = state.values.copy()
+        former = state
+        state, info = kernel(rng, state)
+        assert isinstance(state, State) and isinstance(info, Info) and info.name.startswith(name)
+        np.testing.assert_array_equal(former.values, before)  # a kernel never writes into the state that it got
+        assert state.log_prior == world.space.log_prior(state.values)
+        assert state.log_likelihood == target.log_likelihood(state.values)
+        assert info.accepted or state is former or name == "window"
+
+
+def test_every_kernel_says_why_it_is_right():
+    for name in kernels.names():
+        assert kernels[name].__doc__
+    for module in (choose, drift, flip, independence, jump, langevin, resimulate, slide, window):
+        body = next(c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
+        assert "log ratio" in body.__doc__, module.__name__
+    assert kernels_package.kernels is base.kernels
+
+
+@pytest.mark.parametrize(
+    "entries, what",
+    [
+        ([{"drfit": {}}], "did you mean 'drift'"),
+        ([{"drift": {"stride": 1}}], "no option 'stride'"),
+        ([{"drift": {"weight": "much"}}], "drift.weight is 'much'"),
+        ([{"drift": {"weight": -1}}], "drift.weight is -1"),
+        ([{"drift": {"weight": True}}], "drift.weight is True"),
+        ([{"jump": {}}, {"slide": {}}], "no kernel moves b.contact.u"),
+    ],
+)
+def test_faults_in_a_mixture_are_told(entries, what):
+    with pytest.raises(DerenderError, match=what):
+        mixture(WORLDS["angle"]().space, entries)
+
+
+def test_weights_are_shared_by_size():
+    parts = mixture(WORLDS["angle"]().space, [{"resimulate": {"weight": 1}}, {"drift-all": {"weight": 3}}])
+    shares = [(p.name, p.weight) for p in parts]
+    assert [name for name, _ in shares] == ["resimulate a.contact", "resimulate b.contact", "drift-all all"]
+    np.testing.assert_allclose([weight for _, weight in shares], [1 / 6, 1 / 12, 3 / 4])
+
+
+def test_turning_there_and_back():
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        origin = turn((1.0, 0.0, 0.0, 0.0), rng.standard_normal(3))
+        vector = rng.standard_normal(3)
+        vector *= rng.uniform(0, math.pi * 0.999) / np.linalg.norm(vector)
+        np.testing.assert_allclose(turn_between(origin, turn(origin, vector)), vector, atol=1e-9)
+
+
+def test_wrap_stays_below_its_period():
+    assert wrap(-1e-20, math.pi) == 0.0
+    assert wrap(3 * math.pi, math.pi) == pytest.approx(0, abs=1e-15)
