@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.inference.bottom_up.pyramid import intrinsics
 
 
 class Floor(NamedTuple):
@@ -24,8 +25,6 @@ class Floor(NamedTuple):
 
 def back_project(depth, camera):
     """Return the points (H, W, 3) in camera axes of a depth image; NaN where there is no depth."""
-    from derender.inference.structure.image import intrinsics
-
     fx, fy, cx, cy = intrinsics(camera)
     height, width = depth.shape
     column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))

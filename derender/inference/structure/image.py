@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from derender.inference.bottom_up.pyramid import intrinsics
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
@@ -66,13 +67,6 @@ def make_image(depth, sigma, camera, floor_pose):
     filled = np.where(good, depth, 0.0)
     return Image(*(np.ascontiguousarray(a, dtype=np.float64)
                    for a in (filled, weight, direction, origin, floor, projection)))  # fmt: skip
-
-
-def intrinsics(camera):
-    """Return fx, fy, cx, cy of a camera object or dict."""
-    if isinstance(camera, dict):
-        return camera["fx"], camera["fy"], camera["cx"], camera["cy"]
-    return camera.fx, camera.fy, camera.cx, camera.cy
 
 
 @njit(cache=True, nogil=True)

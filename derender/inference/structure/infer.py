@@ -1,28 +1,106 @@
 """From a bare depth image to solids on a floor: floor, patches, hypotheses, search."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from derender.inference.bottom_up.floor import back_project, find_floor
-from derender.inference.bottom_up.patches import find_patches
-from derender.inference.structure.image import intrinsics, make_image
+from derender.inference.bottom_up.floor import Floor, back_project, find_floor
+from derender.inference.bottom_up.patches import Patches, find_patches
+from derender.inference.bottom_up.pyramid import reduce
+from derender.inference.structure.image import Image, make_image
 from derender.inference.structure.proposals import all_hypotheses, make_surface
 from derender.inference.structure.search import Settings, search
 from derender.inference.structure.support import final_parents
 
 
-def point_estimate(rng, depth, camera, settings=None):
-    """Return (state, floor, image): the best explanation of a depth image (H, W) in metres, NaN = no return."""
-    settings = Settings() if settings is None else settings
+class Observation(NamedTuple):
+    """A depth image made ready for the search.
+
+    Attributes
+    ----------
+    image : Image in the floor frame, at working resolution.
+    floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
+    footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
+    """
+
+    image: Image
+    floor: Floor
+    points: np.ndarray
+    mask: np.ndarray
+    footprint: np.ndarray
+    sigma: np.ndarray
+    camera: dict
+    factor: int
+
+
+def observe(rng, depth, camera, widest=160, discrepancy=0.0):
+    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
+
+    discrepancy : metres by which real solids differ from ideal ones, added to the noise in quadrature.
+    """
+    depth, camera, factor = reduce(depth, camera, widest)
     floor = find_floor(rng, depth, camera)
-    sigma = np.full(depth.shape, floor.sigma)
+    sigma = np.sqrt(noise_map(depth, floor, camera) ** 2 + discrepancy**2)
     image = make_image(depth, sigma, camera, floor.pose)
     points = back_project(depth, camera) - floor.pose[:3, 3]
-    points = np.nan_to_num(points @ floor.pose[:3, :3])
-    mask = np.isfinite(depth) & (points[..., 2] > max(0.004, 4 * floor.sigma))
-    footprint = np.nan_to_num(depth) / intrinsics(camera)[0]
-    patches = find_patches(points, mask, image.origin, sigma, footprint)
-    typical = float(np.median(footprint[mask])) if mask.any() else 0.005
-    surface = make_surface(points, patches, image.origin, typical, floor.sigma)
-    state = search(rng, image, all_hypotheses(surface, settings.shapes), settings)
+    points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
+    good = image.weight > 0
+    inside = inside_hull(points, floor.inliers, good)
+    mask = good & inside & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
+    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
+    image.floor[background] = image.depth[background] + 1e-9
+
+    footprint = np.nan_to_num(depth) / camera["fx"]
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor)
+
+
+def noise_map(depth, floor, camera):
+    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor."""
+    points = back_project(depth, camera)[floor.inliers]
+    normal = floor.pose[:3, 2]
+    z = points[:, 2]
+    slope = np.maximum(np.abs((points / z[:, None]) @ normal), 0.05)
+    residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
+    order = np.argsort(z)
+    thirds = np.array_split(order, 3)
+    near, far = (1.4826 * np.median(residual[k]) + 2e-4 for k in (thirds[0], thirds[2]))
+    ratio = np.median(z[thirds[2]]) / np.median(z[thirds[0]])
+    power = np.clip(np.log(far / near) / np.log(ratio), 0.0, 2.0) if ratio > 1.05 else 0.0
+    middle = np.exp(0.5 * (np.log(np.median(z[thirds[0]])) + np.log(np.median(z[thirds[2]]))))
+    scale = max(np.sqrt(near * far), 5e-4)
+    return scale * (np.nan_to_num(depth, nan=middle) / middle) ** power
+
+
+def inside_hull(points, inliers, good, margin=0.01):
+    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part."""
+    from scipy.spatial import Delaunay, QhullError
+
+    flat = points[inliers][:, :2]
+    try:
+        hull = Delaunay(flat[np.random.default_rng(0).permutation(len(flat))[:3000]])
+    except (QhullError, ValueError):
+        return good.copy()
+    middle = flat.mean(axis=0)
+    scale = 1 + margin / np.median(np.linalg.norm(flat - middle, axis=1))
+    inside = np.zeros(good.shape, bool)
+    inside[good] = hull.find_simplex(middle + (points[good][:, :2] - middle) / scale) >= 0
+    return inside
+
+
+def patches_of(seen: Observation) -> Patches:
+    """Return the planar patches of what stands on the floor."""
+    return find_patches(seen.points, seen.mask, seen.image.origin, seen.sigma, seen.footprint)
+
+
+def point_estimate(rng, depth, camera, settings=None, widest=160, discrepancy=0.0):
+    """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return."""
+    settings = Settings() if settings is None else settings
+    seen = observe(rng, depth, camera, widest, discrepancy)
+    patches = patches_of(seen)
+    typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
+    noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
+    surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
+    state = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings)
     state.parents = final_parents(state)
-    return state, floor, image
+    return state, seen
