@@ -46,7 +46,8 @@ def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndar
     if solid.get("vertices") is not None:
         from scipy.spatial import cKDTree
 
-        return cKDTree(_hull_points(np.asarray(solid["vertices"], float), 20_000)).query(local)[0]
+        tree = cKDTree(_hull_points(np.asarray(solid["vertices"], float), 20_000))
+        return np.asarray(tree.query(local)[0])
     if solid["type"] == "sphere":
         return np.abs(np.linalg.norm(local, axis=1) - 0.5 * size[0])
     if solid["type"] == "cylinder":

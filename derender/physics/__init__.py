@@ -1,1 +1,1 @@
-"""What happens next: MuJoCo models, simulation, stability."""
+"""What happens next: MuJoCo simulation and stability."""
