@@ -4,10 +4,12 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 16-bit images (.png, .tiff, integer .npy) count units of the camera's `depth_scale` millimetres; floats are metres.
 """
 
+import contextlib
 import io
 import json
 import struct
 import sys
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -27,7 +29,7 @@ SKY = 65504.0  # the largest half float: what Blender and others write into an .
 MOST_BYTES = 2**30
 # What decoders raise on damaged files; anything else is a bug and shows its traceback.
 DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
-DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, NotImplementedError, RuntimeError)  # type: ignore[assignment]
+DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, RuntimeError)  # type: ignore[assignment]
 
 
 class DepthImage(NamedTuple):
@@ -236,7 +238,7 @@ def _recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], _Decode
 
 def _npy(array: np.ndarray) -> bytes:
     stream = io.BytesIO()
-    np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
     return stream.getvalue()
 
 
@@ -303,20 +305,26 @@ def _decode_picture(data: bytes) -> _Decoded:
     """Decode a .png or .tiff; what its mode says about depth is checked before a pixel is read."""
     import warnings
 
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
-    with warnings.catch_warnings():
+    from derender.vision.silence import silence
+
+    with silence(), warnings.catch_warnings(), contextlib.ExitStack() as stack:
         warnings.simplefilter("ignore")  # about corrupt metadata; the pixels are what counts
-        with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
-            if picture.width * picture.height > MOST_PIXELS:
-                raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
-            if picture.mode in ("1", "L", "P"):
-                raise DerenderError("8 bits a pixel are too coarse for depth", remedy="save 16 bits a pixel")
-            if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
-                what = f"a colour image ({picture.mode})"
-                raise DerenderError(what, remedy="give the depth image: one channel of 16-bit units or float metres")
-            picture.load()
-            array = np.array(picture)
+        try:
+            picture = stack.enter_context(Image.open(io.BytesIO(data), formats=("PNG", "TIFF")))
+        except UnidentifiedImageError:
+            remedy = "save a 16-bit .png or a float32 .tiff of one channel"
+            raise DerenderError("the picture is damaged, cut off, or of a rare kind", remedy=remedy) from None
+        if picture.width * picture.height > MOST_PIXELS:
+            raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
+        if picture.mode in ("1", "L", "P"):
+            raise DerenderError("8 bits a pixel are too coarse for depth", remedy="save 16 bits a pixel")
+        if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
+            what = f"this is a colour image ({picture.mode})"
+            raise DerenderError(what, remedy="give the depth image: one channel of 16-bit units or float metres")
+        picture.load()
+        array = np.array(picture)
     return _Decoded(array.astype(array.dtype.newbyteorder("=")))
 
 

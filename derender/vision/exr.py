@@ -1,14 +1,12 @@
 """OpenEXR images with one channel of depth, through the OpenEXR package, which only reads and writes named files."""
 
-import contextlib
-import os
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.vision.silence import silence
 
 DEPTH_NAMES = ("Z", "depth", "Depth", "V", "Y", "R")  # the renderers' names for it, the surest first
 
@@ -26,7 +24,7 @@ def decode_exr(data: bytes) -> np.ndarray:
         path = Path(folder) / "image.exr"
         path.write_bytes(data)
         try:
-            with _silence(), OpenEXR.File(str(path), separate_channels=True) as file:
+            with silence(), OpenEXR.File(str(path), separate_channels=True) as file:
                 channels = {name: channel.pixels for name, channel in file.channels().items()}
         except (RuntimeError, ValueError, TypeError, IndexError, KeyError, OSError):
             raise ValueError("OpenEXR cannot read it") from None
@@ -57,18 +55,3 @@ def _depth_channel(channels: dict[str, np.ndarray]) -> np.ndarray:
         if name in colours:
             return colours[name]
     raise DerenderError(f"no channel of depth among {', '.join(channels)}", remedy="give one channel, best called Z")
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Send the process's stdout and stderr to nowhere: OpenEXR writes its own warnings there, even among data."""
-    kept = [os.dup(stream) for stream in (1, 2)]
-    try:
-        with open(os.devnull, "w") as nowhere:
-            for stream in (1, 2):
-                os.dup2(nowhere.fileno(), stream)
-        yield
-    finally:
-        for stream, copy in zip((1, 2), kept, strict=True):
-            os.dup2(copy, stream)
-            os.close(copy)
