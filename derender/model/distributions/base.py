@@ -26,6 +26,7 @@ class DistributionType:
     ----------
     parameters : names of the parameters, in the order in which YAML lists them.
     defaults : values of the last parameters, which may then be left out.
+    dimensionless : parameters without a unit; all others have that of the number itself.
     code : int, the compiled twin's number, or None where there is none.
     size : how many numbers a value has (1; a rotation's quaternion: 4).
     discrete : the density is with respect to the counting measure.
@@ -34,6 +35,7 @@ class DistributionType:
     name: str = ""
     parameters: tuple[str, ...] = ()
     defaults: tuple[float, ...] = ()
+    dimensionless: tuple[str, ...] = ()
     code: int | None = None
     size: int = 1
     discrete: bool = False

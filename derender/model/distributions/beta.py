@@ -26,6 +26,7 @@ class Beta(DistributionType):
 
     parameters = ("a", "b", "lower", "upper")
     defaults = (0.0, 1.0)
+    dimensionless = ("a", "b")
     code = 8
     density = staticmethod(density)
     draw = staticmethod(draw)

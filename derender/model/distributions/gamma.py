@@ -21,6 +21,7 @@ class Gamma(DistributionType):
     """Positive, with a shape and a scale; the mean is their product."""
 
     parameters = ("shape", "scale")
+    dimensionless = ("shape",)
     code = 7
     density = staticmethod(density)
     draw = staticmethod(draw)

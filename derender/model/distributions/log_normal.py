@@ -26,6 +26,7 @@ class LogNormal(DistributionType):
     """Positive, with a median and the standard deviation of its natural logarithm."""
 
     parameters = ("median", "log_sd")
+    dimensionless = ("log_sd",)
     code = 4
     density = staticmethod(density)
     draw = staticmethod(draw)

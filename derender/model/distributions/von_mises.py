@@ -45,6 +45,7 @@ class VonMises(DistributionType):
 
     parameters = ("mean", "concentration", "period")
     defaults = (TWO_PI,)
+    dimensionless = ("concentration",)
     code = 9
     density = staticmethod(density)
     draw = staticmethod(draw)

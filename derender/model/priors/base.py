@@ -1,11 +1,11 @@
-"""What a prior over scene graphs is (A.1): it samples graphs, and gives their density with respect to the stock measure."""
+"""What a prior over scene graphs is (A.1): it samples them and gives their density under the stock measure."""
 
 from abc import ABC, abstractmethod
 
 import numpy as np
+from derender.model.scene import SceneGraph
 
 from derender.model.distributions import Distribution
-from derender.model.scene import SceneGraph
 
 
 class Prior(ABC):
