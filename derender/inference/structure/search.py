@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.image import added_misfit
+from derender.inference.structure.moves import find_places, propose
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy
 from derender.inference.structure.state import State, energy, held_out
 from derender.inference.structure.support import assign_supports
@@ -23,7 +24,9 @@ class Settings(NamedTuple):
     cube_bonus : log prior odds of a cube against the box that nearly is one: P(cube) over P(box) times the prior
         density of two sizes within the accuracy of the image.
     free_price : nats that a tilted pose costs more than an upright one.
-    repairs : rounds of taking out and explaining anew; clean : number of badly explained pixels that may stay.
+    floating_price : nats that a solid costs that nothing carries.
+    repairs : most moves between structures; quiet, clean: it ends after `quiet` moves in vain when less than
+        `clean` badly explained pixels are left.
     """
 
     shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
@@ -32,8 +35,10 @@ class Settings(NamedTuple):
     slack: float = SLACK
     cube_bonus: float = 7.0
     free_price: float = 8.0
-    repairs: int = 12
+    repairs: int = 40
+    quiet: int = 8
     clean: float = 4.0
+    floating_price: float = 30.0
 
 
 def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
@@ -54,7 +59,7 @@ def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
     while alive and len(state) < settings.max_objects:
         view = held_out(image, state, -1)
         gains = np.array([-added_misfit(image, h.row, view[0], view[2]) for h in alive])
-        order = np.argsort(-gains * rng.uniform(1 - shake, 1, len(gains)))[:tried]
+        order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
         best = None
         for k in order:
             h = alive[k]
@@ -71,29 +76,41 @@ def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
     return state
 
 
-def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0):
-    """Polish each solid in turn, what it stands on held to it; in place."""
+def promising(gains, kinds, tried):
+    """Return the indices of the `tried` greatest gains, and of the next ones of each kind of solid (half as many)."""
+    order = np.argsort(-gains)
+    chosen = list(order[:tried])
+    for kind in set(kinds):
+        chosen += [k for k in order[tried:] if kinds[k] == kind and gains[k] > -200][: (tried + 1) // 2]
+    return chosen
+
+
+def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0, only=None):
+    """Polish each solid (or those in `only`) in turn, held to what it stands on; in place."""
     for i in rng.permutation(len(state)):
+        if only is not None and i not in only:
+            continue
         view = held_out(image, state, i)
         state.rows[i], _, _ = run_polish(rng, image, state, i, state.rows[i], state.forms[i], state.cubes[i], view,
                                          state.bottoms[i], settings, rounds, step, heat)  # fmt: skip
     return state
 
 
-def try_cubes(rng, image, state, settings, rounds=200):
-    """Make a cube of each box where the image allows it; return a new state."""
+def try_cubes(rng, image, state, settings, rounds=200, only=None):
+    """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
     state = state.copy()
     for i in range(len(state)):
         row = state.rows[i]
-        if int(row[0]) != BOX or state.cubes[i]:
+        if int(row[0]) != BOX or state.cubes[i] or (only is not None and i not in only):
             continue
         view = held_out(image, state, i)
-        _, box_energy, _ = run_polish(rng, image, state, i, row, state.forms[i], False, view, state.bottoms[i], settings, 1)
+        form, bottom = state.forms[i], state.bottoms[i]
+        _, box_energy, _ = run_polish(rng, image, state, i, row, form, False, view, bottom, settings, 1)
         sides = row[13:16]
         best = None
         for side in {float(np.median(sides)), float(sides.mean()), float(sides[2])}:
-            trial = cube_of(row, side, image.origin, state.forms[i])
-            result = run_polish(rng, image, state, i, trial, state.forms[i], True, view, state.bottoms[i], settings, rounds)
+            trial = cube_of(row, side, image.origin, form)
+            result = run_polish(rng, image, state, i, trial, form, True, view, bottom, settings, rounds)
             if best is None or result[1] < best[1]:
                 best = result
         if best[1] < box_energy + settings.cube_bonus:
@@ -127,12 +144,12 @@ def prune(image, state, settings):
     return state
 
 
-def settle(rng, image, state, settings, rounds=200):
+def settle(rng, image, state, settings, rounds=200, only=None):
     """Put every solid on its support, polish, make cubes, and prune; return a new state."""
     state = assign_supports(image, state, settings.slack)
-    sweep(rng, image, state, settings, rounds)
+    sweep(rng, image, state, settings, rounds, only=only)
+    state = try_cubes(rng, image, state, settings, only=only)
     state = prune(image, state, settings)
-    state = try_cubes(rng, image, state, settings)
     return assign_supports(image, state, settings.slack)
 
 
@@ -145,55 +162,28 @@ def search(rng, image, hypotheses, settings):
 
 
 def repair(rng, image, state, hypotheses, settings):
-    """Take out solids about which the image is badly explained and explain their place anew; keep what is better.
+    """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
-    Ends after settings.repairs rounds, or when no misfit is left that noise would not leave.
+    Ends after settings.repairs rounds, or after settings.quiet rounds without success when hardly any misfit is left
+    that noise would not leave.
     """
     best = total_energy(image, state, settings)
+    places = find_places(image, state)
+    quiet = 0
     for _ in range(settings.repairs):
-        blame, pairs = badness(image, state)
-        if blame.sum() < settings.clean:
+        if quiet >= settings.quiet and places.blame.sum() < settings.clean:
             break
-        weight = blame + 1e-3
-        if len(state) == 0:
-            new = state
-        else:
-            seed = int(rng.choice(len(state) + 1, p=np.append(weight[:-1], weight[-1] + 1e-3) / (weight.sum() + 1e-3)))
-            out = {seed} if seed < len(state) else set()
-            out |= {j for j in range(len(state)) if pairs[seed, j] > 0 and rng.random() < 0.5}
-            new = state.copy()
-            for k in sorted(out, reverse=True):
-                new = new.without(k)
-        new = greedy(rng, image, hypotheses, settings, new, tried=3, shake=0.7)
-        new = settle(rng, image, new, settings, 120)
+        quiet += 1
+        proposed = propose(rng, image, state, hypotheses, settings, places)
+        if proposed is None:
+            continue
+        _, new, changed = proposed
+        new = settle(rng, image, new, settings, 150, changed)
         value = total_energy(image, new, settings)
         if value < best:
-            state, best = new, value
+            state, best, quiet = new, value, 0
+            places = find_places(image, state)
     return state
-
-
-def badness(image, state, limit=4.5):
-    """Return the number of badly explained pixels about each solid (last: about none), and how many each pair shares."""
-    depth, label, misfit, _ = held_out(image, state, -1)
-    bad = misfit > limit
-    # lone pixels are noise or the rounding of a silhouette
-    crowd = np.zeros(bad.shape, int)
-    crowd[1:] += bad[:-1]
-    crowd[:-1] += bad[1:]
-    crowd[:, 1:] += bad[:, :-1]
-    crowd[:, :-1] += bad[:, 1:]
-    rows, columns = np.nonzero(bad & (crowd > 0))
-    count = len(state)
-    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
-    for j, i in zip(rows, columns, strict=True):
-        near = np.unique(label[max(j - 2, 0) : j + 3, max(i - 2, 0) : i + 3])
-        near = near[near >= 0]
-        if len(near) == 0:
-            near = np.array([count])
-        blame[near] += 1.0 / len(near)
-        pairs[np.ix_(near, near)] += 1
-    np.fill_diagonal(pairs, 0)
-    return blame, pairs
 
 
 def complexity(kind, form, cube, settings):
@@ -208,6 +198,9 @@ def complexity(kind, form, cube, settings):
 
 def total_energy(image, state, settings):
     """Return minus the log posterior density of a state, up to a constant."""
-    return energy(image, state, settings.slack, 0.0) + sum(
-        complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings) for k in range(len(state))
-    )
+    total = energy(image, state, settings.slack, 0.0)
+    for k in range(len(state)):
+        total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
+        if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
+            total += settings.floating_price
+    return total
