@@ -248,10 +248,9 @@ def _unwrap(tree: dict, frame: str | None) -> object:
         return parameters[0]
     frames = {key: value for key, value in tree.items() if isinstance(value, dict) and "cam_K" in value}
     if frames:  # BOP scene_camera.json
-        digits = "".join(filter(str.isdigit, frame.split("_")[-1])) if frame else ""
-        key = str(int(digits)) if digits else None
-        if key in frames:
-            return frames[key]
+        digits = "".join(filter(str.isascii, filter(str.isdecimal, frame.split("_")[-1]))) if frame else ""
+        if digits and str(int(digits)) in frames:
+            return frames[str(int(digits))]
         if len({json.dumps(value["cam_K"]) + str(value.get("depth_scale")) for value in frames.values()}) == 1:
             return next(iter(frames.values()))
         names = ", ".join(list(frames)[:5]) + (", ..." if len(frames) > 5 else "")

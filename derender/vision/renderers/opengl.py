@@ -13,17 +13,13 @@ import numpy as np
 from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 from derender.vision.camera import Camera
 from derender.vision.renderers.gl_platform import load_pyrender
+from derender.vision.renderers.preview import SUPERSAMPLING, default_colours, enlarged
 
 FARTHEST = 100.0  # metres; a plane that runs to the horizon is cut off here
 LARGEST_RATIO = 2000.0  # of far to near: what 24 bits resolve to better than a millimetre at FARTHEST / 20
 SECTIONS = 256  # around a cylinder: sagitta 7.5e-5 of its radius
 SUBDIVISIONS = 5  # of the sphere's icosahedron: 20,480 triangles, sagitta 2e-4 of its radius
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's axes to OpenGL's
-SUPERSAMPLING = 2  # of the colour preview
-PALETTE = np.array(
-    [[214, 96, 77], [67, 147, 195], [120, 180, 90], [240, 190, 80], [146, 104, 172], [90, 190, 180], [225, 140, 170]]
-)
-PLANE_COLOUR = np.array([205, 203, 198])
 
 
 def render_depth(
@@ -42,7 +38,7 @@ def render_depth(
     ------
     DerenderError : OpenGL does not work here; says what to install.
     """
-    sampled = _enlarged(camera, antialias)
+    sampled = enlarged(camera, antialias)
     depth, label = _shared_renderer(os.getpid()).draw(solids, sampled)
     depth[label < 0] = background
     if antialias == 1:
@@ -65,30 +61,10 @@ def render_colour(solids: Solids, camera: Camera, colours: np.ndarray | None = N
     """
     if colours is None:
         colours = default_colours(solids)
-    sampled = _enlarged(camera, SUPERSAMPLING)
+    sampled = enlarged(camera, SUPERSAMPLING)
     picture = _shared_renderer(os.getpid()).draw_colour(solids, sampled, colours)
     blocks = picture.reshape(camera.height, SUPERSAMPLING, camera.width, SUPERSAMPLING, 3)
     return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
-
-
-def default_colours(solids: Solids) -> np.ndarray:
-    """Return (N, 3) uint8, a colour for each solid."""
-    colours = PALETTE[np.arange(len(solids.kind)) % len(PALETTE)].copy()
-    colours[solids.kind == PLANE] = PLANE_COLOUR
-    return colours.astype(np.uint8)
-
-
-def _enlarged(camera: Camera, factor: int) -> Camera:
-    """Return the camera with factor x factor samples a pixel, whose block means are the pixel's."""
-    offset = (factor - 1) / 2
-    return Camera(
-        camera.fx * factor,
-        camera.fy * factor,
-        camera.cx * factor + offset,
-        camera.cy * factor + offset,
-        camera.width * factor,
-        camera.height * factor,
-    )
 
 
 @functools.lru_cache(maxsize=1)
@@ -191,7 +167,7 @@ class OpenGLRenderer:
             shape = trimesh.Trimesh(vertices, triangles, process=False)
         material = None
         if colour is not None:
-            shade = [*(channel / 255 for channel in colour), 1.0]
+            shade = [*((channel / 255) ** 2.2 for channel in colour), 1.0]  # pyrender's shader is linear
             material = self.pyrender.MetallicRoughnessMaterial(
                 baseColorFactor=shade, metallicFactor=0.0, roughnessFactor=0.75, alphaMode="OPAQUE", doubleSided=True
             )
