@@ -12,8 +12,11 @@ def announce_compilation(*kernels: Dispatcher) -> bool:
     """
     pending = [kernel for kernel in kernels if not kernel.signatures and not _cached(kernel)]
     if pending:
-        print("derender: compiling kernels for this machine, once (about ten seconds; the result is cached)",
-              file=sys.stderr, flush=True)
+        print(
+            "derender: compiling kernels for this machine, once (about ten seconds; the result is cached)",
+            file=sys.stderr,
+            flush=True,
+        )
     return bool(pending)
 
 

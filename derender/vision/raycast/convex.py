@@ -3,32 +3,33 @@
 Along the ray through pixel (i, j) a point has camera coordinates r / w with r = ((i - cx) / fx, (j - cy) / fy, 1) and
 w its inverse depth. A half space n.p <= d then bounds w: from above where the camera is outside it (d < 0, a front
 face), from below otherwise (a back face), and the bound n.r / d is affine in (i, j). A sphere or an infinite cylinder
-gives K w^2 - 2 B w + A <= 0 with B affine and A quadratic in (i, j), so the two roots are such bounds as well. A solid
-is hit where the least upper bound is at least the greatest lower bound and positive, and that upper bound is the
-inverse depth of the hit. Nothing here can divide by zero depth, so solids that reach behind the camera need no clipping.
+gives K w^2 - 2 B w + A <= 0 with B affine and A quadratic in (i, j), so the two roots are such bounds as well. A
+solid is hit where the least upper bound is at least the greatest lower bound and positive, and that upper bound is the
+inverse depth of the hit. Nothing here can divide by zero depth, so solids that reach behind the camera are not clipped.
 
 A prepared solid is one row of PREPARED float64 numbers:
     [0] number of front faces, [1] number of back faces, [2] 1 with a quadric else 0, [3] K, [4:7] column i0, row j0 and
     spare, [8:26] six affine bounds (a, b, c): w = a + b i + c j, the front ones first, [26:29] B = B0 + B1 t + B2 s
-    about (i0, j0) (t = i - i0, s = j - j0), [29:35] discriminant B^2 - K A = q0 + q1 t + q2 s + q3 t^2 + q4 t s + q5 s^2.
+    about (i0, j0) (t = i - i0, s = j - j0), [29:35] the discriminant B^2 - K A = q0 + q1 t + q2 s + q3 t^2 + q4 t s +
+    q5 s^2.
 Its rectangle is four int64: first column, end column, first row, end row (ends excluded); empty when nothing shows.
 """
 
 import math
 
-import numpy as np
 from numba import njit
 
 from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE
 
 PREPARED = 36
 FACES, QUADRIC_B, DISCRIMINANT = 8, 26, 29
+ROUNDING = 1e-3  # pixels by which rectangles are enlarged: float32 rows must miss everywhere outside them
 NEAREST = 1e-6  # metres: anything nearer to the camera's plane counts as behind it when rectangles are bounded
 
 
 @njit(cache=True, nogil=True)
 def _tangents(x, z, xx, xz, zz):
-    """Bounds of X / Z over the ellipse with centre (x, z) and shape matrix ((xx, xz), (xz, zz)); infinite if Z can be 0."""
+    """Bounds of X / Z over the ellipse with centre (x, z), shape ((xx, xz), (xz, zz)); infinite if Z can be 0."""
     leading = z * z - zz
     if z <= 0.0 or leading <= NEAREST * NEAREST:
         return -math.inf, math.inf
@@ -39,18 +40,18 @@ def _tangents(x, z, xx, xz, zz):
 
 @njit(cache=True, nogil=True)
 def _first_pixel(value, limit):
-    """The first pixel at or right of `value` (clipped to [0, limit]); a hair early, never late."""
-    return int(min(max(math.ceil(value - 1e-6), 0.0), float(limit)))
+    """The first pixel at or beyond `value`, in [0, limit]; a hair early, never late."""
+    return int(min(max(math.ceil(value - ROUNDING), 0.0), float(limit)))
 
 
 @njit(cache=True, nogil=True)
 def _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height):
     rectangle[0] = _first_pixel(camera[0] * lower_x + camera[2], width)
-    rectangle[1] = max(_first_pixel(camera[0] * upper_x + camera[2] + 1.0 + 2e-6, width), rectangle[0])
+    rectangle[1] = max(_first_pixel(camera[0] * upper_x + camera[2] + 1.0 + 2.0 * ROUNDING, width), rectangle[0])
     rectangle[2] = _first_pixel(camera[1] * lower_y + camera[3], height)
-    rectangle[3] = max(_first_pixel(camera[1] * upper_y + camera[3] + 1.0 + 2e-6, height), rectangle[2])
-    if rectangle[0] >= rectangle[1] or rectangle[2] >= rectangle[3]:
-        rectangle[:] = 0
+    rectangle[3] = max(_first_pixel(camera[1] * upper_y + camera[3] + 1.0 + 2.0 * ROUNDING, height), rectangle[2])
+    if rectangle[2] >= rectangle[3]:
+        rectangle[1] = rectangle[0]
 
 
 @njit(cache=True, nogil=True)
@@ -72,18 +73,11 @@ def box_rectangle(pose, size, camera, width, height, rectangle):
         lower_x, upper_x = min(lower_x, horizontal), max(upper_x, horizontal)
         lower_y, upper_y = min(lower_y, vertical), max(upper_y, vertical)
     if behind == 8:
-        rectangle[:] = 0
+        rectangle[1] = rectangle[0]
     elif behind > 0:
         rectangle[0], rectangle[1], rectangle[2], rectangle[3] = 0, width, 0, height
     else:
         _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height)
-
-
-@njit(cache=True, nogil=True)
-def _ellipsoid_bounds(center, shape):
-    lower_x, upper_x = _tangents(center[0], center[2], shape[0, 0], shape[0, 2], shape[2, 2])
-    lower_y, upper_y = _tangents(center[1], center[2], shape[1, 1], shape[1, 2], shape[2, 2])
-    return lower_x, upper_x, lower_y, upper_y
 
 
 @njit(cache=True, nogil=True)
@@ -118,19 +112,16 @@ def _put_slab(prepared, pose, axis, half, camera):
 
 
 @njit(cache=True, nogil=True)
-def _put_quadric(prepared, matrix, center, radius, column, row, camera):
-    """Add (p - center)' M (p - center) <= radius^2, M a projection, expanded about the pixel (column, row)."""
+def _put_quadric(prepared, xx, xy, xz, yy, yz, zz, pose, radius, column, row, camera):
+    """Add (p - centre)' M (p - centre) <= radius^2, M a projection with these entries, about a pixel."""
     x, y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
     dx, dy = 1.0 / camera[0], 1.0 / camera[1]
-    mx = matrix[0, 0] * center[0] + matrix[0, 1] * center[1] + matrix[0, 2] * center[2]
-    my = matrix[1, 0] * center[0] + matrix[1, 1] * center[1] + matrix[1, 2] * center[2]
-    mz = matrix[2, 0] * center[0] + matrix[2, 1] * center[1] + matrix[2, 2] * center[2]
-    k = center[0] * mx + center[1] * my + center[2] * mz - radius * radius
+    px, py, pz = pose[0, 3], pose[1, 3], pose[2, 3]
+    mx, my, mz = xx * px + xy * py + xz * pz, xy * px + yy * py + yz * pz, xz * px + yz * py + zz * pz
+    k = px * mx + py * my + pz * mz - radius * radius
     if abs(k) < 1e-12:
         k = 1e-12
-    rx = matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]
-    ry = matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]
-    rz = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
+    rx, ry, rz = xx * x + xy * y + xz, xy * x + yy * y + yz, xz * x + yz * y + zz
     b0, b1, b2 = mx * x + my * y + mz, mx * dx, my * dy
     prepared[2], prepared[3], prepared[4], prepared[5] = 1.0, k, column, row
     prepared[QUADRIC_B], prepared[QUADRIC_B + 1], prepared[QUADRIC_B + 2] = b0, b1, b2
@@ -138,48 +129,35 @@ def _put_quadric(prepared, matrix, center, radius, column, row, camera):
     prepared[q] = b0 * b0 - k * (rx * x + ry * y + rz)
     prepared[q + 1] = 2.0 * (b0 * b1 - k * rx * dx)
     prepared[q + 2] = 2.0 * (b0 * b2 - k * ry * dy)
-    prepared[q + 3] = b1 * b1 - k * matrix[0, 0] * dx * dx
-    prepared[q + 4] = 2.0 * (b1 * b2 - k * matrix[0, 1] * dx * dy)
-    prepared[q + 5] = b2 * b2 - k * matrix[1, 1] * dy * dy
+    prepared[q + 3] = b1 * b1 - k * xx * dx * dx
+    prepared[q + 4] = 2.0 * (b1 * b2 - k * xy * dx * dy)
+    prepared[q + 5] = b2 * b2 - k * yy * dy * dy
 
 
 @njit(cache=True, nogil=True)
-def _prepare_sphere(pose, radius, camera, width, height, prepared, rectangle):
-    center = pose[:3, 3]
-    if center[2] + radius <= NEAREST:
-        return
-    matrix = np.eye(3)
-    shape = matrix * (radius * radius)
-    lower_x, upper_x, lower_y, upper_y = _ellipsoid_bounds(center, shape)
-    _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height)
+def _prepare_round(pose, radius, half, camera, width, height, prepared, rectangle):
+    """A cylinder along its z axis; with half = 0 a sphere. Either is bounded by two ellipsoids: caps, or one twice."""
+    ax, ay, az = pose[0, 2], pose[1, 2], pose[2, 2]
+    flat = 1.0 if half > 0.0 else 0.0
+    xx, yy, zz = 1.0 - flat * ax * ax, 1.0 - flat * ay * ay, 1.0 - flat * az * az
+    xy, xz, yz = -flat * ax * ay, -flat * ax * az, -flat * ay * az
+    px, py, pz = pose[0, 3], pose[1, 3], pose[2, 3]
+    square = radius * radius
+    if pz + radius * math.sqrt(max(zz, 0.0)) + abs(half * az) <= NEAREST:
+        return  # wholly behind the camera
+    hx, hy, hz = half * ax, half * ay, half * az
+    left_a, right_a = _tangents(px + hx, pz + hz, square * xx, square * xz, square * zz)
+    left_b, right_b = _tangents(px - hx, pz - hz, square * xx, square * xz, square * zz)
+    top_a, bottom_a = _tangents(py + hy, pz + hz, square * yy, square * yz, square * zz)
+    top_b, bottom_b = _tangents(py - hy, pz - hz, square * yy, square * yz, square * zz)
+    _set_rectangle(rectangle, min(left_a, left_b), max(right_a, right_b), min(top_a, top_b), max(bottom_a, bottom_b),
+                   camera, width, height)
+    if half > 0.0:
+        _put_slab(prepared, pose, 2, half, camera)
     column, row = (rectangle[0] + rectangle[1]) // 2, (rectangle[2] + rectangle[3]) // 2
-    _put_quadric(prepared, matrix, center, radius, column, row, camera)
-    if prepared[3] <= 0.0:  # the camera is inside
-        rectangle[:] = 0
-
-
-@njit(cache=True, nogil=True)
-def _prepare_cylinder(pose, radius, half, camera, width, height, prepared, rectangle):
-    matrix = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            matrix[i, j] = pose[i, 0] * pose[j, 0] + pose[i, 1] * pose[j, 1]
-    shape = matrix * (radius * radius)
-    reach = radius * math.sqrt(matrix[2, 2]) + abs(half * pose[2, 2])
-    if pose[2, 3] + reach <= NEAREST:
-        return
-    center = pose[:3, 3].copy()
-    axis = pose[:3, 2]
-    lower_x, upper_x, lower_y, upper_y = _ellipsoid_bounds(center + half * axis, shape)
-    other = _ellipsoid_bounds(center - half * axis, shape)
-    lower_x, upper_x = min(lower_x, other[0]), max(upper_x, other[1])
-    lower_y, upper_y = min(lower_y, other[2]), max(upper_y, other[3])
-    _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height)
-    column, row = (rectangle[0] + rectangle[1]) // 2, (rectangle[2] + rectangle[3]) // 2
-    _put_slab(prepared, pose, 2, half, camera)
-    _put_quadric(prepared, matrix, center, radius, column, row, camera)
+    _put_quadric(prepared, xx, xy, xz, yy, yz, zz, pose, radius, column, row, camera)
     if prepared[3] <= 0.0 and prepared[0] == 0.0:  # the camera is inside
-        rectangle[:] = 0
+        rectangle[1] = rectangle[0]
 
 
 @njit(cache=True, nogil=True)
@@ -190,13 +168,15 @@ def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
     ----------
     kind : PLANE, BOX, SPHERE, CYLINDER or MESH (of a mesh only the rectangle is found).
     pose : (4, 4) float64, object to camera. size : (3,) float64, full extents.
-    camera : (4,) float64, fx, fy, cx, cy. width, height : int.
+    camera : (>= 4,) float64, fx, fy, cx, cy, ... width, height : int.
     prepared : (PREPARED,) float64, written. rectangle : (4,) int64, written.
 
     A plane shows from both sides. A solid that the camera is inside of does not show (its back faces are culled).
     """
-    prepared[:] = 0.0
-    rectangle[:] = 0
+    for k in range(PREPARED):
+        prepared[k] = 0.0
+    for k in range(4):
+        rectangle[k] = 0
     if kind == PLANE:
         offset = pose[0, 2] * pose[0, 3] + pose[1, 2] * pose[1, 3] + pose[2, 2] * pose[2, 3]
         sign = 1.0 if offset < 0.0 else -1.0
@@ -208,9 +188,9 @@ def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
         if prepared[0] > 0.0:
             box_rectangle(pose, size, camera, width, height, rectangle)
     elif kind == SPHERE:
-        _prepare_sphere(pose, 0.5 * size[0], camera, width, height, prepared, rectangle)
+        _prepare_round(pose, 0.5 * size[0], 0.0, camera, width, height, prepared, rectangle)
     elif kind == CYLINDER:
-        _prepare_cylinder(pose, 0.5 * size[0], 0.5 * size[2], camera, width, height, prepared, rectangle)
+        _prepare_round(pose, 0.5 * size[0], 0.5 * size[2], camera, width, height, prepared, rectangle)
     elif kind == MESH:
         box_rectangle(pose, size, camera, width, height, rectangle)
 
@@ -233,8 +213,14 @@ def inverse_depth(prepared, column, row):
     if prepared[2] != 0.0:
         t, s = column - prepared[4], row - prepared[5]
         q = DISCRIMINANT
-        discriminant = (prepared[q] + prepared[q + 1] * t + prepared[q + 2] * s
-                        + prepared[q + 3] * t * t + prepared[q + 4] * t * s + prepared[q + 5] * s * s)
+        discriminant = (
+            prepared[q]
+            + prepared[q + 1] * t
+            + prepared[q + 2] * s
+            + prepared[q + 3] * t * t
+            + prepared[q + 4] * t * s
+            + prepared[q + 5] * s * s
+        )
         if discriminant < 0.0:
             return 0.0
         root = math.sqrt(discriminant)

@@ -21,8 +21,8 @@ class FlatMeshes:
         self.triangles = np.zeros((max(self.starts[-1, 1], 1), 3), np.int32)
         self.extents = np.ones((max(len(sizes), 1), 3))
         for k, (vertices, triangles) in enumerate(meshes):
-            self.vertices[self.starts[k, 0]:self.starts[k + 1, 0]] = vertices
-            self.triangles[self.starts[k, 1]:self.starts[k + 1, 1]] = triangles
+            self.vertices[self.starts[k, 0] : self.starts[k + 1, 0]] = vertices
+            self.triangles[self.starts[k, 1] : self.starts[k + 1, 1]] = triangles
             self.extents[k] = np.maximum(2.0 * np.abs(vertices).max(axis=0), 1e-12)
 
 
@@ -30,7 +30,7 @@ class FlatMeshes:
 def draw(kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, camera, inverse, label):
     """Write the greatest inverse depth (0: nothing hit) and the index of the solid hit (-1: none) of every pixel.
 
-    kinds (N,) int32, poses (N, 4, 4), sizes (N, 3), mesh_index (N,) int32; the arrays of FlatMeshes;
+    kinds (N,) int64, poses (N, 4, 4), sizes (N, 3), mesh_index (N,) int64; the arrays of FlatMeshes;
     camera (4,) float64 fx, fy, cx, cy; inverse (H, W) float64 and label (H, W) int32 are written.
     """
     height, width = inverse.shape
@@ -46,8 +46,8 @@ def draw(kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, 
             m = mesh_index[k]
             first, end = starts[m], starts[m + 1]
             buffer = np.zeros((rectangle[3], rectangle[1]))
-            draw_mesh(buffer, vertices[first[0]:end[0]], triangles[first[1]:end[1]], sizes[k] / extents[m], poses[k],
-                      camera, rectangle, np.empty((end[0] - first[0], 3)))
+            draw_mesh(buffer, vertices, triangles, first, end, sizes[k], extents[m], poses[k], camera, rectangle,
+                      np.empty((end[0] - first[0], 3)))
             for row in range(rectangle[2], rectangle[3]):
                 for column in range(rectangle[0], rectangle[1]):
                     if buffer[row, column] > inverse[row, column]:
@@ -96,9 +96,19 @@ def render_depth(solids: Solids, camera, antialias: int = 1, background: float =
     inverse = np.zeros((height, width))
     label = np.zeros((height, width), np.int32)
     meshes = FlatMeshes(solids.meshes)
-    draw(np.ascontiguousarray(solids.kind, np.int32), np.ascontiguousarray(solids.pose, np.float64),
-         np.ascontiguousarray(solids.size, np.float64), np.ascontiguousarray(solids.mesh, np.int32),
-         meshes.vertices, meshes.triangles, meshes.starts, meshes.extents, intrinsics, inverse, label)
+    draw(
+        np.ascontiguousarray(solids.kind, np.int64),
+        np.ascontiguousarray(solids.pose, np.float64),
+        np.ascontiguousarray(solids.size, np.float64),
+        np.ascontiguousarray(solids.mesh, np.int64),
+        meshes.vertices,
+        meshes.triangles,
+        meshes.starts,
+        meshes.extents,
+        intrinsics,
+        inverse,
+        label,
+    )
     hit = label >= 0
     depth = np.full(inverse.shape, background, np.float64)
     np.divide(1.0, inverse, out=depth, where=hit)

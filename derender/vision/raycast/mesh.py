@@ -47,7 +47,8 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
     for k in range(3):
         start, end = points[triangle[k]], points[triangle[(k + 1) % 3]]
         if start[2] >= NEAR:
-            polygon[count] = start
+            for axis in range(3):
+                polygon[count, axis] = start[axis]
             count += 1
         if (start[2] >= NEAR) != (end[2] >= NEAR):
             share = (NEAR - start[2]) / (end[2] - start[2])
@@ -61,37 +62,65 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
         polygon[k, 1] = camera[1] * polygon[k, 1] * inverse + camera[3]
         polygon[k, 2] = inverse
     for k in range(2, count):
-        _fill(buffer, polygon[0, 0], polygon[0, 1], polygon[0, 2], polygon[k - 1, 0], polygon[k - 1, 1],
-              polygon[k - 1, 2], polygon[k, 0], polygon[k, 1], polygon[k, 2],
-              rectangle[0], rectangle[1], rectangle[2], rectangle[3])
+        _fill(
+            buffer,
+            polygon[0, 0],
+            polygon[0, 1],
+            polygon[0, 2],
+            polygon[k - 1, 0],
+            polygon[k - 1, 1],
+            polygon[k - 1, 2],
+            polygon[k, 0],
+            polygon[k, 1],
+            polygon[k, 2],
+            rectangle[0],
+            rectangle[1],
+            rectangle[2],
+            rectangle[3],
+        )
 
 
 @njit(cache=True, nogil=True)
-def draw_mesh(buffer, vertices, triangles, scale, pose, camera, rectangle, points):
+def draw_mesh(buffer, vertices, triangles, first, end, size, extents, pose, camera, rectangle, points):
     """Raise an inverse-depth image to a mesh's inside a rectangle.
 
     Parameters
     ----------
     buffer : (>= rows, >= columns) float32 or float64 inverse depth, 0 or more, raised in place.
-    vertices : (V, 3) float64, object axes. triangles : (T, 3) int32.
-    scale : (3,) float64 factors of the object's axes. pose : (4, 4) float64, object to camera.
-    camera : (4,) float64, fx, fy, cx, cy. rectangle : (4,) int64, columns and rows to draw, ends excluded.
+    vertices : (V, 3) float64, object axes. triangles : (T, 3) int32: those of all meshes, one after the other.
+    first, end : (2,) int64, where this mesh's vertices and triangles start and end; triangles count from its first.
+    size, extents : (3,) float64, drawn and original extents. pose : (4, 4) float64, object to camera.
+    camera : (>= 4,) float64, fx, fy, cx, cy, ... rectangle : (4,) int64, columns and rows to draw, ends excluded.
     points : (>= V, 3) float64, scratch.
     """
-    for k in range(vertices.shape[0]):
-        x, y, z = vertices[k, 0] * scale[0], vertices[k, 1] * scale[1], vertices[k, 2] * scale[2]
+    sx, sy, sz = size[0] / extents[0], size[1] / extents[1], size[2] / extents[2]
+    for k in range(end[0] - first[0]):
+        v = first[0] + k
+        x, y, z = vertices[v, 0] * sx, vertices[v, 1] * sy, vertices[v, 2] * sz
         for axis in range(3):
             points[k, axis] = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2] * z + pose[axis, 3]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     first_column, end_column, first_row, end_row = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
-    for k in range(triangles.shape[0]):
+    for k in range(first[1], end[1]):
         i0, i1, i2 = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         z0, z1, z2 = points[i0, 2], points[i1, 2], points[i2, 2]
         if z0 >= NEAR and z1 >= NEAR and z2 >= NEAR:
             w0, w1, w2 = 1.0 / z0, 1.0 / z1, 1.0 / z2
-            _fill(buffer, fx * points[i0, 0] * w0 + cx, fy * points[i0, 1] * w0 + cy, w0,
-                  fx * points[i1, 0] * w1 + cx, fy * points[i1, 1] * w1 + cy, w1,
-                  fx * points[i2, 0] * w2 + cx, fy * points[i2, 1] * w2 + cy, w2,
-                  first_column, end_column, first_row, end_row)
+            _fill(
+                buffer,
+                fx * points[i0, 0] * w0 + cx,
+                fy * points[i0, 1] * w0 + cy,
+                w0,
+                fx * points[i1, 0] * w1 + cx,
+                fy * points[i1, 1] * w1 + cy,
+                w1,
+                fx * points[i2, 0] * w2 + cx,
+                fy * points[i2, 1] * w2 + cy,
+                w2,
+                first_column,
+                end_column,
+                first_row,
+                end_row,
+            )
         elif z0 >= NEAR or z1 >= NEAR or z2 >= NEAR:
             _fill_clipped(buffer, points, triangles[k], camera, rectangle)

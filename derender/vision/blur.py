@@ -1,0 +1,35 @@
+"""The blur b of Eq. 6: a Gaussian, cut off at three standard deviations, with replicated edges."""
+
+import math
+
+import numpy as np
+
+
+def blur_radius(sigma: float) -> int:
+    """Return how many pixels the blur reaches: three standard deviations, rounded up."""
+    return int(math.ceil(3.0 * sigma))
+
+
+def blur_taps(sigma: float) -> np.ndarray:
+    """Return the weights from the centre outwards: (radius + 1,) float64; over both sides they sum to 1.
+
+    sigma : standard deviation in pixels; 0 is no blur.
+    """
+    radius = blur_radius(sigma)
+    if radius == 0:
+        return np.ones(1)
+    taps = np.exp(-0.5 * (np.arange(radius + 1) / sigma) ** 2)
+    return taps / (taps[0] + 2.0 * taps[1:].sum())
+
+
+def blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Blur an (H, W) image along both axes, edges replicated, in float64.
+
+    The same as `scipy.ndimage.gaussian_filter(image, sigma, mode="nearest", radius=blur_radius(sigma))`.
+    """
+    image = np.asarray(image, np.float64)
+    if sigma == 0:
+        return image.copy()
+    from scipy.ndimage import gaussian_filter
+
+    return gaussian_filter(image, sigma, mode="nearest", radius=blur_radius(sigma))

@@ -1,0 +1,292 @@
+"""Sixteen float32 side by side as one value in compiled code: what numba's own vectoriser cannot promise.
+
+Inside an njit function `load(array, row, column)` gives sixteen neighbours, and add, multiply_add, maximum, ... work
+on all of them at once; LLVM maps them to AVX-512, AVX2, SSE or NEON. There is no scalar remainder loop and no
+reassociation, so a pixel's value never depends on where in a row, or in which call, it was computed: the incremental
+and the full evaluation agree to the last bit. Arrays are C-contiguous float32; rows must be padded so that sixteen
+may be read.
+"""
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.datamodel import models
+from numba.extending import intrinsic, register_model
+
+LANES = 16
+_FLOATS = ir.VectorType(ir.FloatType(), LANES)
+_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
+_INTEGERS = ir.VectorType(ir.IntType(32), LANES)
+
+
+class _LanesType(types.Type):
+    """The numba type of sixteen float32 or float64."""
+
+
+float_lanes = _LanesType("float32x16")
+double_lanes = _LanesType("float64x16")
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager, numba_type):
+        super().__init__(
+            manager, numba_type, _FLOATS if numba_type is float_lanes or numba_type.name == "float32x16" else _DOUBLES
+        )
+
+
+def _constant(value: float) -> ir.Constant:
+    return ir.Constant(_FLOATS, [ir.Constant(ir.FloatType(), value)] * LANES)
+
+
+def _integer(value: int) -> ir.Constant:
+    return ir.Constant(_INTEGERS, [ir.Constant(ir.IntType(32), value)] * LANES)
+
+
+def _splat(builder, scalar, vector_type=_FLOATS):
+    single = builder.insert_element(ir.Constant(vector_type, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+    return builder.shuffle_vector(single, ir.Constant(vector_type, ir.Undefined), zeros)
+
+
+def _call(builder, name, *arguments):
+    """Call an LLVM intrinsic on lanes."""
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(arguments[0].type, [a.type for a in arguments]), f"llvm.{name}.v{LANES}f32"
+    )
+    return builder.call(function, arguments)
+
+
+def _multiply_add(builder, a, b, c):
+    return _call(builder, "fmuladd", a, b, c)
+
+
+def _address(context, builder, array_type, array, row, column):
+    """Pointer to element (row, column) of a C-contiguous 2-D float32 array."""
+    struct = context.make_array(array_type)(context, builder, array)
+    stride = builder.extract_value(struct.strides, 0)
+    offset = builder.add(builder.mul(row, stride), builder.shl(column, ir.Constant(column.type, 2)))
+    data = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
+
+
+def _load(builder, pointer):
+    return builder.load(pointer, align=4)
+
+
+def _check(array):
+    return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == types.float32 and array.layout == "C"
+
+
+@intrinsic
+def load(typing, array, row, column):
+    """Sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
+    if not _check(array):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        return _load(builder, _address(context, builder, signature.args[0], *arguments))
+
+    return float_lanes(array, types.int64, types.int64), generate
+
+
+@intrinsic
+def store(typing, array, row, column, value):
+    """Write sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
+    if not _check(array):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        builder.store(arguments[3], _address(context, builder, signature.args[0], *arguments[:3]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64, float_lanes), generate
+
+
+@intrinsic
+def splat(typing, value):
+    """Sixteen copies of a number."""
+
+    def generate(context, builder, signature, arguments):
+        return _splat(builder, arguments[0])
+
+    return float_lanes(types.float32), generate
+
+
+@intrinsic
+def steps_from(typing, start):
+    """start, start + 1, ..., start + 15 (exact up to 2^24)."""
+
+    def generate(context, builder, signature, arguments):
+        ramp = ir.Constant(_FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
+        return builder.fadd(_splat(builder, builder.sitofp(arguments[0], ir.FloatType())), ramp)
+
+    return float_lanes(types.int64), generate
+
+
+def _binary(name, emit, doc):
+    """Make an intrinsic of two lanes."""
+
+    def typed(typing, a, b):
+        def generate(context, builder, signature, arguments):
+            return emit(builder, *arguments)
+
+        return float_lanes(float_lanes, float_lanes), generate
+
+    typed.__name__, typed.__doc__ = name, doc
+    return intrinsic(typed)
+
+
+def _greater_of(builder, a, b):
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
+def _less_of(builder, a, b):
+    return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+
+add = _binary("add", lambda builder, a, b: builder.fadd(a, b), "a + b")
+subtract = _binary("subtract", lambda builder, a, b: builder.fsub(a, b), "a - b")
+multiply = _binary("multiply", lambda builder, a, b: builder.fmul(a, b), "a b")
+divide = _binary("divide", lambda builder, a, b: builder.fdiv(a, b), "a / b")
+maximum = _binary("maximum", _greater_of, "The greater of a and b; b where a is NaN.")
+minimum = _binary("minimum", _less_of, "The lesser of a and b; b where a is NaN.")
+
+
+@intrinsic
+def multiply_add(typing, a, b, c):
+    """a b + c, rounded once where the machine can."""
+
+    def generate(context, builder, signature, arguments):
+        return _multiply_add(builder, *arguments)
+
+    return float_lanes(float_lanes, float_lanes, float_lanes), generate
+
+
+@intrinsic
+def square_root(typing, a):
+    """The square root; NaN of a negative number."""
+
+    def generate(context, builder, signature, arguments):
+        return _call(builder, "sqrt", arguments[0])
+
+    return float_lanes(float_lanes), generate
+
+
+@intrinsic
+def absolute(typing, a):
+    """The absolute value."""
+
+    def generate(context, builder, signature, arguments):
+        return _call(builder, "fabs", arguments[0])
+
+    return float_lanes(float_lanes), generate
+
+
+@intrinsic
+def where_at_least(typing, a, b, yes, no):
+    """`yes` where a >= b, else `no` (also where a or b is NaN)."""
+
+    def generate(context, builder, signature, arguments):
+        a, b, yes, no = arguments
+        return builder.select(builder.fcmp_ordered(">=", a, b), yes, no)
+
+    return float_lanes(float_lanes, float_lanes, float_lanes, float_lanes), generate
+
+
+@intrinsic
+def zero_sum(typing):
+    """Sixteen float64 zeros: the start of a sum."""
+
+    def generate(context, builder, signature, arguments):
+        return ir.Constant(_DOUBLES, None)
+
+    return double_lanes(), generate
+
+
+@intrinsic
+def accumulate(typing, total, value):
+    """Sixteen float64 running sums plus sixteen float32."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.fadd(arguments[0], builder.fpext(arguments[1], _DOUBLES))
+
+    return double_lanes(double_lanes, float_lanes), generate
+
+
+@intrinsic
+def sum_lanes(typing, total):
+    """The sum of sixteen float64, in a fixed order."""
+
+    def generate(context, builder, signature, arguments):
+        index = ir.IntType(32)
+        terms = [builder.extract_element(arguments[0], ir.Constant(index, k)) for k in range(LANES)]
+        while len(terms) > 1:
+            half = len(terms) // 2
+            terms = [builder.fadd(terms[k], terms[k + half]) for k in range(half)]
+        return terms[0]
+
+    return types.float64(double_lanes), generate
+
+
+def _symmetric_sum(builder, taps, centre, pairs):
+    """taps[0] centre + sum_k taps[k] (left_k + right_k), in one fixed order."""
+    value = builder.fmul(taps[0], centre)
+    for tap, (left, right) in zip(taps[1:], pairs, strict=True):
+        value = _multiply_add(builder, tap, builder.fadd(left, right), value)
+    return value
+
+
+def _taps(context, builder, array_type, array, count):
+    struct = context.make_array(array_type)(context, builder, array)
+    index = ir.IntType(64)
+    return [_splat(builder, builder.load(builder.gep(struct.data, [ir.Constant(index, k)]))) for k in range(count)]
+
+
+@intrinsic(prefer_literal=True)
+def blur_along_row(typing, array, row, column, taps, radius):
+    """sum_k taps[|k|] array[row, column + k] over |k| <= radius for sixteen columns; radius a literal, unrolled."""
+    if not isinstance(radius, types.IntegerLiteral):
+        return None
+    count = radius.literal_value
+
+    def generate(context, builder, signature, arguments):
+        array, row, column, tap_array, _ = arguments
+        weights = _taps(context, builder, signature.args[3], tap_array, count + 1)
+
+        def at(offset):
+            shifted = builder.add(column, ir.Constant(column.type, offset))
+            return _load(builder, _address(context, builder, signature.args[0], array, row, shifted))
+
+        pairs = [(at(-k), at(k)) for k in range(1, count + 1)]
+        return _symmetric_sum(builder, weights, at(0), pairs)
+
+    return float_lanes(array, types.int64, types.int64, taps, radius), generate
+
+
+@intrinsic(prefer_literal=True)
+def blur_along_column(typing, ring, row, height, column, taps, radius):
+    """The same down the rows of a ring buffer that holds image row j in its row j mod len(ring), edges replicated."""
+    if not isinstance(radius, types.IntegerLiteral):
+        return None
+    count = radius.literal_value
+
+    def generate(context, builder, signature, arguments):
+        ring, row, height, column, tap_array, _ = arguments
+        weights = _taps(context, builder, signature.args[4], tap_array, count + 1)
+        struct = context.make_array(signature.args[0])(context, builder, ring)
+        size = builder.extract_value(struct.shape, 0)
+        mask = builder.sub(size, ir.Constant(size.type, 1))
+        last = builder.sub(height, ir.Constant(row.type, 1))
+        zero = ir.Constant(row.type, 0)
+
+        def at(offset):
+            shifted = builder.add(row, ir.Constant(row.type, offset))
+            shifted = builder.select(builder.icmp_signed("<", shifted, zero), zero, shifted)
+            shifted = builder.select(builder.icmp_signed(">", shifted, last), last, shifted)
+            slot = builder.and_(shifted, mask)
+            return _load(builder, _address(context, builder, signature.args[0], ring, slot, column))
+
+        pairs = [(at(-k), at(k)) for k in range(1, count + 1)]
+        return _symmetric_sum(builder, weights, at(0), pairs)
+
+    return float_lanes(ring, types.int64, types.int64, types.int64, taps, radius), generate
