@@ -96,6 +96,7 @@ def new_state(
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
     images = np.ones((MESHES + 2 * int(is_mesh.sum()), height, padded), np.float32)
     images[OBSERVED_IMAGE] = np.nan
+    images[SCORE:MESHES] = 0.0  # the padding never scores
     images[OBSERVED_IMAGE, :, PAD:PAD + width] = np.where(seen, observed, missing)
     numbers = np.zeros(64)
     numbers[:4] = camera_array(camera)
