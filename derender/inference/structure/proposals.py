@@ -1,6 +1,6 @@
 """Hypotheses of single solids from planar patches: boxes from one to three orthogonal ones, round solids from clusters."""
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -167,46 +167,73 @@ def box_axes(surface, group):
 
 
 def boxes(surface, group):
-    """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it."""
+    """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it.
+
+    A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
+    each is tried as well as that of all of them.
+    """
     rotation, form = box_axes(surface, group)
-    points = np.concatenate([surface.points[k] for k in group])
-    along = points @ rotation
     margin = 0.25 * surface.footprint
-    low = np.quantile(along, 0.01, axis=0) - margin
-    high = np.quantile(along, 0.99, axis=0) + margin
-    seen = np.zeros(3, bool)  # is the extent along this axis seen (from a face that is not across it)?
-    face = np.zeros(3)
+    ends = []  # (low (3,), high (3,)) of each face's points
+    fixed_low, fixed_high = np.full(3, np.nan), np.full(3, np.nan)
+    across = []
     for k in group:
+        along = surface.points[k] @ rotation
         cosine = surface.normal[k] @ rotation
         axis = int(np.argmax(np.abs(cosine)))
-        face[axis] = np.sign(cosine[axis])
+        across.append(axis)
         plane = surface.centre[k] @ rotation[:, axis]
-        if face[axis] > 0:
-            high[axis] = plane
+        if cosine[axis] > 0:
+            fixed_high[axis] = plane
         else:
-            low[axis] = plane
-        for other in range(3):
-            if other != axis:
-                seen[other] = True
-    if form == UPRIGHT and low[2] < max(0.02, 2 * surface.footprint):
-        low[2] = 0.0
-        seen[2] = True
-    hidden = [axis for axis in range(3) if not seen[axis]]
-    if not hidden:
+            fixed_low[axis] = plane
+        ends.append((np.quantile(along, 0.01, axis=0) - margin, np.quantile(along, 0.99, axis=0) + margin))
+    intervals = []
+    for axis in range(3):
+        seen_by = [e for e, other in zip(ends, across, strict=True) if other != axis]
+        if not seen_by:
+            intervals.append(hidden_intervals(fixed_low[axis], fixed_high[axis], ends[0], axis, form))
+            continue
+        options = [(min(e[0][axis] for e in seen_by), max(e[1][axis] for e in seen_by))]
+        options += [(e[0][axis], e[1][axis]) for e in seen_by]
+        intervals.append(distinct(
+            [with_planes(o, fixed_low[axis], fixed_high[axis], axis == 2 and form == UPRIGHT, surface) for o in options],
+            1.5 * surface.footprint,
+        ))  # fmt: skip
+    for x, y, z in product(*intervals):
+        low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
         yield from box_between(rotation, low, high, form, group)
-        return
-    axis = hidden[0]
-    others = [k for k in range(3) if k != axis]
-    guesses = [high[k] - low[k] for k in others] + [0.04, 0.08]
-    if form == UPRIGHT and axis == 2:
-        guesses.append(high[2])
-    for guess in guesses:
-        a, b = low.copy(), high.copy()
-        if face[axis] > 0:
-            a[axis] = b[axis] - guess
-        else:
-            b[axis] = a[axis] + guess
-        yield from box_between(rotation, a, b, form, group)
+
+
+def with_planes(interval, low, high, upright, surface):
+    """Return the interval with its ends on the faces that are seen, and for an upright box near the floor, on the floor."""
+    start, end = interval
+    if not np.isnan(low):
+        start = low
+    if not np.isnan(high):
+        end = high
+    if upright and start < max(0.02, 2 * surface.footprint):
+        start = 0.0
+    return start, max(end, start + THINNEST)
+
+
+def distinct(intervals, tolerance):
+    """Return the intervals without those whose ends are both within the tolerance of an earlier one's."""
+    kept = []
+    for interval in intervals:
+        if all(max(abs(interval[0] - k[0]), abs(interval[1] - k[1])) > tolerance for k in kept):
+            kept.append(interval)
+    return kept
+
+
+def hidden_intervals(low, high, ends, axis, form):
+    """Return guesses for the extent behind a single face: as long as a side of it, short, middling, down to the floor."""
+    guesses = [ends[1][k] - ends[0][k] for k in range(3) if k != axis] + [0.04, 0.08]
+    if form == UPRIGHT and axis == 2 and not np.isnan(high):
+        guesses.append(max(high, THINNEST))
+    if np.isnan(high):
+        return [(low, low + guess) for guess in guesses]
+    return [(high - guess, high) for guess in guesses]
 
 
 def box_between(rotation, low, high, form, group):
@@ -235,36 +262,56 @@ def spheres(surface, group):
         yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False, tuple(group))
 
 
+def cylinder_axes(surface, group, most=3):
+    """Return up to `most` directions for the axis of a cylinder whose side and caps are these patches.
+
+    A cap's normal is the axis; two strips of a side have it as their cross product.  A direction counts by the pixels
+    of the patches that are across it or along it.
+    """
+    normals = surface.normal[list(group)]
+    weight = surface.count[list(group)].astype(float)
+    candidates = [UP, *normals]
+    candidates += [np.cross(a, b) for a, b in combinations(normals, 2) if abs(a @ b) < 0.98]
+    found = []
+    for axis in candidates:
+        axis = axis / np.linalg.norm(axis)
+        if abs(axis[2]) > 0.97:
+            axis = UP
+        elif abs(axis[2]) < 0.15:
+            axis = np.array([axis[0], axis[1], 0.0])
+            axis /= np.linalg.norm(axis)
+        cosine = np.abs(normals @ axis)
+        score = weight @ ((cosine < 0.2) | (cosine > 0.97)) + 0.1 * weight @ (cosine < 0.1)
+        found.append((score, axis))
+    found.sort(key=lambda pair: -pair[0])
+    axes = []
+    for _, axis in found:
+        if all(abs(axis @ other) < 0.98 for other in axes):
+            axes.append(axis)
+        if len(axes) == most:
+            break
+    return axes
+
+
 def cylinders(surface, group):
-    """Yield upright and lying cylinders through a cluster of patches."""
+    """Yield cylinders through a cluster of patches, upright, lying and tilted."""
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
         return
     normals = surface.normal[list(group)]
-    weight = surface.count[list(group)].astype(float)
-    sides = [k for k in group if abs(surface.normal[k][2]) < 0.35]
-    tops = [k for k in group if surface.normal[k][2] > 0.95]
-    axes = []
-    if sides or tops:
-        axes.append((UP, UPRIGHT))
-    # a lying cylinder's side normals are all across its axis: the direction in the floor that they share least
-    scatter = np.einsum("k,ki,kj->ij", weight, normals, normals)
-    values, vectors = np.linalg.eigh(scatter)
-    if len(group) >= 2 and values[0] < 0.2 * values[1]:
-        axes.append((vectors[:, 0], FREE))
-    if len(group) >= 2:
-        flat = np.linalg.eigh(scatter[:2, :2])[1][:, 0]
-        axes.append((np.array([flat[0], flat[1], 0.0]), FREE))
-    for axis, form in axes:
+    for axis in cylinder_axes(surface, group):
+        form = UPRIGHT if axis[2] == 1.0 else FREE
         u, v = tangent(axis)
-        cosine = normals @ axis
-        side = [k for k, c in zip(group, cosine, strict=True) if abs(c) < 0.4]
-        cap = [k for k, c in zip(group, cosine, strict=True) if abs(c) > 0.9]
+        cosine = np.abs(normals @ axis)
+        side = [k for k, c in zip(group, cosine, strict=True) if c < 0.4]
+        cap = [k for k, c in zip(group, cosine, strict=True) if c > 0.9]
         choices = []
         if side:
             flat = np.concatenate([surface.points[k] for k in side]) @ np.column_stack([u, v])
             if len(flat) >= 8:
                 choices.append(fit_circle(flat))
+                if form == FREE and axis[2] == 0.0:  # lying: its diameter is the height of its highest point
+                    choices.append(lying_circle(flat, np.column_stack([u, v])))
         if cap:
             flat = np.concatenate([surface.points[k] for k in cap]) @ np.column_stack([u, v])
             choices.append((flat.mean(axis=0), np.sqrt(2 * flat.var(axis=0).mean()) + 0.25 * surface.footprint))
@@ -279,6 +326,14 @@ def cylinders(surface, group):
             rotation = np.column_stack([u, v, axis])
             row = make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, high - low])
             yield Hypothesis(row, form, False, tuple(group))
+
+
+def lying_circle(flat, axes):
+    """Return (centre, radius) of the circle that stands on the floor and is as high as the points (N, 2) along `axes`."""
+    up = UP @ axes
+    radius = max(0.5 * np.quantile(flat @ up, 0.99), 0.004)
+    across = np.array([-up[1], up[0]])
+    return radius * up + np.median(flat @ across) * across, radius
 
 
 def fit_circle(points):
