@@ -107,6 +107,13 @@ class Shape:
         """Return the solid as a trimesh.Trimesh in object axes."""
         raise NotImplementedError
 
+    def drawn_mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
+        """Return (key, (vertices (V, 3), triangles (T, 3) int32)) for `Solids`; equal keys mean the same mesh."""
+        mesh = self.mesh(psi, options)
+        vertices = np.ascontiguousarray(mesh.vertices, dtype=float)
+        key = (self.name, tuple(float(value) for value in psi), tuple(sorted(map(str, options.items()))))
+        return key, (vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+
     def symmetry(self, psi=(), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
         """Return the rotations that leave the solid as it is."""
         return Symmetry(np.eye(3)[None])

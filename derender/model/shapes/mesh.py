@@ -141,6 +141,10 @@ class Mesh(Shape):
         loaded = self.load(options)
         return trimesh.Trimesh(float(psi[0]) * loaded.vertices, loaded.triangles, process=False)
 
+    def drawn_mesh(self, psi, options={}):  # noqa: B006
+        loaded = self.load(options)
+        return id(loaded), (loaded.vertices, loaded.triangles)
+
     def check(self, psi, options={}, where=None):  # noqa: B006
         super().check(psi, options, where)
         self.load(options)

@@ -1,0 +1,407 @@
+"""The scene graph of Definition 2.1: a tree of solids, each placed on its parent by a contact; poses by Eq. 1."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.model.constraints import Constraint
+from derender.model.contacts import contacts
+from derender.model.contacts.base import Inverse
+from derender.model.pose import inverse
+from derender.model.shapes import Body, shapes
+from derender.model.solids import MESH, Solids
+from derender.registry import suggest
+
+ROOT = "root"
+ROOT_BODY = Body(shapes["frame"])
+
+# What is left of a slack number after a pose went through matrices: below this it is none.
+ROUNDING = 1e-11
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How a vertex touches its parent: c_i and phi_i.
+
+    Attributes
+    ----------
+    type : registered contact type.
+    parent_face, child_face : names of the features that touch, or None (`6dof`).
+    values : phi by name, slack included where it is not zero; what is missing has its default.
+    """
+
+    type: str
+    parent_face: str | None = None
+    child_face: str | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Vertex:
+    """One object: s_i, psi_i, pi(i), c_i, phi_i.
+
+    Attributes
+    ----------
+    name : unique in the graph; not "root".
+    shape : registered shape type.
+    parameters : psi by name.
+    parent : name of the parent, or "root".
+    contact : the contact with the parent.
+    options : mesh file, hull, mass, friction, colour ... : what is not a parameter.
+    supports : names of further vertices on which it rests (a bridge's second tower); see `constraints`.
+    """
+
+    name: str
+    shape: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    parent: str = ROOT
+    contact: Contact = Contact("6dof")
+    options: Mapping[str, Any] = field(default_factory=dict)
+    supports: tuple[str, ...] = ()
+
+    @property
+    def body(self) -> Body:
+        """The shape with its numbers."""
+        shape = shapes[self.shape]
+        return Body(shape, self.psi, self.options)
+
+    @property
+    def psi(self) -> np.ndarray:
+        """The (P,) shape parameters in the order of the shape's type; NaN where one is missing."""
+        given = self.parameters
+        values = [given.get(p.name, p.default) for p in shapes[self.shape].parameters]
+        return np.array([np.nan if value is None else value for value in values], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneGraph:
+    """A scene: the root's pose and the vertices, parents before children.
+
+    Attributes
+    ----------
+    root_pose : (4, 4) float64, root to camera.
+    vertices : the objects, in order.
+    gravity : (3,) unit vector of the pull of gravity, in root axes.
+    constraints : undirected relations between objects ("does not touch").
+    """
+
+    root_pose: np.ndarray
+    vertices: tuple[Vertex, ...] = ()
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    constraints: tuple[Constraint, ...] = ()
+
+    def __post_init__(self) -> None:
+        seen = {ROOT}
+        for vertex in self.vertices:
+            if vertex.name in seen:
+                raise DerenderError(f"two objects are called {vertex.name!r}", vertex.name, "give each its own name")
+            if vertex.parent not in seen:
+                later = any(other.name == vertex.parent for other in self.vertices)
+                what = f"the parent {vertex.parent!r} comes after its child" if later else "no such parent"
+                remedy = "list parents first" if later else suggest(vertex.parent, seen)
+                raise DerenderError(
+                    f"{what}: {vertex.parent!r}" if not later else what, f"{vertex.name}.parent", remedy
+                )
+            seen.add(vertex.name)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, SceneGraph):
+            return NotImplemented
+        ours, theirs = (self.vertices, self.constraints), (other.vertices, other.constraints)
+        same_root = np.array_equal(self.root_pose, other.root_pose) and np.array_equal(self.gravity, other.gravity)
+        return bool(same_root and ours == theirs)
+
+    __hash__ = None  # type: ignore[assignment]  # its numbers are in arrays and dicts; `structure()` can be hashed
+
+    # ---- the tree -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {vertex.name: index for index, vertex in enumerate(self.vertices)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the vertices, in order, without the root."""
+        return tuple(vertex.name for vertex in self.vertices)
+
+    def vertex(self, name: str) -> Vertex:
+        """Return the vertex called `name`; DerenderError if there is none."""
+        try:
+            return self.vertices[self._index[name]]
+        except KeyError:
+            raise DerenderError(f"no object is called {name!r}", remedy=suggest(name, self.names)) from None
+
+    def body(self, name: str) -> Body:
+        """Return shape and numbers of a vertex or of the root."""
+        return ROOT_BODY if name == ROOT else self.vertex(name).body
+
+    def children(self, name: str) -> tuple[str, ...]:
+        """Return the names of the vertices whose parent is `name`."""
+        return tuple(vertex.name for vertex in self.vertices if vertex.parent == name)
+
+    def descendants(self, name: str) -> tuple[str, ...]:
+        """Return the names of all vertices below `name`, in order; `name` itself is not among them."""
+        below = {name}
+        for vertex in self.vertices:
+            if vertex.parent in below:
+                below.add(vertex.name)
+        return tuple(vertex.name for vertex in self.vertices if vertex.name in below and vertex.name != name)
+
+    def path(self, j: str, i: str) -> tuple[str, ...]:
+        """Return the vertices on the path from `j` up to its ancestor `i`, `i` not included (Eq. 8)."""
+        walked = []
+        while j != i:
+            if j == ROOT:
+                raise ValueError(f"{i!r} is not an ancestor")
+            walked.append(j)
+            j = self.vertex(j).parent
+        return tuple(walked)
+
+    def structure(self) -> tuple:
+        """Return the discrete part (V, E, s, c), hashable: equal for graphs that differ in numbers only."""
+        return tuple(
+            (v.name, v.shape, v.parent, v.contact.type, v.contact.parent_face, v.contact.child_face, tuple(v.supports))
+            for v in self.vertices
+        )
+
+    # ---- poses ----------------------------------------------------------------------------------------------------
+
+    def relative_pose(self, name: str) -> np.ndarray:
+        """Return the (4, 4) pose of a vertex in its parent's object axes."""
+        vertex = self.vertex(name)
+        return relative_pose(vertex, self.body(vertex.parent))
+
+    def poses(self) -> dict[str, np.ndarray]:
+        """Return the pose (4, 4), object to camera, of every vertex by name, and of the root (Eq. 1)."""
+        return dict(self._poses)
+
+    @cached_property
+    def _poses(self) -> dict[str, np.ndarray]:
+        poses = {ROOT: np.asarray(self.root_pose, dtype=float)}
+        bodies = {ROOT: ROOT_BODY}
+        for vertex in self.vertices:
+            bodies[vertex.name] = body = vertex.body
+            parent = vertex.parent
+            poses[vertex.name] = poses[parent] @ relative_pose(vertex, bodies[parent], body)
+        return poses
+
+    @property
+    def solid_names(self) -> tuple[str, ...]:
+        """Names of the vertices that `solids` holds, in its order: all but frames."""
+        return tuple(v.name for v in self.vertices if shapes[v.shape].solid_kind is not None)
+
+    def solids(self) -> Solids:
+        """Return all that has a surface as flat arrays in the camera's frame (Eq. 5)."""
+        return solids_of([self.vertex(name) for name in self.solid_names], self._poses)
+
+    def down(self) -> np.ndarray:
+        """Return the (3,) unit direction of gravity in camera axes."""
+        down = np.asarray(self.root_pose)[:3, :3] @ np.asarray(self.gravity, dtype=float)
+        return down / np.linalg.norm(down)
+
+    # ---- numbers --------------------------------------------------------------------------------------------------
+
+    def degrees_of_freedom(self) -> int:
+        """Return the number of continuous contact parameters: 15 and 24 for Figure 3. Slack counts where not zero."""
+        return sum(self.freedom(vertex.name) for vertex in self.vertices)
+
+    def freedom(self, name: str) -> int:
+        """Return the number of continuous contact parameters of one vertex."""
+        vertex = self.vertex(name)
+        contact = contacts[vertex.contact.type]
+        if hasattr(contact, "degrees_of_freedom"):
+            return contact.degrees_of_freedom
+        faces = vertex.contact.parent_face, vertex.contact.child_face
+        parameters = contact.parameters(self.body(vertex.parent).shape, vertex.body.shape, *faces)
+        return sum(not p.slack or vertex.contact.values.get(p.name, 0.0) != 0.0 for p in parameters)
+
+    def numbers(self) -> dict[str, float]:
+        """Return every number that the graph gives, by address: `red.side`, `red.contact.theta`."""
+        found = {}
+        for vertex in self.vertices:
+            found.update({f"{vertex.name}.{key}": float(value) for key, value in vertex.parameters.items()})
+            found.update({f"{vertex.name}.contact.{key}": float(x) for key, x in vertex.contact.values.items()})
+        return found
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> "SceneGraph":
+        """Return the graph with some numbers changed, by address; an unknown object is a DerenderError."""
+        changed: dict[str, Vertex] = {}
+        for address, value in numbers.items():
+            name, _, rest = address.partition(".")
+            vertex = changed.get(name) or self.vertex(name)
+            if rest.startswith("contact."):
+                values = {**vertex.contact.values, rest.removeprefix("contact."): float(value)}
+                changed[name] = replace(vertex, contact=replace(vertex.contact, values=values))
+            else:
+                changed[name] = replace(vertex, parameters={**vertex.parameters, rest: float(value)})
+        return replace(self, vertices=tuple(changed.get(v.name, v) for v in self.vertices))
+
+    # ---- changes --------------------------------------------------------------------------------------------------
+
+    def replace(self, name: str, **changes: Any) -> "SceneGraph":
+        """Return the graph with fields of one vertex changed; `name="new"` renames it wherever it is named."""
+        old = self.vertex(name)
+        new = replace(old, **changes)
+        vertices = [new if vertex is old else vertex for vertex in self.vertices]
+        constraints = self.constraints
+        if new.name != name:
+            vertices = [
+                replace(
+                    vertex,
+                    parent=new.name if vertex.parent == name else vertex.parent,
+                    supports=tuple(new.name if other == name else other for other in vertex.supports),
+                )
+                for vertex in vertices
+            ]
+            constraints = tuple(constraint.renamed(name, new.name) for constraint in constraints)
+        return replace(self, vertices=tuple(vertices), constraints=constraints)
+
+    def add(self, *vertices: Vertex) -> "SceneGraph":
+        """Return the graph with vertices appended."""
+        return replace(self, vertices=(*self.vertices, *vertices))
+
+    def remove(self, name: str) -> "SceneGraph":
+        """Return the graph without a vertex, its descendants, and what relations name them."""
+        gone = {name, *self.descendants(self.vertex(name).name)}
+        vertices = tuple(
+            replace(v, supports=tuple(s for s in v.supports if s not in gone)) if gone & set(v.supports) else v
+            for v in self.vertices
+            if v.name not in gone
+        )
+        constraints = tuple(c for c in self.constraints if not gone & {c.first, c.second})
+        return replace(self, vertices=vertices, constraints=constraints)
+
+    def nearest_contact(
+        self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
+    ) -> tuple[Contact, Inverse]:
+        """Return the contact of a vertex with another parent that is nearest to their poses, and its residuals.
+
+        Faces not given are those that need the least slack. DerenderError where the two shapes have no such contact.
+        """
+        relative = inverse(self._poses[parent]) @ self._poses[name]
+        return nearest_contact(relative, self.body(parent), self.body(name), type, parent_face, child_face)
+
+    def reparent(
+        self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
+    ) -> "SceneGraph":
+        """Return the graph with a vertex hung under another parent, every pose in the world as it was.
+
+        Slack takes up what the ideal contact cannot. DerenderError where even that is not enough: the two outlines
+        miss each other, the lean is out of range, or the new parent is below the vertex.
+        """
+        if parent == name or parent in self.descendants(name):
+            raise DerenderError(f"{parent!r} depends on {name!r}", f"{name}.parent", "a scene graph has no cycle")
+        contact, left = self.nearest_contact(name, parent, type, parent_face, child_face)
+        if left.outside > 1e-9 or left.angle > 1e-9:
+            what = f"no {type} contact with {parent!r} keeps the pose"
+            miss = f"it misses by {1e3 * left.outside:.1f} mm and {np.degrees(left.angle):.1f} degrees"
+            raise DerenderError(f"{what}: {miss}", f"{name}.contact")
+        changed = replace(self.vertex(name), parent=parent, contact=contact)
+        below = set(self.descendants(name))
+        before = [v for v in self.vertices if v.name != name and v.name not in below]
+        after = [v for v in self.vertices if v.name in below]
+        return replace(self, vertices=tuple(_in_order([*before, changed, *after], list(self.names))))
+
+    def check(self) -> None:
+        """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
+        for vertex in self.vertices:
+            shape = shapes[vertex.shape]
+            known = {p.name for p in shape.parameters}
+            for key in vertex.parameters:
+                if key not in known:
+                    remedy = suggest(key, known) if known else f"a {shape.name} has no parameters"
+                    raise DerenderError(f"a {shape.name} has no parameter {key!r}", vertex.name, remedy)
+            for parameter, value in zip(shape.parameters, vertex.psi, strict=True):
+                if np.isnan(value):
+                    raise DerenderError(f"its {parameter.name} is missing", vertex.name, f"give {parameter.name}: ...")
+            shape.check(vertex.psi, vertex.options, vertex.name)
+            contact = vertex.contact
+            faces = contact.parent_face, contact.child_face
+            parent = self.body(vertex.parent).shape
+            contacts[contact.type].check(contact.values, parent, shape, *faces, f"{vertex.name}.contact")
+            for support in vertex.supports:
+                if support not in self._index or support == vertex.name:
+                    remedy = suggest(support, [other for other in self.names if other != vertex.name])
+                    raise DerenderError(f"no such support: {support!r}", f"{vertex.name}.supports", remedy)
+        for constraint in self.constraints:
+            self.vertex(constraint.first), self.vertex(constraint.second)
+
+
+def relative_pose(vertex: Vertex, parent: Body, child: Body | None = None) -> np.ndarray:
+    """Return the (4, 4) pose of a vertex in the object axes of its parent's body."""
+    contact = vertex.contact
+    child = vertex.body if child is None else child
+    faces = contact.parent_face, contact.child_face
+    return contacts[contact.type].relative_pose(contact.values, parent, child, *faces)
+
+
+def nearest_contact(
+    relative: np.ndarray,
+    parent: Body,
+    child: Body,
+    type: str,
+    parent_face: str | None = None,
+    child_face: str | None = None,
+) -> tuple[Contact, Inverse]:
+    """Return the contact of one type that is nearest to the (4, 4) pose of child in parent, and its residuals.
+
+    Among the faces not given those win that need the least slack, an angle counting as its arc at the child's radius.
+    """
+    kind = contacts[type]
+    reach = child.size()
+    radius = 0.1 if reach is None else 0.5 * float(np.linalg.norm(reach))
+    best: tuple[float, Contact, Inverse] | None = None
+    for on, by in kind.choices(parent.shape, child.shape):
+        if (parent_face is not None and on != parent_face) or (child_face is not None and by != child_face):
+            continue
+        found = kind.invert(relative, parent, child, on, by)
+        angles = [x for name, x in found.slack.items() if name.startswith("tilt")]
+        cost = (
+            found.outside + abs(found.slack.get("gap", 0.0)) + radius * (np.hypot(*[0, 0, *angles][-2:]) + found.angle)
+        )
+        if best is None or cost < best[0]:
+            slack = {name: value for name, value in found.slack.items() if abs(value) > ROUNDING}
+            best = (cost, Contact(type, on, by, {**found.phi, **slack}), found)
+    if best is None:
+        kind.default_choice(parent.shape, child.shape)
+        raise DerenderError(f"{parent_face!r} and {child_face!r} cannot be in {type} contact")
+    return best[1], best[2]
+
+
+def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids:
+    """Return vertices with extent as flat arrays; a mesh that several share appears once."""
+    count = len(vertices)
+    kind, mesh = np.zeros(count, np.int32), np.full(count, -1, np.int32)
+    pose, size = np.zeros((count, 4, 4)), np.zeros((count, 3))
+    meshes: list[tuple[np.ndarray, np.ndarray]] = []
+    places: dict[Any, int] = {}
+    for index, vertex in enumerate(vertices):
+        body = vertex.body
+        pose[index] = poses[vertex.name]
+        kind[index] = body.shape.solid_kind
+        extents = body.size()
+        size[index] = 0.0 if extents is None else extents
+        if kind[index] == MESH:
+            key, arrays = body.shape.drawn_mesh(body.psi, body.options)
+            if key not in places:
+                places[key] = len(meshes)
+                meshes.append(arrays)
+            mesh[index] = places[key]
+    return Solids(kind, pose, size, mesh, tuple(meshes))
+
+
+def _in_order(vertices: list[Vertex], names: list[str]) -> list[Vertex]:
+    """Return the vertices with parents first, otherwise as near to the order of `names` as can be."""
+    waiting = sorted(vertices, key=lambda vertex: names.index(vertex.name))
+    placed: list[Vertex] = []
+    done = {ROOT}
+    while waiting:
+        following = next(vertex for vertex in waiting if vertex.parent in done)
+        waiting.remove(following)
+        placed.append(following)
+        done.add(following.name)
+    return placed
