@@ -12,6 +12,8 @@ Paths are plain strings, not click.Path: a file that is missing is the user's in
 
 import functools
 import os
+import shlex
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -102,3 +104,8 @@ strict = click.option("--strict", is_flag=True, help="Exit with status 3 where t
 def output(help: str, default: str | None = None, metavar: str = "PATH") -> Callable[..., Any]:
     """Return the option -o, `output` in the command."""
     return click.option("-o", "--output", metavar=metavar, default=default, show_default=default is not None, help=help)
+
+
+def command_line() -> str:
+    """Return the command as it was typed, for the record in outputs."""
+    return shlex.join(["derender", *sys.argv[1:]])

@@ -1,0 +1,169 @@
+"""derender render: scenes to depth images, or to pictures."""
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from derender.cli import options
+from derender.cli.options import Talk
+from derender.errors import DerenderError
+
+PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".bmp", ".webp")
+PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
+
+
+@click.command()
+@click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
+@options.output(
+    "Where to: a file, whose suffix is the format (.npz .npy .png .tiff .exr); a folder/; a name with {} for the "
+    "scene's; - for an .npz on stdout. Default {}.depth.npz, with --preview {}.preview.png."
+)
+@options.camera
+@options.depth_scale
+@options.renderer
+@click.option(
+    "--antialias", type=click.IntRange(1, 16), default=1, show_default=True, metavar="N", help="N x N samples."
+)
+@options.noise
+@click.option("--sensor", metavar="NAME", help="Distort as a real camera does: kinect or realsense.")
+@click.option("--preview", is_flag=True, help="Draw a shaded colour picture instead of depth.")
+@options.seed
+@options.verbosity
+def command(
+    scenes: tuple[str, ...],
+    output: str | None,
+    camera: str | None,
+    depth_scale: float | None,
+    renderer: str,
+    antialias: int,
+    noise: bool,
+    sensor: str | None,
+    preview: bool,
+    seed: int,
+    talk: Talk,
+) -> None:
+    """Render SCENE files, or folders written by `derender infer`, to depth images or to pictures.
+
+    An .npz holds depth in metres (0: no return), the camera, and which solid each pixel sees.
+
+    \b
+    Examples:
+        derender render scene.yaml -o depth.png
+        derender render scene.yaml --preview -o scene.png
+        derender render scene.yaml --sensor kinect -o - | derender infer -
+        derender render results/*/scene.yaml -o images/
+    """
+    from derender.vision.renderers import find_renderer
+
+    engine = find_renderer(renderer)
+    targets = _targets(scenes, output, preview)
+    seeds = np.random.SeedSequence(seed).spawn(len(scenes))
+    for scene, target, child in zip(scenes, targets, seeds, strict=True):
+        document, graph = _read_scene(scene)
+        eye = _camera(document, camera, depth_scale, talk)
+        if preview:
+            _write_picture(target, _picture(engine, graph.solids(), eye))
+        else:
+            made = {"seed": seed, "command": options.command_line()}
+            _write_depth(target, engine, document, graph, eye, antialias, noise, sensor, child, made)
+        if target != "-":
+            talk.say(f"wrote {target}")
+
+
+def _targets(scenes: tuple[str, ...], output: str | None, preview: bool) -> list[str]:
+    """Return the name of the file for each scene, checked before anything is computed."""
+    from derender.vision.depth_file import check_suffix
+
+    suffix = ".preview.png" if preview else ".depth.npz"
+    names = [_name(scene) for scene in scenes]
+    pattern = output if output is not None else "{}" + suffix
+    if pattern != "-" and (pattern.endswith("/") or Path(pattern).is_dir()):
+        pattern = str(Path(pattern) / ("{}" + suffix))
+    targets = [pattern.replace("{}", name) for name in names]
+    if len(set(targets)) < len(targets):
+        raise DerenderError(f"{len(scenes)} scenes go to the same file", pattern, "put {} into the name given with -o")
+    for target in targets:
+        if preview and Path(target).suffix.lower() not in PICTURES:
+            raise DerenderError("not the name of a picture", target, "choose from " + " ".join(PICTURES))
+        if not preview:
+            check_suffix(target)
+    return targets
+
+
+def _name(scene: str) -> str:
+    """Return a scene's name: that of its file, or of the folder where the file is called scene.yaml."""
+    path = Path(scene)
+    if scene == "-":
+        return "scene"
+    if path.is_dir():
+        return path.resolve().name
+    return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
+
+
+def _read_scene(scene: str):
+    """Return the document and the scene graph of a file or folder."""
+    from derender.document import read_document
+
+    path = Path(scene)
+    document = read_document(path / "scene.yaml" if scene != "-" and path.is_dir() else scene)
+    return document, document.graph
+
+
+def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
+    """Return the camera: the one given, else the scene's, else a guess."""
+    from dataclasses import replace
+
+    from derender.vision.camera import Camera, read_camera
+
+    camera = read_camera(given) if given is not None else document.camera
+    if camera is None:
+        camera = Camera.from_field_of_view(160, 120)
+        talk.say("no camera given: 160 x 120 pixels and a field of view of 60 degrees (--camera)")
+    return camera if depth_scale is None else replace(camera, depth_scale=depth_scale)
+
+
+def _write_depth(target, engine, document, graph, camera, antialias, noise, sensor, seeds, made) -> None:
+    from derender.atomic import make_folder
+    from derender.vision.depth_file import write_depth
+    from derender.vision.sensor import find_sensor
+
+    rng = np.random.default_rng(seeds)
+    distort = find_sensor(sensor).observe if sensor else None
+    depth, label = engine.render_depth(graph.solids(), camera, antialias=antialias)
+    if noise:
+        depth = _noisy(document, rng, depth)
+    if distort:
+        depth = distort(rng, depth)
+    if target != "-":
+        make_folder(Path(target).parent)
+    write_depth(target, depth, camera, made, label)
+
+
+def _noisy(document, rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
+    """Draw an observation of a clean image from the file's likelihood (Eq. 6)."""
+    from derender.document import LikelihoodPrior
+    from derender.vision.likelihoods import likelihoods
+
+    prior = document.likelihood or LikelihoodPrior()
+    return likelihoods[prior.type].sample(rng, depth, prior.sample(rng))
+
+
+def _picture(engine, solids, camera) -> np.ndarray:
+    """Return (height, width, 3) uint8, by the renderer's own means or from its depth."""
+    from derender.vision.renderers.preview import draw_preview, enlarged
+
+    camera = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width)))
+    if hasattr(engine, "render_colour"):
+        return engine.render_colour(solids, camera)
+    return draw_preview(engine.render_depth, solids, camera)
+
+
+def _write_picture(target: str, picture: np.ndarray) -> None:
+    from PIL import Image
+
+    from derender.atomic import atomic_path, make_folder
+
+    make_folder(Path(target).parent)
+    with atomic_path(target) as temporary:
+        Image.fromarray(picture).save(temporary)
