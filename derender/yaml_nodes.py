@@ -15,7 +15,7 @@ from derender.numbers import parse_number
 from derender.registry import suggest
 
 # What YAML 1.1 readers take for something else than text when it is not quoted.
-_BOOLEAN = re.compile(r"y|n|yes|no|on|off|true|false", re.IGNORECASE)
+_BOOLEAN = re.compile(r"yes|no|on|off|true|false", re.IGNORECASE)
 _NOT_TEXT = re.compile(
     r"~|null|[-+]?\.(?:inf|nan)|[-+]?[0-9.][0-9_.:]*(?:e[-+][0-9]+)?|0x[0-9a-f_]+|<<|=", re.IGNORECASE
 )
@@ -136,7 +136,7 @@ class Item(Node):
             return self.raw
         if self.empty:
             self._expected("a name")
-        if not self.quoted and (_BOOLEAN.fullmatch(self.raw) or _NOT_TEXT.fullmatch(self.raw)):
+        if not self.quoted and not reads_as_text(self.raw):
             raise self.fault(
                 f"{self.raw} is not text to a YAML reader", f"write '{self.raw}' in quotes or another name"
             )
@@ -238,6 +238,11 @@ class Section(Node):
 
     def plain(self) -> dict:
         return {key: node.plain() for key, node in self.nodes.items()}
+
+
+def reads_as_text(raw: str) -> bool:
+    """Say whether every YAML reader takes unquoted `raw` for text."""
+    return bool(raw) and not (_BOOLEAN.fullmatch(raw) or _NOT_TEXT.fullmatch(raw))
 
 
 def shown(text: str) -> str:

@@ -15,7 +15,6 @@ from derender.model.contacts import contacts
 from derender.model.distributions import Categorical
 from derender.model.pose import from_quaternion
 from derender.model.priors.base import Prior
-from derender.model.priors.constraints import read_constraints
 from derender.model.priors.contacts import ON, TOP, ContactPrior, ContactRule
 from derender.model.priors.open_structure import structures
 from derender.model.priors.reading import (
@@ -29,6 +28,7 @@ from derender.model.priors.reading import (
     read_value,
 )
 from derender.model.priors.root import FixedRoot, FreeRoot, LookedAtRoot, RootPrior
+from derender.model.priors.terms import read_terms
 from derender.model.priors.tree import ROOT, TreeObject, TreePrior
 from derender.model.priors.values import QUATERNION
 from derender.model.shapes import shapes
@@ -51,7 +51,7 @@ def read_prior(top: Section, folder: Path) -> Prior:
     objects = read_objects(top.get("objects"), folder)
     names = tuple(item.name for item in objects)
     open_structure = "structure" in top
-    terms = read_constraints(top["constraints"], () if open_structure else names) if "constraints" in top else ()
+    terms = read_terms(top["constraints"], names) if "constraints" in top else ()
     if not open_structure:
         for key in ("shapes", "contacts"):
             if key in top:

@@ -5,16 +5,15 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from derender.model.scene import SceneGraph, Vertex
-
 from derender.model.distributions import Distribution, distributions
 from derender.model.priors.base import Prior
-from derender.model.priors.constraints import Constraint, sample_until_allowed, total_log_density
 from derender.model.priors.contacts import ContactPrior, top_face
 from derender.model.priors.root import RootPrior
 from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.model.priors.tree import ROOT, seat, vertex_addresses
 from derender.model.priors.values import fault
+from derender.model.scene import SceneGraph, Vertex
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Algorithm1Prior(Prior):
     contacts: ContactPrior
     mean_parents: float
     mean_children: float
-    constraints: tuple[Constraint, ...] = ()
+    constraints: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_parents", distributions["poisson"](self.mean_parents))

@@ -3,9 +3,9 @@
 from abc import ABC, abstractmethod
 
 import numpy as np
-from derender.model.scene import SceneGraph
 
 from derender.model.distributions import Distribution
+from derender.model.scene import SceneGraph
 
 
 class Prior(ABC):

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from derender.model.scene import Contact
-
 from derender.model.contacts import contacts
 from derender.model.distributions import Categorical, Distribution, distributions
 from derender.model.priors.values import (
@@ -18,6 +16,7 @@ from derender.model.priors.values import (
     fault,
     log_density,
 )
+from derender.model.scene import Contact
 from derender.model.shapes import shapes
 from derender.yaml_tree import Node
 
@@ -122,7 +121,7 @@ class ContactPrior:
         self._compiled: dict[tuple, tuple[Categorical, dict] | None] = {}
 
     def choices(self, parent: str, child: str, top: str | None = None) -> tuple[Categorical, dict] | None:
-        """Return p_{s,t}(c) and each c's parameter table, c = (type, parent face, child face); None where C is empty."""
+        """Return p_{s,t}(c), and each c's parameter table; c = (type, parent face, child face). None: C is empty."""
         key = (parent, child, top)
         try:
             return self._compiled[key]

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from derender.model.scene import SceneGraph, Vertex
 
 from derender.model.distributions import Categorical, Distribution
 from derender.model.priors.base import Prior
-from derender.model.priors.constraints import Constraint, sample_until_allowed, total_log_density
 from derender.model.priors.contacts import ContactPrior, top_face
 from derender.model.priors.root import RootPrior
 from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.model.priors.tree import ROOT, TreeObject, TreePrior, seat, vertex_addresses
 from derender.model.priors.values import fault
+from derender.model.scene import SceneGraph, Vertex
 
 MOST_OBJECTS = 10_000
 
@@ -46,7 +46,7 @@ class GrammarPrior(Prior):
     shapes: Mapping[str, ShapePrior]
     contacts: ContactPrior
     offspring: Mapping[str, Any]
-    constraints: tuple[Constraint, ...] = ()
+    constraints: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_tree", TreePrior(self.root, self.base))

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 from derender.model.priors.algorithm_1 import Algorithm1Prior
 from derender.model.priors.base import Prior
-from derender.model.priors.constraints import Constraint
 from derender.model.priors.contacts import ContactPrior
 from derender.model.priors.grammar import GrammarPrior
 from derender.model.priors.reading import read_count
 from derender.model.priors.root import RootPrior
 from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.terms import Term
 from derender.model.priors.tree import TreeObject
 from derender.registry import Registry
 from derender.yaml_tree import Section
@@ -29,7 +29,7 @@ class Structure:
         objects: tuple[TreeObject, ...],
         shapes: Mapping[str, ShapePrior],
         contacts: ContactPrior,
-        constraints: tuple[Constraint, ...],
+        constraints: tuple[Term, ...],
     ) -> Prior:
         """Return the prior of a file's `structure` section, with what its other sections gave."""
         raise NotImplementedError

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from derender.model.scene import Vertex
-
 from derender.model.distributions import Distribution
 from derender.model.priors.values import Value, check_range, default_value, draw, fault, log_density
+from derender.model.scene import Vertex
 from derender.model.shapes import shapes
 from derender.yaml_tree import Node
 

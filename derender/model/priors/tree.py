@@ -4,15 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from derender.model.scene import SceneGraph, Vertex
-
 from derender.model.distributions import Categorical, Distribution
 from derender.model.priors.base import Prior
-from derender.model.priors.constraints import Constraint, sample_until_allowed, total_log_density
 from derender.model.priors.contacts import ContactPrior, top_face
 from derender.model.priors.root import RootPrior
 from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.model.priors.values import fault
+from derender.model.scene import SceneGraph, Vertex
 from derender.yaml_tree import Node
 
 ROOT = "root"
@@ -96,7 +95,7 @@ class TreePrior(Prior):
 
     root: RootPrior
     objects: tuple[TreeObject, ...]
-    constraints: tuple[Constraint, ...] = ()
+    constraints: tuple[Term, ...] = ()
     by_name: Mapping[str, TreeObject] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

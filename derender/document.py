@@ -1,0 +1,282 @@
+"""A scene file as a whole: camera, scene or prior, likelihood, settings of the inference, origin.
+
+The same YAML serves every command.  `read_document` reads it, `write_document` writes a scene back so that reading it
+again gives the same floats, bit for bit.
+"""
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender import __version__, data_path
+from derender.atomic import write_text
+from derender.errors import DerenderError
+from derender.model.distributions import Distribution
+from derender.model.parameter import Parameter
+from derender.model.pose import from_quaternion, quaternion
+from derender.model.priors.base import Prior
+from derender.model.priors.reading import read_value
+from derender.model.priors.tree import TreePrior
+from derender.model.priors.values import QUATERNION, ROTATION, Value, draw, log_density
+from derender.model.scene import SceneGraph
+from derender.model.scene_file import KEYS, read_prior
+from derender.registry import suggest
+from derender.vision.camera import Camera, read_camera
+from derender.yaml_tree import Node, Section, parse_yaml, read_yaml
+from derender.yaml_writer import to_yaml
+
+FORMAT = 1
+TOP_KEYS = ("derender", "made", "camera", *KEYS, "likelihood", "inference")
+LINES = {"objects": 2, "shapes": 1, "contacts": 1, "inference": 2}  # how deep these get a line for each entry
+
+
+@dataclass(frozen=True)
+class LikelihoodPrior:
+    """The likelihood of a file: its type, and its parameters as numbers or distributions.
+
+    Attributes
+    ----------
+    type : registered name ("gaussian", "robust").
+    values : number or distribution by parameter name; what is left out has the type's default.
+    """
+
+    type: str = "gaussian"
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """Return a number for each parameter given."""
+        return {name: draw(value, rng) for name, value in self.values.items()}
+
+    def log_density(self, values: Mapping[str, float]) -> float:
+        """Return the log density of the parameters."""
+        return math.fsum(log_density(value, values[name]) for name, value in self.values.items())
+
+    def free_addresses(self) -> dict[str, Distribution]:
+        """Return the distributions by address ("likelihood.sigma")."""
+        return {f"likelihood.{name}": value for name, value in self.values.items() if isinstance(value, Distribution)}
+
+    def with_values(self, values: Mapping[str, float]) -> "LikelihoodPrior":
+        """Return the same likelihood with these numbers in place."""
+        return replace(self, values={**self.values, **values})
+
+    def to_data(self) -> dict[str, Any]:
+        """Return what stands under `likelihood:`."""
+        plain = {k: {v.name: list(v.parameters)} if isinstance(v, Distribution) else v for k, v in self.values.items()}
+        return {"type": self.type, **plain}
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a scene file says.
+
+    Attributes
+    ----------
+    prior : over scene graphs; one whose numbers are all fixed is a scene.
+    camera : None where the file has none.
+    likelihood : None where the file has none.
+    inference : the raw section `inference:`, or None; the inference reads its own keys.
+    made : version, seed and command that wrote the file, or {}.
+    file : its name, for messages.
+    """
+
+    prior: Prior
+    camera: Camera | None = None
+    likelihood: LikelihoodPrior | None = None
+    inference: Section | None = None
+    made: Mapping[str, Any] = field(default_factory=dict)
+    file: str = "scene"
+
+    @property
+    def is_scene(self) -> bool:
+        """Whether every number is fixed."""
+        return isinstance(self.prior, TreePrior) and self.prior.fixed
+
+    @property
+    def graph(self) -> SceneGraph:
+        """The scene graph of a file whose numbers are all fixed.
+
+        Raises
+        ------
+        DerenderError : the file is a prior, with the address of a number that is open.
+        """
+        if not self.is_scene:
+            raise DerenderError("this is a prior, not a scene", self.file, "draw a scene from it with derender sample")
+        return self.prior.sample(np.random.default_rng(0))
+
+
+def read_document(path: str | Path) -> Document:
+    """Read a scene file or prior file; `-` is stdin.
+
+    Raises
+    ------
+    DerenderError : one line with file, line, address and remedy.
+    """
+    if str(path) == "-":
+        import sys
+
+        top, folder = parse_yaml(sys.stdin.buffer.read(), "stdin"), Path.cwd()
+    else:
+        top, folder = read_yaml(path), Path(path).parent
+    return document_from(top, folder)
+
+
+def read_prior_document(name: str | Path) -> Document:
+    """Read a prior file, or the built-in prior of that name ("tabletop")."""
+    path = Path(name)
+    if str(name) != "-" and path.suffix not in (".yaml", ".yml") and not path.exists():
+        built_in = built_in_priors()
+        if str(name) not in built_in:
+            raise DerenderError(
+                f"no file and no built-in prior is called {str(name)!r}", remedy=suggest(name, built_in)
+            )
+        path = data_path(f"priors/{name}.yaml")
+    return read_document(path)
+
+
+def built_in_priors() -> list[str]:
+    """Return the names of the priors that ship with derender."""
+    return sorted(path.stem for path in data_path("priors").glob("*.yaml"))
+
+
+def document_from(top: Section, folder: Path) -> Document:
+    """Return the document of a file's tree; relative paths in it start at `folder`."""
+    top.allow(*TOP_KEYS)
+    if "derender" not in top:
+        raise top.fault("this file does not say that it is a scene", f"begin it with derender: {FORMAT}")
+    if top["derender"].integer() != FORMAT:
+        remedy = "take a newer derender" if top["derender"].integer() > FORMAT else f"write derender: {FORMAT}"
+        raise top["derender"].fault(f"this version reads format {FORMAT}", remedy)
+    made = top["made"].section().plain() if "made" in top else {}
+    inference = top["inference"].section() if "inference" in top else None
+    return Document(
+        prior=read_prior(top, folder),
+        camera=_read_camera(top["camera"], folder) if "camera" in top else None,
+        likelihood=_read_likelihood(top["likelihood"]) if "likelihood" in top else None,
+        inference=inference,
+        made=made,
+        file=top.file,
+    )
+
+
+def _read_camera(node: Node, folder: Path) -> Camera:
+    """Read the camera: its numbers, or the name of a camera file."""
+    if not isinstance(node, Section):
+        return read_camera(folder / node.text())
+    node.allow("fx", "fy", "cx", "cy", "width", "height", "depth_scale")
+    floats = {key: node[key].number() for key in ("fx", "fy", "cx", "cy")}
+    sizes = {key: node[key].integer(lower=1, upper=100_000) for key in ("width", "height")}
+    scale = {"depth_scale": node["depth_scale"].number()} if "depth_scale" in node else {}
+    try:
+        return Camera(**floats, **sizes, **scale)
+    except DerenderError as error:
+        raise node.fault(error.what, error.remedy) from None
+
+
+def _read_likelihood(node: Node) -> LikelihoodPrior:
+    """Read a likelihood's type and parameters, each a number or a distribution."""
+    from derender.model.priors.values import check_range
+    section = node.section()
+    known = likelihood_parameters()
+    kind = section["type"].text(known)
+    parameters = {parameter.name: parameter for parameter in known[kind]}
+    section.allow("type", *parameters)
+    values = {}
+    for key, item in section.items():
+        if key != "type":
+            values[key] = read_value(item, parameters[key].unit)
+            check_range(values[key], parameters[key], item)
+    return LikelihoodPrior(kind, values)
+
+
+def likelihood_parameters() -> dict[str, tuple[Parameter, ...]]:
+    """Return the parameters of each registered likelihood."""
+    try:
+        from derender.vision.likelihoods import likelihoods
+    except ImportError:
+        common = (
+            Parameter("sigma", "m", 0.0, math.inf, 0.005),
+            Parameter("blur", "px", 0.0, 100.0, 0.0),
+            Parameter("background", "m", 0.0, math.inf, 10.0),
+        )
+        return {"gaussian": common, "robust": common}
+    return {name: tuple(likelihoods[name].parameters) for name in likelihoods}
+
+
+def document_text(
+    graph: SceneGraph,
+    camera: Camera | None = None,
+    likelihood: LikelihoodPrior | None = None,
+    made: Mapping[str, Any] | None = None,
+    folder: Path | None = None,
+) -> str:
+    """Return the YAML of a scene; mesh files are named relative to `folder` where that is given."""
+    data: dict[str, Any] = {"derender": FORMAT}
+    data["made"] = {"version": __version__, **(made or {})}
+    if camera is not None:
+        data["camera"] = {key: value for key, value in camera.to_dict().items() if (key, value) != ("depth_scale", 1.0)}
+    data.update(graph_data(graph, folder))
+    if likelihood is not None:
+        data["likelihood"] = likelihood.to_data()
+    return to_yaml(data, LINES)
+
+
+def write_document(path: str | Path, graph: SceneGraph, **parts: Any) -> None:
+    """Write a scene file whole or not at all; `parts` are those of `document_text`."""
+    path = Path(path)
+    write_text(path, document_text(graph, folder=path.parent, **parts))
+
+
+def graph_data(graph: SceneGraph, folder: Path | None = None) -> dict[str, Any]:
+    """Return what stands under `root:` and `objects:`."""
+    data: dict[str, Any] = {"root": root_data(graph.root_pose), "objects": {}}
+    for vertex in graph.vertices:
+        entry: dict[str, Any] = {"shape": _shape_data(vertex, folder)}
+        if vertex.parent != "root":
+            entry["parent"] = vertex.parent
+        entry["contact"] = _contact_data(vertex.contact)
+        if vertex.supports:
+            entry["supports"] = list(vertex.supports)
+        entry.update({key: value for key, value in vertex.options.items() if key not in ("file", "hull")})
+        data["objects"][vertex.name] = entry
+    if graph.constraints:
+        data["constraints"] = [
+            {c.type: {"objects": [c.first, c.second], "margin": c.margin} if c.margin else [c.first, c.second]}
+            for c in graph.constraints
+        ]
+    return data
+
+
+def root_data(pose: np.ndarray) -> dict[str, Any]:
+    """Return the root's pose as position and quaternion where that is exact to the bit, else as a matrix."""
+    quat = quaternion(pose)
+    if np.array_equal(from_quaternion(quat, pose[:3, 3]), pose):
+        return {"position": pose[:3, 3].tolist(), QUATERNION: quat.tolist()}
+    return {"pose": np.asarray(pose, dtype=float).tolist()}
+
+
+def _shape_data(vertex: Any, folder: Path | None) -> Any:
+    data = {"type": vertex.shape, **vertex.parameters}
+    if "file" in vertex.options:
+        file = vertex.options["file"]
+        data["file"] = os.path.relpath(file, folder) if folder is not None else str(file)
+        if not vertex.options.get("hull", True):
+            data["hull"] = False
+    return data if len(data) > 1 else vertex.shape
+
+
+def _contact_data(contact: Any) -> dict[str, Any]:
+    data: dict[str, Any] = {"type": contact.type}
+    for key in ("parent_face", "child_face"):
+        if getattr(contact, key) is not None:
+            data[key] = getattr(contact, key)
+    values = dict(contact.values)
+    if any(key in values for key in ROTATION):
+        data["position"] = [values.pop(key, 0.0) for key in "xyz"]
+        data[QUATERNION] = [values.pop(key, float(key == "qw")) for key in ROTATION]
+    data.update(values)
+    return data

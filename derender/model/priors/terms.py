@@ -1,0 +1,189 @@
+"""Terms that a prior multiplies in: what objects must not do to each other, beyond what edges ensure.
+
+A term answers with a log density of at most 0 (Section 2: "additional likelihood terms that penalize violation").
+A prior with terms samples by rejection, exactly; its log density is then known up to one constant.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.model.constraints import Constraint
+from derender.model.scene import SceneGraph
+from derender.model.solids import PLANE
+from derender.registry import Registry
+from derender.yaml_tree import Node, Section
+
+MOST_TRIES = 10_000
+
+term_types: Registry["TermType"] = Registry("constraint", "derender.constraints")
+
+
+class Term(Protocol):
+    """One term."""
+
+    def log_density(self, graph: SceneGraph) -> float:
+        """Return the term's log density, at most 0; -inf where the scene is ruled out."""
+        ...
+
+
+class TermType:
+    """A kind of term, as it is named under `constraints:`."""
+
+    name: str
+
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
+        """Return the term that `node` describes (None: no more was said than its name)."""
+        raise NotImplementedError
+
+
+def total_log_density(terms: tuple[Term, ...], graph: SceneGraph) -> float:
+    """Return the sum of the terms' log densities."""
+    total = 0.0
+    for term in terms:
+        total += term.log_density(graph)
+        if total == -math.inf:
+            break
+    return total
+
+
+def sample_until_allowed(rng, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
+    """Draw whole scenes until one is accepted with the probability that its terms give: exact rejection sampling."""
+    if not terms:
+        return sample(rng)
+    relations = tuple(term.relation for term in terms if isinstance(term, DoesNotTouch))
+    for _ in range(MOST_TRIES):
+        graph = sample(rng)
+        log_probability = total_log_density(terms, graph)
+        if log_probability >= 0.0 or rng.random() < math.exp(log_probability):
+            return replace(graph, constraints=relations) if relations else graph
+    raise DerenderError(
+        f"none of {MOST_TRIES} scenes drawn meets the constraints", remedy="spread the objects out or ask for fewer"
+    )
+
+
+class NoOverlap:
+    """No two solids share more than a sliver, whether or not an edge joins them.
+
+    Parameters
+    ----------
+    depth : metres by which two solids may enter each other: contacts hold only to rounding and to the prior's slack.
+    scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
+    """
+
+    def __init__(self, depth: float = 0.0005, scale: float | None = None) -> None:
+        self.depth = depth
+        self.scale = scale
+
+    def log_density(self, graph):
+        from derender.model.overlap import separation
+
+        solids = graph.solids()
+        total = 0.0
+        for first, second in near_pairs(solids.kind, solids.pose, solids.size, self.depth):
+            excess = -separation(solids, first, second) - self.depth
+            if excess > 0.0:
+                if self.scale is None:
+                    return -math.inf
+                total -= 0.5 * (excess / self.scale) ** 2
+        return total
+
+
+def near_pairs(kind: np.ndarray, pose: np.ndarray, size: np.ndarray, depth: float) -> list[tuple[int, int]]:
+    """Return the pairs of solids that could share more than `depth`: their bounding spheres, or sphere and plane, do.
+
+    kind (N,), pose (N, 4, 4), size (N, 3) as in Solids.  Two planes never count: they have no inside to share.
+    """
+    kinds = kind.tolist()
+    centres = pose[:, :3, 3].tolist()
+    radii = (0.5 * np.sqrt((size * size).sum(axis=1))).tolist()
+    normals = pose[:, :3, 2].tolist()
+    pairs = []
+    for i in range(len(kinds)):
+        for j in range(i):
+            dx, dy, dz = (centres[i][k] - centres[j][k] for k in range(3))
+            if kinds[i] == PLANE or kinds[j] == PLANE:
+                if kinds[i] == kinds[j]:
+                    continue
+                n = normals[i] if kinds[i] == PLANE else normals[j]
+                apart = dx * n[0] + dy * n[1] + dz * n[2]
+                apart = -apart if kinds[i] == PLANE else apart
+            else:
+                apart = math.sqrt(dx * dx + dy * dy + dz * dz)
+            if apart < radii[i] + radii[j] - depth:
+                pairs.append((j, i))
+    return pairs
+
+
+class DoesNotTouch:
+    """Two named objects keep a distance.
+
+    Parameters
+    ----------
+    relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
+    """
+
+    def __init__(self, relation: Constraint) -> None:
+        self.relation = relation
+
+    def log_density(self, graph):
+        from derender.model.overlap import separation
+
+        names = graph.solid_names
+        if self.relation.first not in names or self.relation.second not in names:
+            return 0.0
+        first, second = names.index(self.relation.first), names.index(self.relation.second)
+        apart = separation(graph.solids(), first, second)
+        return 0.0 if apart > self.relation.margin else -math.inf
+
+
+@term_types.register("no-overlap")
+class NoOverlapType(TermType):
+    """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`."""
+
+    def read(self, node, names):
+        if node is None:
+            return NoOverlap()
+        section = node.section().allow("depth", "scale")
+        depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
+        scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
+        return NoOverlap(depth, scale)
+
+
+@term_types.register("does-not-touch")
+class DoesNotTouchType(TermType):
+    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("does-not-touch names no objects", remedy="write does-not-touch: [a, b]")
+        pair, margin = node, 0.0
+        if isinstance(node, Section):
+            node.allow("objects", "margin")
+            pair = node["objects"]
+            margin = node["margin"].number("m", lower=0.0) if "margin" in node else 0.0
+        first, second = (item.text(names) for item in pair.sequence(2))
+        if first == second:
+            raise node.fault("an object cannot keep off itself", "name two objects")
+        return DoesNotTouch(Constraint(first, second, margin=margin))
+
+
+def read_terms(node: Node, names: tuple[str, ...]) -> tuple[Term, ...]:
+    """Read the list under `constraints:`; `names` are the objects that it may speak of."""
+    found = []
+    for item in node.sequence():
+        if isinstance(item, Section):
+            kind, detail = item.only()
+            item.allow(*term_types)
+            found.append(term_types[kind].read(detail, names))
+            continue
+        kind = item.text(term_types)
+        try:
+            found.append(term_types[kind].read(None, names))
+        except DerenderError as error:
+            raise item.fault(error.what, error.remedy) from None
+    return tuple(found)
