@@ -120,13 +120,15 @@ def merge(rng, image, state, hypotheses, settings, places):
 
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
     near = [(i, j) for i in boxes for j in boxes if i != j and penetration(grown(state.rows[i]), state.rows[j]) > 0]
+    near = [(i, j) for i, j in near if alignment(state.rows[i], state.rows[j]) > 0.98]
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
     row = state.rows[i]
     along = (np.vstack([corners_of(row), corners_of(state.rows[j])]) - row[10:13]) @ rotation_of(row)
     low, high = along.min(axis=0), along.max(axis=0)
-    spread = rng.random(3) < 0.5  # span the other one along some axes only: the rest is what it leaned over by
+    spread = rng.random(3) < 0.3  # span the other one along some axes only: the rest is what it leaned over by
+    spread[np.argmax(np.maximum(high, -low) - 0.5 * row[13:16])] = True
     low = np.where(spread, low, np.maximum(low, -0.5 * row[13:16]))
     high = np.where(spread, high, np.minimum(high, 0.5 * row[13:16]))
     whole = row.copy()
@@ -139,6 +141,11 @@ def merge(rng, image, state, hypotheses, settings, places):
     view = held_out(image, new, i)
     new.rows[i], _, _ = run_polish(rng, image, new, i, whole, new.forms[i], False, view, np.nan, settings, 300)
     return new, {i}
+
+
+def alignment(row, other):
+    """Return how nearly the axes of two boxes agree up to their order: the least of the best cosines."""
+    return float(np.abs(rotation_of(row).T @ rotation_of(other)).max(axis=0).min())
 
 
 def grown(row, by=0.008):
@@ -174,7 +181,35 @@ def put_under(rng, image, state, hypotheses, settings, places):
     return new, {i, len(new) - 1}
 
 
-MOVES = ((explain_anew, 0.5), (split, 0.25), (merge, 0.15), (put_under, 0.1))
+def raise_support(rng, image, state, hypotheses, settings, places):
+    """Raise the top of a box to the bottom of one that floats above it."""
+    from derender.inference.structure.search import run_polish
+    from derender.inference.structure.support import shadows_overlap
+
+    pairs = []
+    for i in range(len(state)):
+        if np.isnan(state.bottoms[i]) or state.bottoms[i] < lowest(state.rows[i]) - 0.008:
+            for j in range(len(state)):
+                row = state.rows[j]
+                if j != i and state.forms[j] == UPRIGHT and row[12] < lowest(state.rows[i]) \
+                        and shadows_overlap(state.rows[i], row):  # fmt: skip
+                    pairs.append((i, j))
+    if not pairs:
+        return None
+    i, j = pairs[int(rng.integers(len(pairs)))]
+    new = state.copy()
+    row = new.rows[j]
+    bottom = lowest(row)
+    row[15] = lowest(state.rows[i]) - bottom
+    row[12] = bottom + 0.5 * row[15]
+    if int(row[0]) == BOX:
+        new.cubes[j] = False
+    view = held_out(image, new, j)
+    new.rows[j], _, _ = run_polish(rng, image, new, j, row, new.forms[j], False, view, bottom, settings, 250)
+    return new, {i, j}
+
+
+MOVES = ((explain_anew, 0.45), (split, 0.2), (merge, 0.15), (put_under, 0.1), (raise_support, 0.1))
 
 
 def propose(rng, image, state, hypotheses, settings, places):

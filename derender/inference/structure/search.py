@@ -108,7 +108,7 @@ def try_cubes(rng, image, state, settings, rounds=200, only=None):
         _, box_energy, _ = run_polish(rng, image, state, i, row, form, False, view, bottom, settings, 1)
         sides = row[13:16]
         best = None
-        for side in {float(np.median(sides)), float(sides.mean()), float(sides[2])}:
+        for side in spaced([*sides, sides.mean()], 0.002):
             trial = cube_of(row, side, image.origin, form)
             result = run_polish(rng, image, state, i, trial, form, True, view, bottom, settings, rounds)
             if best is None or result[1] < best[1]:
@@ -116,6 +116,15 @@ def try_cubes(rng, image, state, settings, rounds=200, only=None):
         if best[1] < box_energy + settings.cube_bonus:
             state.rows[i], state.cubes[i] = best[0], True
     return state
+
+
+def spaced(values, least):
+    """Return the values without those nearer than `least` to an earlier one."""
+    kept = []
+    for value in values:
+        if all(abs(value - other) > least for other in kept):
+            kept.append(float(value))
+    return kept
 
 
 def cube_of(row, side, origin, form):
@@ -157,6 +166,9 @@ def search(rng, image, hypotheses, settings):
     """Return the best State found."""
     state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
     state = repair(rng, image, state, hypotheses, settings)
+    again = settle(rng, image, state, settings, 300)
+    if total_energy(image, again, settings) < total_energy(image, state, settings):
+        state = again
     sweep(rng, image, state, settings, 300, 0.001, 0.0)
     return prune(image, state, settings)
 
