@@ -55,7 +55,7 @@ class Space:
     ----------
     unknowns : tuple of Unknown; their priors are independent.
     blocks : tuple of Block, a partition of the unknowns.
-    addresses : one for each of the P values; a rotation's four end in ".w" to ".z".
+    addresses : one for each of the P values; those of "a.contact.quat_wxyz" are "a.contact.qw" to "qz".
     offsets : (U + 1,) int64, where each unknown's values begin; directions : (U + 1,) int64, the same in tangents.
     """
 
@@ -68,8 +68,12 @@ class Space:
         self.directions = np.concatenate([[0], np.cumsum(ways)]).astype(np.int64)
         self.addresses = tuple(
             address
-            for unknown, size in zip(self.unknowns, sizes, strict=True)
-            for address in ([unknown.address] if size == 1 else [f"{unknown.address}.{axis}" for axis in "wxyz"])
+            for unknown in self.unknowns
+            for address in (
+                [unknown.address]
+                if unknown.distribution.size == 1
+                else [unknown.address.removesuffix("quat_wxyz") + f"q{axis}" for axis in "wxyz"]
+            )
         )
         self.periods = tuple(
             unknown.period if size == 1 else None
@@ -146,6 +150,21 @@ class Space:
                 step = wrap(step + 0.5 * unknown.period, unknown.period) - 0.5 * unknown.period
             tangent.append(step)
         return np.array(tangent)
+
+    def differences(self, places: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Return (n, D): `difference` in all unknowns from `origin` to each of (n, P) places."""
+        tangents = np.empty((len(places), self.directions[-1]))
+        for i, unknown in enumerate(self.unknowns):
+            start, direction = self.offsets[i], self.directions[i]
+            if unknown.distribution.size == 4:
+                turns = [turn_between(origin[start : start + 4], place[start : start + 4]) for place in places]
+                tangents[:, direction : direction + 3] = turns
+            elif unknown.ways:
+                step = places[:, start] - origin[start]
+                if unknown.period is not None:
+                    step = (step + 0.5 * unknown.period) % unknown.period - 0.5 * unknown.period
+                tangents[:, direction] = step
+        return tangents
 
     @cached_property
     def scales(self) -> np.ndarray:

@@ -31,6 +31,9 @@ class Target:
     def __init__(self, world, data):
         self.world, self.space, self.data = world, world.space, data
 
+    def log_prior(self, values):
+        return self.space.log_prior(values)
+
     def log_likelihood(self, values):
         residual = (self.data - self.world.model(values)) / self.world.noise
         return -0.5 * float(residual @ residual)

@@ -24,6 +24,9 @@ class Target(Protocol):
 
     space: Space
 
+    def log_prior(self, values: np.ndarray) -> float:
+        """Return the log prior of (P,) values: the space's, and further terms where the prior has any."""
+
     def log_likelihood(self, values: np.ndarray) -> float:
         """Return the log likelihood of (P,) values inside the prior's support."""
 
@@ -168,7 +171,7 @@ def _check(value: object, what: str, where: object, lower: float = -math.inf) ->
 
 def evaluate(target: Target, values: np.ndarray) -> State:
     """Return the state at some values; outside the prior's support the likelihood is not asked for."""
-    log_prior = target.space.log_prior(values)
+    log_prior = target.log_prior(values)
     if not log_prior > -math.inf:
         return State(values, -math.inf, -math.inf)
     return State(values, log_prior, target.log_likelihood(values))

@@ -64,7 +64,11 @@ class Independence:
         if proposed == -math.inf:
             new = state._replace(log_prior=-math.inf)
             return decide(rng, state, new, 0.0, self.temperature, self.name)
-        new = evaluate(self.target, space.move(self.mean, self.block, tangent))
+        centre = self.mean.copy()
+        for i in self.block.unknowns:  # a discrete unknown has no tangent: it stays as it is
+            if space.unknowns[i].ways == 0:
+                centre[space.offsets[i]] = state.values[space.offsets[i]]
+        new = evaluate(self.target, space.move(centre, self.block, tangent))
         old = self.log_proposal(space.difference(state.values, self.mean, self.block))
         return decide(rng, state, new, old - proposed, self.temperature, self.name)
 

@@ -4,10 +4,10 @@ from derender.inference.kernels.base import KernelType, decide, evaluate, kernel
 
 
 class Resimulate:
-    """Propose the block from its prior.
+    """Propose the block from its own prior, which knows no constraints between objects.
 
-    proposal(new | old) = prior(new block), so that prior and proposal cancel:
-    log ratio = temperature * (log likelihood(new) - log likelihood(old)).
+    proposal(new | old) = own prior(new block), so that prior and proposal cancel up to the constraints:
+    log ratio = temperature * (log likelihood(new) - log likelihood(old)) + constraints(new) - constraints(old).
     """
 
     def __init__(self, target, block, temperature=1.0):
@@ -19,7 +19,8 @@ class Resimulate:
         for unknown in self.block.unknowns:
             self.target.space.resample(rng, values, unknown)
         new = evaluate(self.target, values)
-        return decide(rng, state, new, state.log_prior - new.log_prior, self.temperature, self.name)
+        own = self.target.space.log_prior
+        return decide(rng, state, new, own(state.values) - own(values), self.temperature, self.name)
 
 
 @kernels.register("resimulate")

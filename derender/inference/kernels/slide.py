@@ -27,7 +27,7 @@ class Slide:
         normal = np.array([rng.standard_normal() for _ in range(len(self.factor))])
         moved = self.target.space.move(state.values, self.block, self.scale * (self.factor @ normal))
         kept = None
-        if self.target.space.log_prior(moved) > -np.inf:
+        if self.target.log_prior(moved) > -np.inf:
             kept = self.target.keep_children(state.values, moved, self.block)
         if kept is None:
             return decide(rng, state, state._replace(log_prior=-np.inf), 0.0, self.temperature, self.name)

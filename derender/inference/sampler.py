@@ -1,0 +1,168 @@
+"""The sampler of a fixed structure: start, warm-up that adapts, draws that do not; readable or compiled underneath."""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from derender.inference.adaptation import centre_of, covariance_of, first_tuning, rescale
+from derender.inference.chains import Segment
+from derender.inference.kernels.base import Part, Target, Tuning, evaluate, kernels
+
+
+class Stretch(NamedTuple):
+    """What a backend returns. values : (n, P); densities : (n, 2), log prior and log likelihood; counts : (K, 2)."""
+
+    values: np.ndarray
+    densities: np.ndarray
+    counts: np.ndarray
+
+
+class Backend(Protocol):
+    """Runs a mixture. A new one for each stretch: nothing of it outlives the values that it returns."""
+
+    def evaluate(self, values: np.ndarray) -> tuple[float, float]:
+        """Return log prior and log likelihood."""
+
+    def sweep(self, rng, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+        """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
+
+
+class ReadableBackend:
+    """The kernels of `inference.kernels` as they stand: any target, a few thousand steps a second."""
+
+    def __init__(self, target: Target, parts: list[Part], cycle: bool = False) -> None:
+        self.target, self.parts, self.cycle = target, parts, cycle
+
+    def evaluate(self, values):
+        state = evaluate(self.target, values)
+        return state.log_prior, state.log_likelihood
+
+    def sweep(self, rng, values, tuning, draws, thin, taken=0):
+        built = [kernels[part.type].build(self.target, part.block, tuning, part.options) for part in self.parts]
+        cumulative = np.cumsum([part.weight for part in self.parts])
+        counts = np.zeros((len(built), 2), np.int64)
+        state = evaluate(self.target, np.array(values, float))
+        kept, densities = np.empty((draws, len(values))), np.empty((draws, 2))
+        for draw in range(draws):
+            for _ in range(thin):
+                if self.cycle:
+                    number = taken % len(built)
+                else:
+                    threshold = rng.random() * cumulative[-1]
+                    number = int(np.searchsorted(cumulative[:-1], threshold, side="right"))
+                taken += 1
+                state, info = built[number](rng, state)
+                counts[number] += (1, info.accepted)
+            kept[draw] = state.values
+            densities[draw] = state.log_prior, state.log_likelihood
+        return Stretch(kept, densities, counts)
+
+
+class MixtureSampler:
+    """A mixture or cycle of kernels on a target, for `chains.run_chain`.
+
+    Parameters
+    ----------
+    target : the posterior; if it has `backend(parts, cycle)`, that runs the kernels, else the readable ones do.
+    parts : the mixture.
+    thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
+    particles : draws from the prior of which importance resampling takes the start.
+    anneal : share of the warm-up in which the likelihood is raised to a power that grows to 1.
+    """
+
+    segment = 100
+
+    def __init__(
+        self,
+        target: Any,
+        parts: list[Part],
+        thin: int = 20,
+        cycle: bool = False,
+        particles: int = 100,
+        anneal: float = 0.4,
+    ) -> None:
+        self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
+        self.particles, self.anneal = particles, anneal
+
+    def backend(self) -> Backend:
+        """Return what runs the kernels."""
+        make = getattr(self.target, "backend", None)
+        return make(self.parts, self.cycle) if make else ReadableBackend(self.target, self.parts, self.cycle)
+
+    def start(self, rng):
+        values = self.target.initial(rng, self.particles) if hasattr(self.target, "initial") else None
+        if values is None:
+            values = importance_resampling(rng, self.target.space, self.backend(), self.particles)
+        return _pack(values, first_tuning(self.target.space, values), np.empty((0, len(values))), self.parts)
+
+    def warm_up(self, rng, state, done, rounds, total):
+        values, tuning, history, counts, taken = _unpack(state)
+        backend = self.backend()
+        stop = done + rounds
+        while done < stop:
+            stretch_rounds = min(25, stop - done)
+            progress = done / total
+            tuning = tuning._replace(temperature=annealed(progress, self.anneal, self.target))
+            stretch = backend.sweep(rng, values, tuning, stretch_rounds, self.thin, taken)
+            values = stretch.values[-1]
+            taken += stretch_rounds * self.thin
+            done += stretch_rounds
+            gain = 3.0 / math.sqrt(1.0 + 10.0 * done / total)
+            tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
+            history = np.concatenate([history, stretch.values])
+            tuning = self._shape(tuning, history)
+        tuning = tuning._replace(temperature=1.0)
+        return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
+
+    def _shape(self, tuning: Tuning, history: np.ndarray) -> Tuning:
+        """Fit centre and covariance to the later half of where the chain has been."""
+        recent = history[len(history) // 2 :]
+        if len(recent) < 20:
+            return tuning
+        centre = centre_of(self.target.space, recent)
+        return tuning._replace(mean=centre, covariance=covariance_of(self.target.space, recent, centre))
+
+    def advance(self, rng, state, draws):
+        values, tuning, history, counts, taken = _unpack(state)
+        stretch = self.backend().sweep(rng, values, tuning, draws, self.thin, taken)
+        taken += draws * self.thin
+        state = _pack(stretch.values[-1], tuning, history, self.parts, counts + stretch.counts, taken)
+        return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
+
+
+def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:
+    """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (the paper's section 3)."""
+    drawn = [space.sample(rng) for _ in range(particles)]
+    logs = np.array([backend.evaluate(values)[1] for values in drawn])
+    weights = np.exp(logs - np.max(logs))
+    return drawn[int(np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right").clip(0, particles - 1))]
+
+
+def annealed(progress: float, share: float, target: object) -> float:
+    """Return the exponent on the likelihood: geometric from a cold start to 1 within the first `share` of the warm-up."""
+    if progress >= share or share <= 0:
+        return 1.0
+    return float(getattr(target, "coldest", 0.01) ** (1.0 - progress / share))
+
+
+def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -> dict[str, np.ndarray]:
+    """Return the state as arrays by name."""
+    return {
+        "values": values,
+        "mean": tuning.mean,
+        "covariance": tuning.covariance,
+        "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
+        "temperature": np.array(tuning.temperature),
+        "history": history,
+        "counts": np.zeros((len(parts), 2), np.int64) if counts is None else counts,
+        "taken": np.array(taken),
+    }
+
+
+def _unpack(state: Mapping[str, np.ndarray]):
+    scale = json.loads(bytes(state["scale"]))
+    tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]))
+    return state["values"], tuning, state["history"], state["counts"], int(state["taken"])

@@ -1,0 +1,219 @@
+"""The posterior of a scene of fixed structure given a depth image: what kernels walk on."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.inference.kernels.base import Part
+from derender.inference.space import Block, Space, Unknown
+from derender.model.contacts import contacts
+from derender.model.distributions import Distribution
+from derender.model.polygon import area_element
+from derender.model.pose import inverse
+from derender.model.scene import SceneGraph
+from derender.model.shapes import Body, shapes
+
+
+class Images(Protocol):
+    """What the target asks of the vision side: a likelihood bound to one observed image."""
+
+    def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
+        """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
+
+
+def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribution] | None = None) -> Space:
+    """Return the unknowns of a graph under its prior, in blocks: the root, each edge's contact, each object's shape.
+
+    Parameters
+    ----------
+    prior : has `free_addresses(graph)`.
+    likelihood : priors of the likelihood's unknowns by name.
+
+    Raises
+    ------
+    DerenderError : there is no unknown.
+    """
+    free = dict(prior.free_addresses(graph))
+    free.update({f"likelihood.{name}": distribution for name, distribution in (likelihood or {}).items()})
+    if not free:
+        raise DerenderError("nothing is unknown: every number is fixed", remedy="give some number a distribution")
+    unknowns = [Unknown(address, law, period_of(graph, address, law)) for address, law in free.items()]
+    members: dict[str, list[int]] = {}
+    for i, unknown in enumerate(unknowns):
+        members.setdefault(block_name(unknown.address), []).append(i)
+    space = Space(unknowns, [Block(name, tuple(indices)) for name, indices in members.items()])
+    space.slides = tuple(name for name in members if _can_slide(graph, name, {u.address for u in unknowns}))
+    return space
+
+
+def block_name(address: str) -> str:
+    """Return the block of an address: "red.contact", "red.shape", "root", "likelihood"."""
+    name, _, rest = address.partition(".")
+    if name in ("root", "likelihood"):
+        return name
+    return f"{name}.contact" if rest.startswith("contact.") else f"{name}.shape"
+
+
+def period_of(graph: SceneGraph, address: str, distribution: Distribution) -> float | None:
+    """Return the period of an angle whose prior goes all the way round, else None: then it lives on an interval."""
+    if distribution.size != 1 or distribution.discrete:
+        return None
+    name, _, rest = address.partition(".")
+    if name == "root":
+        period = math.tau if rest in ("azimuth", "roll") else None
+    elif rest.startswith("contact."):
+        vertex = graph.vertex(name)
+        contact = vertex.contact
+        parameters = contacts[contact.type].parameters(
+            graph.body(vertex.parent).shape, shapes[vertex.shape], contact.parent_face, contact.child_face
+        )
+        period = next((p.period for p in parameters if p.name == rest.removeprefix("contact.")), None)
+    else:
+        period = None
+    if period is None:
+        return None
+    low, high = distribution.support
+    return period if abs(low) < 1e-9 and abs(high - period) < 1e-9 else None
+
+
+class SceneTarget:
+    """Posterior density over the unknowns of one structure.
+
+    Parameters
+    ----------
+    prior : the document's prior.
+    graph : a scene of the structure, whose other numbers are fixed.
+    images : the likelihood bound to the observed image.
+    likelihood : priors of the likelihood's unknowns by name.
+    """
+
+    def __init__(self, prior, graph: SceneGraph, images: Images, likelihood=None) -> None:
+        self.prior, self.template, self.images = prior, graph, images
+        self.likelihood = dict(likelihood or {})
+        self.space = scene_space(prior, graph, self.likelihood)
+        self.root_prior = getattr(prior, "root", None)
+        self.constraints = tuple(getattr(prior, "constraints", ()))
+        self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
+
+    def by_address(self, values: Sequence[float]) -> dict[str, float]:
+        """Return the values by address."""
+        return {address: float(value) for address, value in zip(self.space.addresses, values, strict=True)}
+
+    def root_pose(self, values: Sequence[float]) -> np.ndarray:
+        """Return the (4, 4) pose of the root."""
+        if not self._root_free:
+            return self.template.root_pose
+        coordinates: dict[str, Any] = {}
+        for i, unknown in enumerate(self.space.unknowns):
+            if unknown.address.startswith("root."):
+                start = self.space.offsets[i]
+                size = unknown.distribution.size
+                value = tuple(float(v) for v in values[start : start + size]) if size > 1 else float(values[start])
+                coordinates[unknown.address] = value
+        return self.root_prior.pose(coordinates)
+
+    def graph(self, values: Sequence[float]) -> SceneGraph:
+        """Return the scene of some values."""
+        numbers = {
+            address: value
+            for address, value in self.by_address(values).items()
+            if address.partition(".")[0] not in ("root", "likelihood")
+        }
+        graph = self.template.with_numbers(numbers)
+        return replace(graph, root_pose=self.root_pose(values)) if self._root_free else graph
+
+    def log_prior(self, values: np.ndarray) -> float:
+        """Return the log prior: the unknowns' own, and the prior's constraints where it has any."""
+        log_prior = self.space.log_prior(values)
+        if self.constraints and log_prior > -math.inf:
+            from derender.model.priors.constraints import total_log_density
+
+            log_prior += total_log_density(self.constraints, self.graph(values))
+        return log_prior
+
+    def log_likelihood(self, values: np.ndarray) -> float:
+        """Return the log likelihood of values inside the prior's support."""
+        parameters = {
+            address.removeprefix("likelihood."): value
+            for address, value in self.by_address(values).items()
+            if address.startswith("likelihood.")
+        }
+        return self.images.log_likelihood(self.graph(values), parameters)
+
+    def keep_children(self, values: np.ndarray, moved: np.ndarray, block: Block) -> tuple[np.ndarray, float] | None:
+        """Return `moved` with the contacts of the block's object's children changed so that they stay in the world.
+
+        Also the log of the product of |d phi' / d phi| over the children. In metres and radians the children move
+        rigidly, which has Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). None
+        where a child would leave its contact, or where its angle would pass its seam (its own children would turn).
+        """
+        name = block.name.removesuffix(".contact")
+        before, after = self.graph(values), self.graph(moved)
+        old_poses, new_poses = before.poses(), after.poses()
+        kept = moved.copy()
+        log_jacobian = 0.0
+        index = {address: i for i, address in enumerate(self.space.addresses)}
+        parent_body = after.body(name)
+        for child in after.children(name):
+            vertex = after.vertex(child)
+            contact = vertex.contact
+            kind = contacts[contact.type]
+            body = after.body(child)
+            relative = inverse(new_poses[name]) @ old_poses[child]
+            found = kind.invert(relative, parent_body, body, contact.parent_face, contact.child_face)
+            slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items() if key != "theta"]
+            if found.outside > 1e-9 or found.angle > 1e-7 or max(slack, default=0.0) > 1e-7:
+                return None
+            for key, value in found.phi.items():
+                i = index[f"{child}.contact.{key}"]
+                if key == "theta":
+                    period = self.space.periods[i] or math.tau
+                    turned = (value - kept[i] + 0.5 * period) % period - 0.5 * period
+                    if not 0.0 <= kept[i] + turned < period:
+                        return None
+                    value = kept[i] + turned
+                kept[i] = value
+            if "u" in found.phi:
+                outlines = [b.face(f).outline for b, f in ((parent_body, contact.parent_face), (body, contact.child_face))]
+                old = before.vertex(child).contact.values
+                log_jacobian += math.log(area_element(old["u"], old["theta"], *outlines))
+                new_theta, new_u = (kept[index[f"{child}.contact.{key}"]] for key in ("theta", "u"))
+                log_jacobian -= math.log(area_element(new_u, new_theta, *outlines))
+        return kept, log_jacobian
+
+
+def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
+    """Return whether the block is the contact of an object with children whose contacts' free numbers are all unknown."""
+    if not block.endswith(".contact"):
+        return False
+    name = block.removesuffix(".contact")
+    children = graph.children(name)
+    for child in children:
+        vertex = graph.vertex(child)
+        contact = vertex.contact
+        free = contacts[contact.type].free_parameters(
+            shapes[graph.vertex(name).shape], shapes[vertex.shape], contact.parent_face, contact.child_face
+        )
+        if any(f"{child}.contact.{p.name}" not in unknown for p in free) or len(free) < 2:
+            return False
+    return bool(children)
+
+
+def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
+    """Return the default mixture as data, as a prior file would write it."""
+    return [
+        {"window": {"weight": 0.25}},
+        {"drift": {"weight": 0.35}},
+        {"drift-all": {"weight": 0.25}},
+        {"independence": {"weight": 0.10}},
+        {"jump": {"weight": 0.02}},
+        {"flip": {"weight": 0.01}},
+        {"resimulate": {"weight": 0.02}},
+    ]
+
+
+__all__ = ["Images", "Part", "SceneTarget", "block_name", "default_parts", "period_of", "scene_space"]
