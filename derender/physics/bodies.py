@@ -68,7 +68,7 @@ def matter_of_graph(graph: "SceneGraph") -> Matter:
     """
     solids = graph.solids()
     bodies = []
-    for index, name in enumerate(solids.solid_names if hasattr(solids, "solid_names") else graph.solid_names):
+    for index, name in enumerate(graph.solid_names):
         options = graph.vertex(name).options
         kind = KIND_NAMES.get(int(solids.kind[index]), "mesh")
         vertices = None
@@ -84,8 +84,7 @@ def matter_of_graph(graph: "SceneGraph") -> Matter:
         for parent in (vertex.parent, *vertex.supports)
         if vertex.name in names and parent in names and vertex.contact.type != "6dof"
     ]
-    down = graph.root_pose[:3, :3] @ np.asarray(graph.gravity, float)
-    return Matter(tuple(bodies), STANDARD_GRAVITY * down / np.linalg.norm(down), tuple(supports))
+    return Matter(tuple(bodies), STANDARD_GRAVITY * graph.down(), tuple(supports))
 
 
 def matter_of_scene(scene: Mapping[str, Any]) -> Matter:

@@ -1,0 +1,170 @@
+"""Small pictures as SVG text: the scene graph as a tree, traces and rank plots of chains."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
+TRACE_POINTS = 160
+RANK_BINS = 20
+
+
+def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None) -> str:
+    """Return the scene graph as a tree that stands on its root, as the things themselves do.
+
+    Parameters
+    ----------
+    scene : as `derender show --json` prints it; probabilities, where there, are written at their edges.
+    colours : of the objects by name, as #rrggbb.
+    """
+    colours = colours or {}
+    objects = {item["name"]: item for item in scene["objects"]}
+    children: dict[str, list[str]] = {"root": []}
+    for name, item in objects.items():
+        parent = item.get("parent") or "root"
+        children.setdefault(parent if parent in objects else "root", []).append(name)
+    width, height, gap = 176, 46, 44
+    column: dict[str, float] = {}
+    row: dict[str, int] = {}
+    leaves = 0
+
+    def place(name: str, level: int) -> None:
+        nonlocal leaves
+        row[name] = level
+        below = children.get(name, [])
+        for child in below:
+            place(child, level + 1)
+        if below:
+            column[name] = float(np.mean([column[child] for child in below]))
+        else:
+            column[name] = leaves
+            leaves += 1
+
+    place("root", 0)
+    deepest = max(row.values())
+    total_width = max(1, leaves) * (width + 18) + 10
+    total_height = (deepest + 1) * (height + gap) - gap + 12
+
+    def middle(name: str) -> tuple[float, float]:
+        return (column[name] + 0.5) * (width + 18), (deepest - row[name]) * (height + gap) + 0.5 * height + 6
+
+    parts = []
+    for name, item in objects.items():
+        x, y = middle(name)
+        px, py = middle(item.get("parent") if item.get("parent") in objects else "root")
+        top, bottom = y + 0.5 * height, py - 0.5 * height
+        parts.append(
+            f'<path d="M{px:.1f} {bottom:.1f}C{px:.1f} {bottom - 0.5 * gap:.1f} {x:.1f} {top + 0.5 * gap:.1f} '
+            f'{x:.1f} {top:.1f}" fill="none" stroke="#9aa0a8" stroke-width="1.6"/>'
+        )
+        for other in item.get("supports", ()):
+            if other in column:
+                ox, oy = middle(other)
+                parts.append(
+                    f'<path d="M{ox:.1f} {oy - 0.5 * height:.1f}L{x:.1f} {top:.1f}" fill="none" stroke="#9aa0a8" '
+                    'stroke-width="1.6" stroke-dasharray="5 4"/>'
+                )
+        parts.append(_text(x, top + 14, _edge_words(item), size=10.5, colour="#6a7078", halo=True))
+    for name in column:
+        x, y = middle(name)
+        shown = objects.get(name)
+        fill = colours.get(name, "#cdcbc6") if shown else "#ffffff"
+        parts.append(
+            f'<rect x="{x - 0.5 * width:.1f}" y="{y - 0.5 * height:.1f}" width="{width}" height="{height}" rx="6" '
+            f'fill="{fill}" fill-opacity="0.35" stroke="{fill if shown else "#9aa0a8"}" stroke-width="1.6"/>'
+        )
+        parts.append(_text(x, y - 4, name, size=13, weight=600))
+        parts.append(_text(x, y + 13, _node_words(shown), size=11, colour="#4a4f57"))
+    return _svg(total_width, total_height, parts, "The scene graph", scale=min(1.0, 720 / total_width))
+
+
+def trace_svg(draws: np.ndarray, width: int = 200, height: int = 34) -> str:
+    """Return the traces of the chains.
+
+    Parameters
+    ----------
+    draws : (chains, draws) float64.
+    """
+    finite = draws[np.isfinite(draws)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    span = high - low or 1.0
+    parts = []
+    for chain, values in enumerate(draws):
+        keep = np.unique(np.linspace(0, len(values) - 1, min(len(values), TRACE_POINTS)).round().astype(int))
+        x = 1 + (width - 2) * keep / max(1, len(values) - 1)
+        y = 1 + (height - 2) * (1 - (values[keep] - low) / span)
+        path = " ".join(f"{a:.0f},{b:.1f}" for a, b in zip(x, y, strict=True) if np.isfinite(b))
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{_chain_colour(chain)}" stroke-opacity="0.75"/>')
+    return _svg(width, height, parts, "Trace of each chain")
+
+
+def rank_svg(draws: np.ndarray, width: int = 130, height: int = 34) -> str:
+    """Return the rank plot: how the ranks of each chain's draws among all draws spread. Level lines are good chains.
+
+    Parameters
+    ----------
+    draws : (chains, draws) float64.
+    """
+    chains, count = draws.shape
+    flat = draws.ravel()
+    ranks = np.empty(flat.size)
+    ranks[np.argsort(flat, kind="stable")] = np.arange(flat.size)
+    bins = max(2, min(RANK_BINS, count // 4))
+    expected = count / bins
+    parts = [f'<path d="M0 {height / 2}H{width}" stroke="#c5c9ce" stroke-dasharray="3 3"/>']
+    for chain, own in enumerate(ranks.reshape(chains, count)):
+        found = np.histogram(own, bins=bins, range=(0, flat.size))[0]
+        # The expected number is half way up; twice that is the top.
+        y = height - 1 - (height - 2) * np.clip(found / expected, 0, 2) / 2
+        edges = np.linspace(0, width, bins + 1)
+        steps = f"M0 {y[0]:.1f}" + "".join(f"V{b:.1f}H{a:.1f}" for a, b in zip(edges[1:], y, strict=True))
+        parts.append(f'<path d="{steps}" fill="none" stroke="{_chain_colour(chain)}" stroke-opacity="0.8"/>')
+    return _svg(width, height, parts, "Rank plot of each chain")
+
+
+def _node_words(item: Mapping[str, Any] | None) -> str:
+    if item is None:
+        return "frame"
+    words = item["type"]
+    size = item.get("size")
+    if size is not None:
+        if item["type"] in ("sphere", "cube"):
+            size = size[:1]
+        elif item["type"] == "cylinder":
+            size = [size[0], size[2]]
+        words += " " + " × ".join(f"{100 * value:.1f}" for value in size) + " cm"
+    if item.get("probability", 1) < 0.995:
+        words += f" · {item['probability']:.0%}"
+    return words
+
+
+def _edge_words(item: Mapping[str, Any]) -> str:
+    contact = item.get("contact") or {}
+    words = contact.get("type", "")
+    if contact.get("child_face"):
+        words += f" {contact['child_face']} on {contact.get('parent_face')}"
+    share = (item.get("parent_probability") or {}).get(item.get("parent"))
+    if share is not None:
+        words += f" · {share:.0%}"
+    return words
+
+
+def _chain_colour(chain: int) -> str:
+    return CHAIN_COLOURS[chain % len(CHAIN_COLOURS)]
+
+
+def _text(x: float, y: float, words: str, size: float, colour: str = "#22252a", weight: int = 400, halo: bool = False):
+    behind = ' stroke="#fff" stroke-width="4" paint-order="stroke"' if halo else ""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size}" font-weight="{weight}" '
+        f'fill="{colour}"{behind}>{escape(words)}</text>'
+    )
+
+
+def _svg(width: float, height: float, parts: Sequence[str], title: str, scale: float = 1.0) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width * scale:.0f}" '
+        f'height="{height * scale:.0f}" role="img" aria-label="{escape(title)}">{"".join(parts)}</svg>'
+    )

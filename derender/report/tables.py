@@ -1,0 +1,94 @@
+"""Tables: each free number of a posterior with its mean, spread and the health of its chains."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+ANGLES = ("theta", "tilt_x", "tilt_y", "angle")
+PURE_NUMBERS = ("u", "v", "qw", "qx", "qy", "qz", "scale", "blur", "outlier_fraction", "temper")
+
+# Rank-normalised R-hat above this, or fewer effective draws than that, is not to be trusted (Vehtari et al. 2021).
+LARGEST_R_HAT = 1.01
+SMALLEST_ESS = 100.0
+
+COLUMNS = ("address", "mean", "sd", "5 %", "95 %", "R-hat", "ESS", "tail ESS")
+
+
+def unit_of(address: str) -> tuple[str, float]:
+    """Return the unit in which people read a number, and how many of it make one of ours (radian, metre)."""
+    last = address.rsplit(".", 1)[-1]
+    if last in ANGLES:
+        return "°", 180 / np.pi
+    if last in PURE_NUMBERS:
+        return "", 1.0
+    return "mm", 1000.0
+
+
+def parameter_rows(
+    addresses: Sequence[str], values: np.ndarray, periods: Mapping[str, float | None] | None = None
+) -> list[dict[str, Any]]:
+    """Return a row for each free number of one structure.
+
+    Parameters
+    ----------
+    values : (chains, draws, P) float64, in metres and radians.
+    periods : of those that are angles; they are unwrapped about their circular mean.
+
+    Returns
+    -------
+    dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
+    (chains, draws).
+    """
+    from derender.inference.diagnostics import summary, unwrap
+
+    rows = []
+    for index, address in enumerate(addresses):
+        period = (periods or {}).get(address)
+        draws = unwrap(np.asarray(values[:, :, index], float), period)
+        unit, scale = unit_of(address)
+        rows.append({"address": address, "unit": unit, "scale": scale, **summary(draws), "draws": draws})
+    return rows
+
+
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """Return the texts of a row's columns, in the unit that people read."""
+    scale, unit = row["scale"], row["unit"]
+    digits = 2 if unit else 3
+    numbers = [f"{row[key] * scale:.{digits}f}" for key in ("mean", "sd", "q05", "q95")]
+    return [
+        f"{row['address']} ({unit})" if unit else str(row["address"]),
+        *numbers,
+        number_or_dash(row["r_hat"], ".3f"),
+        number_or_dash(row["ess_bulk"], ".0f"),
+        number_or_dash(row["ess_tail"], ".0f"),
+    ]
+
+
+def number_or_dash(value: float | None, form: str) -> str:
+    """Return a number as text, or a dash where there is none."""
+    return "–" if value is None or not np.isfinite(value) else format(value, form)
+
+
+def doubtful(row: Mapping[str, Any]) -> bool:
+    """Return whether the chains of a row disagree or hold too few effective draws."""
+    r_hat, ess = row["r_hat"], row["ess_bulk"]
+    return bool((np.isfinite(r_hat) and r_hat > LARGEST_R_HAT) or (np.isfinite(ess) and ess < SMALLEST_ESS))
+
+
+def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Return lines of columns, the first to the left and the others to the right."""
+    table = [list(header), *[list(row) for row in rows]]
+    widths = [max(len(row[k]) for row in table) for k in range(len(header))]
+    lines = []
+    for row in table:
+        first, *others = row
+        lines.append(
+            "  ".join([first.ljust(widths[0]), *[t.rjust(w) for t, w in zip(others, widths[1:], strict=True)]])
+        )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def parameter_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows of a posterior as text for a terminal."""
+    return text_table([cells(row) for row in rows], COLUMNS)

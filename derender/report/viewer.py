@@ -1,0 +1,111 @@
+"""The scene of a report in three dimensions: what viewer.js draws."""
+
+import base64
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derender.model import solids as kinds
+from derender.model.solids import Solids
+from derender.report import pictures
+from derender.report.geometry import plane_patch, solid_mesh
+
+if TYPE_CHECKING:
+    from derender.report.html import Report
+
+HERE = Path(__file__).parent
+SHOWN_POINTS = 12_000
+
+
+def viewer_html(report: "Report", colours: np.ndarray) -> str:
+    """Return the viewer of a report's scene: canvas, switches, data and script."""
+    points, point_colours = _observed_points(report, colours)
+    shown = []
+    for index, kind in enumerate(report.solids.kind):
+        pose, extent = report.solids.pose[index], 1.0
+        if kind == kinds.PLANE:
+            pose, extent = plane_patch(report.solids, index, _without_far_points(points))
+        vertices, triangles = solid_mesh(report.solids, index, extent)
+        shown.append(
+            {
+                "vertices": _base64((vertices @ pose[:3, :3].T + pose[:3, 3]).astype("<f4")),
+                "triangles": _base64(triangles.astype("<u4")),
+                "colour": colours[index].tolist(),
+            }
+        )
+    extended = report.solids.kind != kinds.PLANE
+    centres = report.solids.pose[extended if extended.any() else slice(None), :3, 3]
+    target = centres.mean(axis=0) if len(centres) else np.array([0.0, 0.0, 1.0])
+    fov = np.deg2rad(45) if report.camera is None else 2 * np.arctan(0.5 * report.camera.height / report.camera.fy)
+    data: dict[str, Any] = {
+        "solids": shown,
+        "target": target.tolist(),
+        "up": (-np.asarray(report.scene["gravity"], float)).tolist(),
+        "fov": float(fov),
+    }
+    if len(points):
+        data["points"] = {"positions": _base64(points.astype("<f4")), "colours": _base64(point_colours)}
+    ghosts = [_outline(draw, index) for draw in report.draws for index in range(len(draw.kind))]
+    lines = np.concatenate([line for line in ghosts if len(line)] or [np.zeros((0, 3))])
+    if len(lines):
+        data["ghosts"] = {
+            "positions": _base64(lines.astype("<f4")),
+            "colours": _base64(np.full(lines.shape, 40, dtype=np.uint8)),
+        }
+    text = json.dumps(data).replace("</", "<\\/")
+    still = pictures.png_uri(pictures.shade(report.solids, report.camera)) if report.camera is not None else ""
+    return f"""<canvas id="scene" aria-label="The scene in three dimensions"></canvas>
+<img id="still" alt="The scene" src="{still}" style="display:none;width:100%">
+<p><label><input type="checkbox" id="show-solids" checked> solids</label>
+<label {"" if len(points) else "hidden"}><input type="checkbox" id="show-points" checked> observed points</label>
+<label {"" if len(lines) else "hidden"}><input type="checkbox" id="show-ghosts"> posterior draws</label>
+<span class="soft">drag to turn, wheel to zoom, shift-drag to move, double click to reset</span></p>
+<script type="application/json" id="scene-data">{text}</script>
+<script>{(HERE / "viewer.js").read_text()}
+(() => {{
+  const get = name => document.getElementById(name);
+  const works = showScene(get("scene"), JSON.parse(get("scene-data").textContent),
+    {{solids: get("show-solids"), points: get("show-points"), ghosts: get("show-ghosts")}});
+  if (!works) {{ get("scene").style.display = "none"; get("still").style.display = "block"; }}
+}})();</script>"""
+
+
+def _observed_points(report: "Report", colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return some observed points, (P, 3) in the camera's frame, and their colours: that of what explains them."""
+    if report.camera is None or report.observed is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    from derender.vision.raycast.depth import render_depth
+
+    _, label = render_depth(report.solids, report.camera)
+    rows, columns = np.nonzero(np.isfinite(report.observed))
+    step = max(1, -(-len(rows) // SHOWN_POINTS))
+    rows, columns = rows[::step], columns[::step]
+    points = report.camera.points(report.observed)[rows, columns]
+    owner = label[rows, columns]
+    # Darker than the solids, so that points on a surface can be seen.
+    shades = np.vstack([(0.55 * colours), [[120, 120, 120]]]).astype(np.uint8)
+    return points, np.ascontiguousarray(shades[owner])
+
+
+def _without_far_points(points: np.ndarray) -> np.ndarray:
+    """Return the points without the farthest twentieth: one stray return must not make a plane a kilometre wide."""
+    if not len(points):
+        return points
+    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return points[distance <= np.percentile(distance, 95)]
+
+
+def _outline(solids: Solids, index: int) -> np.ndarray:
+    """Return the twelve edges of a solid's oriented box as pairs of points, (24, 3); none for a plane."""
+    if solids.kind[index] == kinds.PLANE:
+        return np.zeros((0, 3))
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * solids.size[index]
+    corners = corners @ solids.pose[index][:3, :3].T + solids.pose[index][:3, 3]
+    pairs = [(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit]
+    return corners[np.array(pairs).ravel()]
+
+
+def _base64(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()

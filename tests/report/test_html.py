@@ -1,0 +1,206 @@
+"""The page: self-contained, valid, quick, and showing what it was given."""
+
+import base64
+import html.parser
+import json
+import re
+import time
+import zlib
+
+import numpy as np
+import pytest
+
+from derender.model.pose import rotation_x, rotation_z, translation
+from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
+from derender.report import pictures, svg, tables
+from derender.report.html import Report, page
+from derender.vision.camera import Camera
+from derender.vision.raycast.depth import render_depth
+
+CAMERA = Camera(75, 75, 39.5, 29.5, 80, 60)
+ROOT = translation(0, 0.1, 0.8) @ rotation_x(np.deg2rad(125))
+NAMES = ["floor", "<box> & 1", "can", "ball", "cube"]
+
+
+def demo_solids():
+    poses = [
+        np.eye(4),
+        translation(0, 0, 0.04),
+        translation(0.12, 0.05, 0.06),
+        translation(-0.15, 0, 0.05),
+        translation(0.01, 0, 0.11) @ rotation_z(0.7),
+    ]
+    sizes = np.array([[0, 0, 0], [0.1, 0.08, 0.08], [0.07, 0.07, 0.12], [0.1] * 3, [0.06] * 3])
+    kind = np.array([PLANE, BOX, CYLINDER, SPHERE, BOX], np.int32)
+    return Solids(kind, np.array([ROOT @ pose for pose in poses]), sizes, np.full(5, -1, np.int32))
+
+
+@pytest.fixture(scope="module")
+def report():
+    solids = demo_solids()
+    types = ["plane", "box", "cylinder", "sphere", "cube"]
+    parents = ["root", "floor", "floor", "floor", NAMES[1]]
+    scene = {
+        "frame": "camera",
+        "gravity": (ROOT[:3, :3] @ [0, 0, -1]).tolist(),
+        "objects": [
+            {
+                "name": name,
+                "type": kind,
+                "size": None if kind == "plane" else solids.size[i].tolist(),
+                "pose": solids.pose[i].tolist(),
+                "parent": parent,
+                "contact": {"type": "face-to-face", "parent_face": "+z", "child_face": "-z"},
+                "probability": 0.75,
+                "parent_probability": {parent: 0.5},
+            }
+            for i, (name, kind, parent) in enumerate(zip(NAMES, types, parents, strict=True))
+        ],
+    }
+    rng = np.random.default_rng(0)
+    depth, _ = render_depth(solids, CAMERA)
+    depth += rng.normal(0, 0.002, depth.shape)
+    depth[10:20, 10:20] = np.nan
+    rows = tables.parameter_rows(["can.radius", "cube.contact.theta"], rng.normal(0.1, 0.01, (4, 200, 2)))
+    structures = [(0.9, "a on b"), (0.1, "a floats")]
+    return Report("test.npz", scene, solids, NAMES, CAMERA, depth, [solids], rows, structures, {"seed": 7})
+
+
+class Checker(html.parser.HTMLParser):
+    """Collects what a page opens, closes and refers to."""
+
+    VOID = {"meta", "img", "input", "br", "link"}
+
+    def __init__(self):
+        super().__init__()
+        self.stack, self.references, self.seen = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        self.seen.append(tag)
+        self.references += [value for key, value in attributes if key in ("src", "href", "xlink:href", "data")]
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.seen.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+
+def test_page_is_well_formed_and_needs_no_network(report):
+    text = page(report)
+    checker = Checker()
+    checker.feed(text)
+    assert checker.stack == []
+    assert all(reference.startswith("data:") for reference in checker.references)
+    # No address of anything elsewhere but the name of SVG's own language.
+    assert set(re.findall(r"https?://[^\"'\s)]+", text)) <= {"http://www.w3.org/2000/svg"}
+    assert "url(" not in text and "import " not in re.sub(r"\s", " ", text.split("<script>")[1])
+
+
+def test_page_shows_what_it_was_given(report):
+    text = page(report)
+    assert "&lt;box&gt; &amp; 1" in text and "<box>" not in text.split('id="scene-data"')[0]
+    assert "seed 7" in text and "4 objects" in text and "75%" in text and "90.0%" in text
+    assert text.count('aria-label="Trace of each chain"') == 2
+    assert "can.radius (mm)" in text and "cube.contact.theta (°)" in text
+    data = json.loads(re.search(r'id="scene-data">(.*?)</script>', text, re.S).group(1))
+    assert len(data["solids"]) == 5
+    points = np.frombuffer(base64.b64decode(data["points"]["positions"]), "<f4").reshape(-1, 3)
+    # Every pixel with a return is a point, in the camera's frame: its z is its depth.
+    valid = np.isfinite(report.observed)
+    np.testing.assert_allclose(points[:, 2], report.observed[valid], rtol=1e-6)
+    box = np.frombuffer(base64.b64decode(data["solids"][1]["vertices"]), "<f4").reshape(-1, 3)
+    np.testing.assert_allclose(box.mean(axis=0), report.solids.pose[1, :3, 3], atol=1e-6)
+    up = np.array(data["up"])
+    assert up @ (ROOT[:3, 2]) == pytest.approx(1)
+
+
+def test_page_without_image_or_posterior(report):
+    bare = report._replace(observed=None, draws=(), parameters=(), structures=())
+    text = page(bare)
+    checker = Checker()
+    checker.feed(text)
+    assert checker.stack == [] and "residual" not in text and "Trace" not in text
+    no_camera = page(bare._replace(camera=None))
+    assert "explained" not in no_camera and "scene-data" in no_camera
+    assert page(bare._replace(scene=report.scene | {"objects": []}, solids=_none(), solid_names=[]))
+
+
+def _none():
+    return Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32))
+
+
+def test_page_is_quick(report):
+    page(report)
+    start = time.process_time()
+    page(report)
+    # `infer` writes it every time: half a second is promised, a tenth is usual.
+    assert time.process_time() - start < 0.5
+
+
+def test_png_is_a_png():
+    rng = np.random.default_rng(1)
+    pixels = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    data = pictures.encode_png(pixels)
+    import imageio.v3 as imageio
+
+    np.testing.assert_array_equal(imageio.imread(data, extension=".png"), pixels)
+    # A chunk with a wrong checksum must not pass: the reader above is no rubber stamp.
+    assert zlib.crc32(data[12:29]) == int.from_bytes(data[29:33], "big")
+
+
+def test_paint_puts_ends_at_ends_and_holes_in_grey():
+    values = np.array([[0.0, 1.0, 2.0, np.nan]])
+    pixels = pictures.paint(values, 0.0, 2.0)
+    ends = pictures.colour_table(pictures.DEPTH_ANCHORS)
+    np.testing.assert_array_equal(pixels[0, 0], ends[0])
+    np.testing.assert_array_equal(pixels[0, 2], ends[255])
+    np.testing.assert_array_equal(pixels[0, 3], pictures.MISSING)
+    middle = pictures.paint(np.array([[0.0]]), -1, 1, pictures.RESIDUAL_ANCHORS)[0, 0]
+    assert middle.min() > 240, "no residual is white"
+
+
+def test_depth_limits_follow_the_objects():
+    depth = np.full((10, 10), 5.0)
+    depth[2:8, 2:8] = np.linspace(1.0, 1.3, 36).reshape(6, 6)
+    objects = depth < 2
+    low, high = pictures.depth_limits(depth, objects)
+    assert low <= 1.02 and 1.28 <= high < 2
+    assert pictures.depth_limits(np.full((2, 2), np.nan)) == (0.0, 1.0)
+
+
+def test_shading_knows_the_surfaces(report):
+    depth, label = render_depth(report.solids, CAMERA)
+    points = CAMERA.points(np.where(label >= 0, depth, 1.0))
+    normals = pictures.surface_normals(report.solids, label, points)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-9)
+    # The floor's is gravity's opposite; every visible surface faces the camera.
+    np.testing.assert_allclose(normals[label == 0], np.tile(ROOT[:3, 2], ((label == 0).sum(), 1)), atol=1e-9)
+    assert np.all(np.sum(normals * points, axis=-1)[label >= 0] < 1e-9)
+    picture = pictures.shade(report.solids, CAMERA)
+    assert picture.shape == (60, 80, 3) and picture.dtype == np.uint8
+    assert len({tuple(np.median(picture[label == i], axis=0)) for i in range(5)}) == 5
+
+
+def test_graph_stands_on_its_root(report):
+    text = svg.graph_svg(report.scene)
+    heights = {
+        name: float(y)
+        for y, name in re.findall(r'y="([\d.]+)" text-anchor="middle" font-size="13"[^>]*>([^<]+)<', text)
+    }
+    assert heights["root"] > heights["floor"] > heights["can"] > heights["cube"]
+    assert "sphere 10.0 cm" in text and "50%" in text
+
+
+def test_doubtful_chains_are_marked():
+    rng = np.random.default_rng(2)
+    good = rng.normal(size=(4, 400, 1))
+    apart = good + np.arange(4)[:, None, None]
+    assert not tables.doubtful(tables.parameter_rows(["a.x"], good)[0])
+    assert tables.doubtful(tables.parameter_rows(["a.x"], apart)[0])
+    lines = tables.parameter_table(
+        tables.parameter_rows(["a.x", "b.contact.theta"], np.concatenate([good] * 2, axis=2))
+    )
+    assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
