@@ -130,7 +130,7 @@ class SceneTarget:
         """Return the log prior: the unknowns' own, and the prior's constraints where it has any."""
         log_prior = self.space.log_prior(values)
         if self.constraints and log_prior > -math.inf:
-            from derender.model.priors.constraints import total_log_density
+            from derender.model.priors.terms import total_log_density
 
             log_prior += total_log_density(self.constraints, self.graph(values))
         return log_prior
