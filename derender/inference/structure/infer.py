@@ -9,7 +9,7 @@ from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
 from derender.inference.structure.image import Image, make_image
 from derender.inference.structure.proposals import all_hypotheses, make_surface
-from derender.inference.structure.search import Settings, search
+from derender.inference.structure.search import Settings, search, total_energy
 from derender.inference.structure.support import final_parents
 
 
@@ -104,3 +104,42 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, discrepancy=0.
     state = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings)
     state.parents = final_parents(state)
     return state, seen
+
+
+def infer_structure(image, camera, options=None, rng=None, progress=None):
+    """Infer which solids are there and what rests on what.
+
+    Parameters
+    ----------
+    image : (H, W) float metres, NaN or 0 = no return.
+    camera : Camera, or a dict with fx, fy, cx, cy.
+    options : mapping, all optional: shapes (names), max_objects, method ("map": the best scene only).
+    rng : numpy Generator; progress : called with (fraction done, message), or None.
+
+    Returns a Posterior.
+    """
+    from derender.inference.posterior import Posterior, StructurePosterior
+    from derender.inference.structure.graph import scene_graph
+
+    options = dict(options or {})
+    rng = np.random.default_rng(options.get("seed")) if rng is None else rng
+    settings = Settings()
+    if options.get("shapes"):
+        settings = settings._replace(shapes=tuple(options["shapes"]))
+    if options.get("max_objects"):
+        settings = settings._replace(max_objects=int(options["max_objects"]))
+    if progress:
+        progress(0.0, "finding the floor and the patches")
+    depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
+    state, seen = point_estimate(rng, depth, camera, settings)
+    graph = scene_graph(state, seen.floor.pose)
+    numbers = graph.numbers()
+    addresses = tuple(a for a in numbers if not a.startswith("floor."))
+    energy = total_energy(seen.image, state, settings)
+    part = StructurePosterior(
+        graph, addresses, np.array([numbers[a] for a in addresses]).reshape(1, 1, -1),
+        np.zeros((1, 1)), np.full((1, 1), -energy),
+    )  # fmt: skip
+    if progress:
+        progress(1.0, f"{len(state)} solids")
+    return Posterior((part,), seed=options.get("seed"), meta={"reduced_by": seen.factor, "noise": seen.floor.sigma})

@@ -1,0 +1,122 @@
+"""From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.inference.structure.image import rotation_of
+from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.touch import lowest
+from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
+from derender.model.solids import BOX, SPHERE
+
+FLOOR_NAME = "floor"
+ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
+# Contacts that hold to these are written as holding exactly.
+GAP, TILT = 0.004, np.radians(2.0)
+TILTS = ("tilt", "tilt_x", "tilt_y")
+
+
+def pose_of(row):
+    """Return the pose (4, 4), object to floor frame, of a row."""
+    pose = np.eye(4)
+    # a sphere may be turned as one likes: so that its contact needs no turn
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) if int(row[0]) == SPHERE else rotation_of(row)
+    pose[:3, 3] = row[10:13]
+    return pose
+
+
+def vertex_of(row, cube, name):
+    """Return a floating Vertex with the row's shape and pose under the root."""
+    kind, size = int(row[0]), [float(s) for s in row[13:16]]
+    if kind == BOX:
+        shape = "cube" if cube else "box"
+        parameters = {"side": size[0]} if cube else dict(zip(("length", "width", "height"), size, strict=True))
+    elif kind == SPHERE:
+        shape, parameters = "sphere", {"radius": size[0] / 2}
+    else:
+        shape, parameters = "cylinder", {"radius": size[0] / 2, "height": size[2]}
+    contact = floating(pose_of(row))
+    return Vertex(name, shape, parameters, ROOT, contact)
+
+
+def floating(pose):
+    """Return the 6dof Contact of a pose (4, 4) under the root."""
+    from derender.model.contacts import contacts
+
+    return Contact("6dof", values=contacts["6dof"].invert(pose).phi)
+
+
+def names_of(state: State) -> list[str]:
+    """Return a name for each solid: its shape and a number, nearest to the floor first."""
+    counts: dict[str, int] = {}
+    names = [""] * len(state)
+    for k in np.argsort([lowest(r) for r in state.rows], kind="stable"):
+        shape = vertex_of(state.rows[k], state.cubes[k], "x").shape
+        counts[shape] = counts.get(shape, 0) + 1
+        names[k] = f"{shape}_{counts[shape]}"
+    return names
+
+
+def order_of(parents: list[int]) -> list[int]:
+    """Return the solids with parents first; an edge that would close a circle is cut (its child goes on the floor)."""
+    placed: list[int] = []
+    waiting = list(range(len(parents)))
+    while waiting:
+        ready = [k for k in waiting if parents[k] == FLOOR or parents[k] in placed]
+        if not ready:
+            parents[waiting[0]] = FLOOR
+            continue
+        placed += ready
+        waiting = [k for k in waiting if k not in ready]
+    return placed
+
+
+def scene_graph(state: State, floor_pose: np.ndarray) -> SceneGraph:
+    """Return the scene graph of a state.
+
+    Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
+    made exact, one that does not keeps the rest as slack; where none fits at all the solid stays on its parent with
+    whatever slack face to face needs, and floats under the root only where even that is impossible.
+    """
+    parents = list(state.parents)
+    order = order_of(parents)
+    names = names_of(state)
+    graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
+    for k in order:
+        vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
+        parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
+        contact = best_contact(graph.add(vertex), names[k], parent, state.rows[k])
+        if contact is not None:
+            vertex = replace(vertex, parent=parent, contact=contact)
+        graph = graph.add(vertex)
+    return graph
+
+
+def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> Contact | None:
+    """Return the contact with `parent` that reproduces the pose of `name` with the least slack, made exact where near."""
+    best, chosen = np.inf, None
+    reach = 0.5 * float(np.linalg.norm(row[13:16]))
+    for place, kind in enumerate(ON_A_FACE):
+        try:
+            contact, left = graph.nearest_contact(name, parent, kind, "+z" if parent == FLOOR_NAME else None)
+        except DerenderError:
+            continue
+        gap = abs(contact.values.get("gap", 0.0))
+        tilt = float(np.hypot(*[0.0, 0.0, *(contact.values.get(t, 0.0) for t in TILTS)][-2:]))
+        cost = gap + reach * (tilt + left.angle) + left.outside + 0.002 * place
+        if cost < best:
+            best, chosen = cost, (contact, gap, tilt, left)
+    if chosen is None or best > 0.06:
+        return None
+    contact, gap, tilt, left = chosen
+    values = dict(contact.values)
+    values.pop("roll", None)  # about its own axis a cylinder may be turned as one likes
+    if gap < GAP:
+        values.pop("gap", None)
+    if tilt < TILT:
+        for t in TILTS:
+            values.pop(t, None)
+    return replace(contact, values=values)
+
