@@ -1,0 +1,139 @@
+"""Every block of README.md is run, in an empty folder for each section; what it prints as fact is what is so."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from derender import data_path
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+FENCE = re.compile(r"(<!-- slow -->\n)?^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language):
+    """Return (section, number, slow, text) for each block in this language."""
+    found = []
+    for part in re.split(r"^## ", README, flags=re.MULTILINE):
+        section = part.splitlines()[0].strip().lower().replace(" ", "-")
+        for number, match in enumerate(FENCE.finditer(part)):
+            if match[2] == language:
+                found.append((section, number, bool(match[1]), match[3]))
+    return found
+
+
+def parameters(language):
+    """Return a pytest parameter for each block, the slow ones marked."""
+    return [
+        pytest.param(text, id=f"{section}-{number}", marks=[pytest.mark.slow] if slow else [])
+        for section, number, slow, text in blocks(language)
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder with what the README assumes: one's own frame and camera, and the prior that it prints."""
+    shutil.copy(data_path("frames/kinect_tabletop.png"), tmp_path / "frame.png")
+    shutil.copy(data_path("frames/kinect_camera.json"), tmp_path / "camera.json")
+    (tmp_path / "prior.yaml").write_text(blocks("yaml")[0][3])
+    return tmp_path
+
+
+def test_there_are_only_blocks_that_a_test_runs():
+    languages = {match[2] for match in FENCE.finditer(README)}
+    assert languages <= {"sh", "python", "yaml", "json", "toml"}
+    assert README.count("```") == 2 * len(list(FENCE.finditer(README)))
+
+
+@pytest.mark.parametrize("text", parameters("sh"))
+def test_the_commands_run(text, folder):
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    if all(line.startswith("make ") for line in text.splitlines()):
+        for line in text.splitlines():  # run by whoever runs this test; here only that the target exists
+            done = subprocess.run([*line.split(), "-n"], cwd=ROOT, env=environment, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+        return
+    if text.startswith("derender show result"):
+        pytest.skip("goes on from the block before")
+    done = subprocess.run(
+        ["sh", "-e", "-x", "-c", text], cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "Traceback" not in done.stderr
+
+
+def test_every_make_target_named_exists_and_the_ci_runs_the_readmes_test_command():
+    help_text = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for target in re.findall(r"make ([a-z][a-z-]*)", README):
+        assert re.search(rf"^{target} ", help_text, re.MULTILINE), target
+    assert "make test" in blocks("sh")[0][3]
+    assert (ROOT / ".ci" / "run").read_text().rstrip().endswith("make test")
+
+
+@pytest.mark.parametrize("text", parameters("python"))
+def test_the_python_runs_and_the_shape_works(text, tmp_path):
+    """The README's shape, in a process of its own, is read from YAML, drawn and listed."""
+    more = """
+from pathlib import Path
+from derender.document import read_document
+from derender.vision.camera import Camera
+from derender.vision.renderers import find_renderer
+Path("scene.yaml").write_text('''derender: 1
+root: {position: [0, 0.1, 0.8], quat_wxyz: [0.5, -0.866, 0, 0]}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+  ramp:
+    shape: {type: wedge, length: 0.2, width: 0.1, height: 0.1}
+    parent: floor
+    contact: {type: face-to-face, parent_face: +z, child_face: -z, x: 0, y: 0, theta: 0.5}
+''')
+solids = read_document("scene.yaml").graph.solids()
+depth, label = find_renderer("raycast").render_depth(solids, Camera.from_field_of_view(80, 60))
+assert (label == 1).sum() > 100
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", text + more], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("text", parameters("yaml"))
+def test_the_yaml_is_a_prior(text, tmp_path):
+    from derender.document import read_document
+
+    (tmp_path / "prior.yaml").write_text(text)
+    document = read_document(tmp_path / "prior.yaml")
+    assert document.camera is not None and not document.is_scene
+
+
+@pytest.mark.parametrize("text", parameters("json"))
+def test_the_json_is_json(text):
+    scene = json.loads(text)
+    assert set(scene) == {"frame", "gravity", "objects"}
+
+
+@pytest.mark.parametrize("text", parameters("toml"))
+def test_the_entry_point_group_is_the_registrys(text):
+    from derender.model.shapes import shapes
+
+    (group,) = tomllib.loads(text)["project"]["entry-points"]
+    assert group == shapes.entry_point_group
+
+
+def test_the_list_of_commands_is_fresh():
+    """Run scripts/list_commands.py where this fails."""
+    from scripts.list_commands import updated
+
+    assert updated(README) == README
+
+
+def test_the_pictures_are_there():
+    for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
+        assert (ROOT / name).is_file(), name
