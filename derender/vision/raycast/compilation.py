@@ -1,6 +1,7 @@
 """Say once, on stderr, that compiled kernels are being compiled: the first call would otherwise seem to hang."""
 
 import sys
+from functools import cache
 
 from numba.core.dispatcher import Dispatcher
 
@@ -12,12 +13,15 @@ def announce_compilation(*kernels: Dispatcher) -> bool:
     """
     pending = [kernel for kernel in kernels if not kernel.signatures and not _cached(kernel)]
     if pending:
-        print(
-            "derender: compiling kernels for this machine, once (about ten seconds; the result is cached)",
-            file=sys.stderr,
-            flush=True,
-        )
+        _announce()
     return bool(pending)
+
+
+@cache
+def _announce() -> None:
+    """Say it, at most once in a process."""
+    print("derender: compiling kernels for this machine, once (about ten seconds; the result is cached)",
+          file=sys.stderr, flush=True)
 
 
 def _cached(kernel: Dispatcher) -> bool:

@@ -193,6 +193,53 @@ def where_at_least(typing, a, b, yes, no):
     return float_lanes(float_lanes, float_lanes, float_lanes, float_lanes), generate
 
 
+def _integer_lanes(builder, value):
+    return builder.bitcast(value, _INTEGERS)
+
+
+@intrinsic
+def exponential(typing, x):
+    """e^x for x <= 0, relative error 1e-7; e^-87 below -87."""
+
+    def generate(context, builder, signature, arguments):
+        x = _greater_of(builder, arguments[0], _constant(-87.0))
+        n = _call(builder, "rint", builder.fmul(x, _constant(1.4426950408889634)))
+        r = _multiply_add(builder, n, _constant(-0.693359375), x)
+        r = _multiply_add(builder, n, _constant(2.12194440e-4), r)
+        p = _constant(1.9875691500e-4)  # Cephes' expf
+        for term in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
+            p = _multiply_add(builder, p, r, _constant(term))
+        p = _multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, _constant(1.0)))
+        power = builder.shl(builder.add(builder.fptosi(n, _INTEGERS), _integer(127)), _integer(23))
+        return builder.fmul(p, builder.bitcast(power, _FLOATS))
+
+    return float_lanes(float_lanes), generate
+
+
+@intrinsic
+def logarithm(typing, x):
+    """The natural logarithm of a normal positive number, relative error 1e-7."""
+
+    def generate(context, builder, signature, arguments):
+        bits = _integer_lanes(builder, arguments[0])
+        # split at sqrt(1/2) so that the mantissa minus one is small on both sides
+        shifted = builder.sub(bits, _integer(0x3F3504F3))
+        exponent = builder.sitofp(builder.ashr(shifted, _integer(23)), _FLOATS)
+        mantissa = builder.add(builder.and_(shifted, _integer(0x007FFFFF)), _integer(0x3F3504F3))
+        m = builder.fsub(builder.bitcast(mantissa, _FLOATS), _constant(1.0))
+        square = builder.fmul(m, m)
+        p = _constant(7.0376836292e-2)  # Cephes' logf
+        for term in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1,
+                     2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):
+            p = _multiply_add(builder, p, m, _constant(term))
+        y = builder.fmul(builder.fmul(p, m), square)
+        y = _multiply_add(builder, exponent, _constant(-2.12194440e-4), y)
+        y = _multiply_add(builder, square, _constant(-0.5), y)
+        return _multiply_add(builder, exponent, _constant(0.693359375), builder.fadd(y, m))
+
+    return float_lanes(float_lanes), generate
+
+
 @intrinsic
 def zero_sum(typing):
     """Sixteen float64 zeros: the start of a sum."""

@@ -5,31 +5,19 @@ from numba import njit
 
 from derender.model.solids import MESH
 from derender.vision.raycast.filter import blur_column, blur_row
-from derender.vision.raycast.lanes import (
-    LANES,
-    accumulate,
-    load,
-    maximum,
-    multiply,
-    splat,
-    store,
-    subtract,
-    sum_lanes,
-    zero_sum,
-)
+from derender.vision.raycast.lanes import LANES
 from derender.vision.raycast.rows import fill, invert, raise_solid, raise_to_image
+from derender.vision.raycast.score import score_row_gaussian, score_row_robust
 from derender.vision.raycast.state import (
     BACKGROUND,
-    BLURRED,
-    CURRENT,
     DEPTH,
+    GAUSSIAN,
     HEIGHT,
+    LIKELIHOOD,
     MESHES,
-    OBSERVED_IMAGE,
     PAD,
     RADIUS,
     RING,
-    SCORE,
     WIDTH,
 )
 
@@ -56,21 +44,6 @@ def draw_region(settings, parameters, images, kind, prepared, rectangle, half, r
 
 
 @njit(cache=True, nogil=True)
-def _score_row_gaussian(images, blurred, half, row, first, end):
-    """Square the residuals of a row; return their sum and that of the current scores."""
-    new, old = zero_sum(), zero_sum()
-    observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
-    zero = splat(np.float32(0))
-    for column in range(first + PAD, end + PAD, LANES):
-        residual = subtract(load(observed, row, column), load(blurred, BLURRED, column))
-        square = maximum(multiply(residual, residual), zero)  # 0 where nothing was observed (NaN)
-        old = accumulate(old, load(current, row, column))
-        store(score, row, column, square)
-        new = accumulate(new, square)
-    return sum_lanes(new), sum_lanes(old)
-
-
-@njit(cache=True, nogil=True)
 def score_region(settings, parameters, taps, images, rows, half, region):
     """Blur and score a half in a region (columns a multiple of LANES).
 
@@ -87,7 +60,10 @@ def score_region(settings, parameters, taps, images, rows, half, region):
         blur_row(depth, row, ring, row & mask, left, right, PAD, taps, radius)
         while output < bottom and (output + radius <= row or row == last - 1):
             blur_column(ring, output, height, rows, left, right, PAD, taps, radius)
-            row_new, row_old = _score_row_gaussian(images, rows, half, output, left, right)
+            if settings[LIKELIHOOD] == GAUSSIAN:
+                row_new, row_old = score_row_gaussian(images, rows, half, output, left, right)
+            else:
+                row_new, row_old = score_row_robust(parameters, images, rows, half, output, height, left, right)
             new += row_new
             old += row_old
             output += 1
