@@ -6,6 +6,7 @@ again gives the same floats, bit for bit.
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,6 @@ from derender import __version__, data_path
 from derender.atomic import write_text
 from derender.errors import DerenderError
 from derender.model.distributions import Distribution
-from derender.model.parameter import Parameter
 from derender.model.pose import from_quaternion, quaternion
 from derender.model.priors.base import Prior
 from derender.model.priors.reading import read_value
@@ -125,6 +125,17 @@ def read_document(path: str | Path) -> Document:
     return document_from(top, folder)
 
 
+def read_documents() -> list[Document]:
+    """Read one or several YAML documents from stdin, such as `derender sample -n 10 -o -` writes."""
+    import sys
+
+    data = sys.stdin.buffer.read()
+    pieces = [piece for piece in re.split(rb"(?m)^---[ \t]*\r?\n", data) if piece.strip()] or [data]
+    names = ["stdin"] if len(pieces) == 1 else [f"stdin, document {number}" for number in range(1, len(pieces) + 1)]
+    tops = [parse_yaml(piece, name) for piece, name in zip(pieces, names, strict=True)]
+    return [document_from(top, Path.cwd()) for top in tops]
+
+
 def read_prior_document(name: str | Path) -> Document:
     """Read a prior file, or the built-in prior of that name ("tabletop")."""
     path = Path(name)
@@ -180,10 +191,11 @@ def _read_camera(node: Node, folder: Path) -> Camera:
 def _read_likelihood(node: Node) -> LikelihoodPrior:
     """Read a likelihood's type and parameters, each a number or a distribution."""
     from derender.model.priors.values import check_range
+    from derender.vision.likelihoods import likelihoods
+
     section = node.section()
-    known = likelihood_parameters()
-    kind = section["type"].text(known)
-    parameters = {parameter.name: parameter for parameter in known[kind]}
+    kind = section["type"].text(likelihoods)
+    parameters = {parameter.name: parameter for parameter in likelihoods[kind].parameters}
     section.allow("type", *parameters)
     values = {}
     for key, item in section.items():
@@ -191,20 +203,6 @@ def _read_likelihood(node: Node) -> LikelihoodPrior:
             values[key] = read_value(item, parameters[key].unit)
             check_range(values[key], parameters[key], item)
     return LikelihoodPrior(kind, values)
-
-
-def likelihood_parameters() -> dict[str, tuple[Parameter, ...]]:
-    """Return the parameters of each registered likelihood."""
-    try:
-        from derender.vision.likelihoods import likelihoods
-    except ImportError:
-        common = (
-            Parameter("sigma", "m", 0.0, math.inf, 0.005),
-            Parameter("blur", "px", 0.0, 100.0, 0.0),
-            Parameter("background", "m", 0.0, math.inf, 10.0),
-        )
-        return {"gaussian": common, "robust": common}
-    return {name: tuple(likelihoods[name].parameters) for name in likelihoods}
 
 
 def document_text(

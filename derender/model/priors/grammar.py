@@ -49,13 +49,13 @@ class GrammarPrior(Prior):
     constraints: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_tree", TreePrior(self.root, self.base))
+        object.__setattr__(self, "tree", TreePrior(self.root, self.base))
         object.__setattr__(self, "_kinds", {})
         for name in self.offspring:
-            if name not in self.shapes and name != ROOT and name not in self._tree.by_name:
+            if name not in self.shapes and name != ROOT and name not in self.tree.by_name:
                 from derender.registry import suggest
 
-                choices = [*self.shapes, *self._tree.by_name, ROOT]
+                choices = [*self.shapes, *self.tree.by_name, ROOT]
                 raise fault(None, f"offspring names {name!r}, which is no object and no shape", suggest(name, choices))
         states, matrix = self.mean_matrix()
         radius = float(max(abs(np.linalg.eigvals(matrix)))) if states else 0.0
@@ -128,7 +128,7 @@ class GrammarPrior(Prior):
 
     def _sample(self, rng) -> SceneGraph:
         root_pose = self.root.sample(rng)
-        vertices = self._tree.sample_vertices(rng)  # type: ignore[attr-defined]
+        vertices = self.tree.sample_vertices(rng)  # type: ignore[attr-defined]
         numbers: Counter = Counter()
         waiting = [(ROOT, ROOT), *((name, name) for name in vertices)]
         for name, kind in waiting:  # grows while it is walked: parents before children
@@ -167,7 +167,7 @@ class GrammarPrior(Prior):
 
     def log_density(self, graph: SceneGraph) -> float:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
-        base = self._tree.by_name  # type: ignore[attr-defined]
+        base = self.tree.by_name  # type: ignore[attr-defined]
         total = self.root.log_density(graph.root_pose)
         children: dict[str, int] = {}
         kinds: dict[str, str] = {ROOT: ROOT}
@@ -175,7 +175,7 @@ class GrammarPrior(Prior):
             if item.name not in vertices or total == -math.inf:
                 return -math.inf
             kinds[item.name] = item.name
-            total += self._tree.vertex_log_density(item, vertices)  # type: ignore[attr-defined]
+            total += self.tree.vertex_log_density(item, vertices)  # type: ignore[attr-defined]
         for name, vertex in vertices.items():
             if name in base:
                 continue
@@ -204,15 +204,15 @@ class GrammarPrior(Prior):
 
     def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
-        free = self._tree.free_addresses(graph)  # type: ignore[attr-defined]
+        free = self.tree.free_addresses(graph)  # type: ignore[attr-defined]
         for name, vertex in vertices.items():
             kind = self.kind_of(vertex)
-            if kind is not None and name not in self._tree.by_name:  # type: ignore[attr-defined]
+            if kind is not None and name not in self.tree.by_name:  # type: ignore[attr-defined]
                 free.update(vertex_addresses(self.shapes[kind], self.contacts, vertices, name))
         return free
 
     def log_orderings(self, graph: SceneGraph) -> float:
-        base = self._tree.by_name  # type: ignore[attr-defined]
+        base = self.tree.by_name  # type: ignore[attr-defined]
         counts = Counter(vertex.parent for vertex in graph.vertices if vertex.name not in base)
         return math.fsum(math.lgamma(count + 1) for count in counts.values())
 

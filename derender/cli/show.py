@@ -1,0 +1,69 @@
+"""derender show: a scene graph as a tree, or as JSON."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from derender.cli import options
+
+
+@click.command()
+@click.argument("scene", metavar="SCENE-or-DIR")
+@options.as_json
+def command(scene: str, as_json: bool) -> None:
+    """Print a scene file, a prior file, or the posterior in a folder written by `derender infer`, as a tree.
+
+    A posterior is shown by its most probable scene, each object with its probability and that of its parents. The last
+    line counts the continuous degrees of freedom. --json prints objects with type, size, pose in the camera's frame,
+    parent, contact and probabilities. `-` reads scenes from stdin, one or several YAML documents.
+
+    \b
+    Examples:
+        derender show scene.yaml
+        derender show results/ --json | python -m json.tool
+        derender sample stack -o - | derender show -
+        derender show tabletop
+    """
+    for lines in _shown(scene, as_json):
+        click.echo(lines)
+
+
+def _shown(scene: str, as_json: bool):
+    """Yield the text of each scene that the argument names."""
+    path = Path(scene)
+    if scene != "-" and path.is_dir():
+        yield _of_folder(path, as_json)
+        return
+    from derender.document import read_documents, read_prior_document
+
+    for document in read_documents() if scene == "-" else [read_prior_document(scene)]:
+        if as_json or document.is_scene:
+            yield _of_graph(document.graph, None, as_json)
+        else:
+            from derender.report.tree_text import prior_lines
+
+            yield "\n".join(prior_lines(document.prior))
+
+
+def _of_folder(folder: Path, as_json: bool) -> str:
+    """Show the posterior in a folder; where there is only a scene, that."""
+    if (folder / "posterior.npz").exists():
+        from derender.inference.posterior import load
+
+        posterior = load(folder / "posterior.npz")
+        return _of_graph(posterior.best_graph(), posterior, as_json)
+    from derender.document import read_document
+
+    return _of_graph(read_document(folder / "scene.yaml").graph, None, as_json)
+
+
+def _of_graph(graph: Any, posterior: Any, as_json: bool) -> str:
+    if as_json:
+        from derender.report.scene_json import scene_json
+
+        return json.dumps(scene_json(graph, posterior))
+    from derender.report.tree_text import scene_lines
+
+    return "\n".join(scene_lines(graph, posterior))

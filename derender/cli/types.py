@@ -1,0 +1,119 @@
+"""derender types: what can stand in a scene file."""
+
+import inspect
+import json
+from typing import Any
+
+import click
+
+from derender.cli import options
+from derender.errors import DerenderError
+
+
+@click.command()
+@click.argument("name", required=False)
+@options.as_json
+def command(name: str | None, as_json: bool) -> None:
+    """List the registered shapes, contacts, distributions, likelihoods, structures and constraints, or explain one.
+
+    \b
+    Examples:
+        derender types
+        derender types face-to-face
+        derender types --json | python -m json.tool
+    """
+    entries = list(_entries())
+    if name is not None:
+        found = [entry for entry in entries if entry["name"] == name or entry["kind"] in (name, name.removesuffix("s"))]
+        if not found:
+            from derender.registry import suggest
+
+            raise DerenderError(
+                f"no type is called {name!r}", remedy=suggest(name, {entry["name"] for entry in entries})
+            )
+        entries = found
+    if as_json:
+        click.echo(json.dumps(entries, indent=1))
+    elif name is not None:
+        click.echo("\n\n".join(_explanation(entry) for entry in entries))
+    else:
+        click.echo("\n".join(_listing(entries)))
+
+
+def _entries():
+    """Yield each registered type: kind, name, what it is, its parameters."""
+    from derender.model.contacts import contacts
+    from derender.model.distributions import distributions
+    from derender.model.priors.open_structure import structures
+    from derender.model.priors.reading import contact_parameters
+    from derender.model.priors.terms import term_types
+    from derender.model.shapes import shapes
+    from derender.vision.likelihoods import likelihoods
+
+    for kind, registry in (("shape", shapes), ("likelihood", likelihoods)):
+        for name in registry:
+            yield _entry(kind, name, registry[name], map(_parameter, registry[name].parameters))
+    for name in contacts:
+        yield _entry("contact", name, contacts[name], map(_parameter, contact_parameters(name).values()))
+    for name in distributions:
+        yield _entry(
+            "distribution", name, distributions[name], [{"name": key} for key in distributions[name].parameters]
+        )
+    for kind, registry in (("structure", structures), ("constraint", term_types)):
+        for name in registry:
+            yield _entry(kind, name, registry[name], [])
+
+
+def _entry(kind: str, name: str, entry: Any, parameters: Any) -> dict[str, Any]:
+    return {
+        "kind": kind,
+        "name": name,
+        "summary": inspect.getdoc(type(entry)) or "",
+        "parameters": list(parameters),
+    }
+
+
+def _parameter(parameter: Any) -> dict[str, Any]:
+    """Return a parameter as JSON holds it: an infinite bound is null."""
+    data = {"name": parameter.name, "unit": parameter.unit}
+    for key in ("lower", "upper", "default", "period"):
+        value = getattr(parameter, key)
+        data[key] = None if value is None or abs(value) == float("inf") else value
+    return {**data, "slack": parameter.slack}
+
+
+def _listing(entries: list[dict[str, Any]]) -> list[str]:
+    lines: list[str] = []
+    kind = None
+    for entry in entries:
+        if entry["kind"] != kind:
+            kind = entry["kind"]
+            lines += ["", f"{kind}s"] if lines else [f"{kind}s"]
+        names = ", ".join(parameter["name"] for parameter in entry["parameters"])
+        lines.append(f"  {entry['name']:<18} {names}".rstrip())
+    return lines
+
+
+def _explanation(entry: dict[str, Any]) -> str:
+    lines = [f"{entry['kind']} {entry['name']}", "", entry["summary"]]
+    if entry["parameters"]:
+        lines.append("")
+    for parameter in entry["parameters"]:
+        lines.append("  " + _parameter_line(parameter))
+    return "\n".join(lines)
+
+
+def _parameter_line(parameter: dict[str, Any]) -> str:
+    """Return one line: name, unit, range, default."""
+    parts = [f"{parameter['name']:<14}"]
+    if "unit" in parameter:
+        parts.append(f"{parameter['unit'] or '-':<4}")
+        lower, upper = (parameter[key] for key in ("lower", "upper"))
+        parts.append(f"from {'-inf' if lower is None else f'{lower:g}'} to {'inf' if upper is None else f'{upper:g}'}")
+        if parameter["default"] is not None:
+            parts.append(f"default {parameter['default']:g}")
+        if parameter["period"] is not None:
+            parts.append(f"period {parameter['period']:g}")
+        if parameter["slack"]:
+            parts.append("slack")
+    return "  ".join(parts).rstrip()

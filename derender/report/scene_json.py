@@ -1,0 +1,51 @@
+"""A scene as JSON: the contract that `show --json` prints and every other command that speaks JSON reuses."""
+
+from typing import Any
+
+import numpy as np
+
+from derender.model.scene import SceneGraph
+
+GRAVITY = 9.81  # metres a second squared
+
+
+def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
+    """Return the scene in camera axes: objects with type, full extents, pose, parent, contact.
+
+    Parameters
+    ----------
+    graph : the scene; with a posterior, its most probable one.
+    posterior : adds `probability` and `parent_probability` to each object; it answers object_probability(name) and
+        parent_probability(name) -> {parent: probability}.
+
+    Returns
+    -------
+    {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}; of an object, `size` is the three full
+    extents along its own axes in metres, None for what has none; `pose` is 4x4 row-major, object to camera.
+    """
+    poses = graph.poses()
+    objects = []
+    for vertex in graph.vertices:
+        size = vertex.body.size()
+        contact: dict[str, Any] = {"type": vertex.contact.type}
+        if vertex.contact.parent_face is not None:
+            contact["parent_face"] = vertex.contact.parent_face
+        if vertex.contact.child_face is not None:
+            contact["child_face"] = vertex.contact.child_face
+        contact.update({name: float(value) for name, value in vertex.contact.values.items()})
+        entry: dict[str, Any] = {
+            "name": vertex.name,
+            "type": vertex.shape,
+            "size": None if size is None else [float(side) for side in size],
+            "pose": np.asarray(poses[vertex.name], dtype=float).tolist(),
+            "parent": vertex.parent,
+            "contact": contact,
+        }
+        if vertex.supports:
+            entry["supports"] = list(vertex.supports)
+        if posterior is not None:
+            entry["probability"] = float(posterior.object_probability(vertex.name))
+            parents = posterior.parent_probability(vertex.name)
+            entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
+        objects.append(entry)
+    return {"frame": "camera", "gravity": (GRAVITY * graph.down()).tolist(), "objects": objects}

@@ -1,0 +1,160 @@
+"""A scene graph, or a prior, as a tree of lines for the terminal."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from derender.model.contacts import contacts
+from derender.model.distributions import Categorical, Distribution
+from derender.model.priors.algorithm_1 import Algorithm1Prior
+from derender.model.priors.contacts import ContactPrior
+from derender.model.priors.grammar import GrammarPrior
+from derender.model.priors.tree import TreePrior
+from derender.model.priors.values import ROTATION
+from derender.model.scene import ROOT, SceneGraph, Vertex
+from derender.model.shapes import shapes
+
+ALTERNATIVE = 0.005  # another parent is named from this probability on
+
+
+def scene_lines(graph: SceneGraph, posterior: Any = None) -> list[str]:
+    """Return the tree of a scene: sizes in centimetres, angles in degrees; with a posterior, the probabilities.
+
+    The last line counts the continuous degrees of freedom of the contacts.
+    """
+    children: dict[str, list[Vertex]] = {}
+    for vertex in graph.vertices:
+        children.setdefault(vertex.parent, []).append(vertex)
+
+    def describe(vertex: Vertex) -> str:
+        parts = [f"{vertex.name}  {vertex.shape}{_size(vertex)}", _contact(graph, vertex)]
+        if vertex.supports:
+            parts.append("also on " + ", ".join(vertex.supports))
+        if posterior is not None:
+            parts.append(_probabilities(vertex, posterior))
+        return "   ".join(part for part in parts if part)
+
+    x, y, z = graph.root_pose[:3, 3]
+    lines = [f"root  frame   at ({x:.3f}, {y:.3f}, {z:.3f}) m before the camera"]
+    lines += _branches(ROOT, children, describe)
+    for constraint in graph.constraints:
+        lines.append(f"{constraint.first} {constraint.type.replace('-', ' ')} {constraint.second}")
+    count = graph.degrees_of_freedom()
+    lines.append(f"{count} continuous degrees of freedom, {len(graph.vertices)} objects")
+    return lines
+
+
+def _branches(name: str, children: Mapping[str, list], describe: Callable[[Any], str], indent: str = "") -> list[str]:
+    lines = []
+    below = children.get(name, [])
+    for number, item in enumerate(below):
+        last = number == len(below) - 1
+        lines.append(indent + ("└─ " if last else "├─ ") + describe(item))
+        lines += _branches(item.name, children, describe, indent + ("   " if last else "│  "))
+    return lines
+
+
+def _size(vertex: Vertex) -> str:
+    if vertex.shape == "sphere":
+        return f" radius {100 * vertex.parameters['radius']:.1f} cm"
+    if vertex.shape == "cylinder":
+        return f" radius {100 * vertex.parameters['radius']:.1f}, height {100 * vertex.parameters['height']:.1f} cm"
+    size = vertex.body.size()
+    return "" if size is None else " " + " x ".join(f"{100 * side:.1f}" for side in size) + " cm"
+
+
+def _contact(graph: SceneGraph, vertex: Vertex) -> str:
+    contact = vertex.contact
+    kind = contacts[contact.type]
+    values = contact.values
+    if any(key in values for key in ROTATION):
+        position = ", ".join(f"{values.get(key, 0.0):.3f}" for key in "xyz")
+        turn = 2 * math.degrees(math.acos(min(1.0, abs(values.get("qw", 1.0)))))
+        return f"{contact.type}, at ({position}) m, turned {turn:.1f} deg"
+    faces = contact.parent_face, contact.child_face
+    units = {p.name: p.unit for p in kind.parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)}
+    numbers = [_number(name, value, units.get(name, "")) for name, value in values.items()]
+    where = f" {faces[1]} on {faces[0]}" if faces != (None, None) else ""
+    return ", ".join([f"{contact.type}{where}", *numbers])
+
+
+def _number(name: str, value: float, unit: str) -> str:
+    if unit == "rad":
+        return f"{name} {math.degrees(value):.1f} deg"
+    return f"{name} {value:.3f} {unit}".rstrip()
+
+
+def _probabilities(vertex: Vertex, posterior: Any) -> str:
+    parents = posterior.parent_probability(vertex.name)
+    likely = {name: share for name, share in parents.items() if share >= ALTERNATIVE or name == vertex.parent}
+    shares = ", ".join(f"{name} {share:.2f}" for name, share in sorted(likely.items(), key=lambda item: -item[1]))
+    return f"p {posterior.object_probability(vertex.name):.2f} (on {shares})"
+
+
+def prior_lines(prior: Any) -> list[str]:
+    """Return the lines of a prior: its fixed objects with their distributions, then what grows."""
+    lines = ["root  frame   " + (_values(prior.root.free_addresses()) or "fixed")]
+    if isinstance(prior, TreePrior):
+        lines += _tree_lines(prior)
+        return [*lines, _unknowns(prior)]
+    if isinstance(prior, GrammarPrior):
+        if prior.base:
+            lines += _tree_lines(prior.tree)
+        lines += [f"on {name} grow  {count}" for name, count in prior.offspring.items()]
+        lines += _kinds(prior)
+        lines.append(f"a consistent grammar: mean offspring has the spectral radius {prior.spectral_radius:.3f}")
+    elif isinstance(prior, Algorithm1Prior):
+        lines.append(f"parents  {{poisson: {prior.mean_parents:g}}}   children  {{poisson: {prior.mean_children:g}}}")
+        lines += _kinds(prior)
+    return lines
+
+
+def _tree_lines(prior: TreePrior) -> list[str]:
+    children: dict[str, list] = {}
+    for item in prior.objects:
+        children.setdefault(item.parents[0], []).append(item)
+
+    def describe(item: Any) -> str:
+        parent = f"   on {item.parent}" if isinstance(item.parent, Categorical) else ""
+        free = _values(item.shape.free())
+        return f"{item.name}  {item.shape.type}{' ' + free if free else ''}{parent}   {_rules(item.contact)}"
+
+    return _branches(ROOT, children, describe)
+
+
+def _kinds(prior: Any) -> list[str]:
+    lines = []
+    for name, entry in prior.shapes.items():
+        weight = f"weight {entry.weight:g}  " if entry.weight != 1 else ""
+        lines.append(f"shape {name}  {weight}{_values(entry.free())}".rstrip())
+    return lines + [f"contact {_rule(rule)}" for rule in prior.contacts.rules]
+
+
+def _rules(contact: ContactPrior) -> str:
+    return " or ".join(_rule(rule) for rule in contact.rules)
+
+
+def _rule(rule: Any) -> str:
+    faces = [
+        f"{label} {face}" for label, face in (("on", rule.parent_face), ("by", rule.child_face)) if face is not None
+    ]
+    return "  ".join(part for part in (rule.type, *faces, _values(rule.values)) if part)
+
+
+def _values(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {_value(value)}" for name, value in values.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Distribution):
+        return f"{value.name}({', '.join(f'{p:.4g}' for p in value.parameters)})"
+    if isinstance(value, tuple):
+        return "(" + ", ".join(f"{part:.4g}" for part in value) + ")"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _unknowns(prior: TreePrior) -> str:
+    import numpy as np
+
+    count = len(prior.free_addresses(prior.sample(np.random.default_rng(0))))
+    return f"{count} unknown numbers, {len(prior.objects)} objects"
