@@ -6,7 +6,7 @@ positive it is their distance, negative minus the depth to which one must be pus
 A plane is a surface without an inside: solids on either face are free of it (Eq. 3 has both faces). A mesh counts as
 its oriented box. Spheres are exact, by signed distances; so are boxes, by the fifteen separating axes when they overlap
 (Gottschalk 1996) and by alternating projection when they do not; with a cylinder, whose rim has no finite set of axes,
-the best STARTS of the obvious axes are refined by a search over directions (random pairs: right to 0.1 mm, mostly to 1e-6 m).
+the best STARTS of the obvious axes are refined by a search over directions: right to 0.1 mm, mostly to 1e-6 m.
 """
 
 import math
