@@ -74,17 +74,15 @@ def noise_map(depth, floor, camera):
 
 def inside_hull(points, inliers, good, margin=0.01):
     """Return (H, W) bool: which points lie over the convex hull of the floor's visible part."""
-    from scipy.spatial import Delaunay, QhullError
+    from scipy.spatial import ConvexHull, QhullError
 
     flat = points[inliers][:, :2]
     try:
-        hull = Delaunay(flat[np.random.default_rng(0).permutation(len(flat))[:3000]])
+        planes = ConvexHull(flat[:: max(1, len(flat) // 3000)]).equations
     except (QhullError, ValueError):
         return good.copy()
-    middle = flat.mean(axis=0)
-    scale = 1 + margin / np.median(np.linalg.norm(flat - middle, axis=1))
-    inside = np.zeros(good.shape, bool)
-    inside[good] = hull.find_simplex(middle + (points[good][:, :2] - middle) / scale) >= 0
+    inside = good.copy()
+    inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
     return inside
 
 

@@ -35,8 +35,8 @@ class Settings(NamedTuple):
     slack: float = SLACK
     cube_bonus: float = 7.0
     free_price: float = 8.0
-    repairs: int = 40
-    quiet: int = 8
+    repairs: int = 120
+    quiet: int = 30
     clean: float = 4.0
     floating_price: float = 30.0
 
