@@ -166,7 +166,7 @@ def real_towers():
     return json.loads(path.read_text())
 
 
-def towers_right(towers):
+def towers_as_matter(towers):
     scenes = []
     for tower in towers:
         blocks = [
@@ -174,7 +174,12 @@ def towers_right(towers):
             for i, block in enumerate(tower["blocks"])
         ]
         scenes.append(matter(FLOOR, *blocks))
-    return sum(found.stable == tower["stable"] for found, tower in zip(verdicts(scenes, jobs=2), towers, strict=True))
+    return scenes
+
+
+def towers_right(towers):
+    found = verdicts(towers_as_matter(towers), jobs=2)
+    return sum(verdict.stable == tower["stable"] for verdict, tower in zip(found, towers, strict=True))
 
 
 def test_some_block_towers():
