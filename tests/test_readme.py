@@ -86,7 +86,7 @@ from derender.document import read_document
 from derender.vision.camera import Camera
 from derender.vision.renderers import find_renderer
 Path("scene.yaml").write_text('''derender: 1
-root: {position: [0, 0.1, 0.8], quat_wxyz: [0.5, -0.866, 0, 0]}
+root: {position: [0, 0.1, 0.8], quat_wxyz: [0.5, 0.866, 0, 0]}
 objects:
   floor: {shape: plane, contact: {type: 6dof}}
   ramp:

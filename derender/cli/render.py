@@ -114,17 +114,20 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
 
+    from derender.inference.forward import HEIGHT, WIDTH
     from derender.vision.camera import Camera, read_camera
 
     camera = read_camera(given) if given is not None else document.camera
     if camera is None:
-        camera = Camera.from_field_of_view(160, 120)
-        talk.say("no camera given: 160 x 120 pixels and a field of view of 60 degrees (--camera)")
+        camera = Camera.from_field_of_view(WIDTH, HEIGHT)
+        talk.say(f"no camera given: {WIDTH} x {HEIGHT} pixels and a field of view of 60 degrees (--camera)")
     return camera if depth_scale is None else replace(camera, depth_scale=depth_scale)
 
 
 def _write_depth(target, engine, document, graph, camera, antialias, noise, sensor, seeds, made) -> None:
     from derender.atomic import make_folder
+    from derender.document import LikelihoodPrior
+    from derender.inference.forward import observe
     from derender.vision.depth_file import write_depth
     from derender.vision.sensor import find_sensor
 
@@ -132,21 +135,12 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
     distort = find_sensor(sensor).observe if sensor else None
     depth, label = engine.render_depth(graph.solids(), camera, antialias=antialias)
     if noise:
-        depth = _noisy(document, rng, depth)
+        depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
     if distort:
         depth = distort(rng, depth)
     if target != "-":
         make_folder(Path(target).parent)
     write_depth(target, depth, camera, made, label)
-
-
-def _noisy(document, rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
-    """Draw an observation of a clean image from the file's likelihood (Eq. 6)."""
-    from derender.document import LikelihoodPrior
-    from derender.vision.likelihoods import likelihoods
-
-    prior = document.likelihood or LikelihoodPrior()
-    return likelihoods[prior.type].sample(rng, depth, prior.sample(rng))
 
 
 def _picture(engine, solids, camera) -> np.ndarray:

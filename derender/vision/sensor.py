@@ -24,7 +24,7 @@ class Sensor:
         baseline_focal / z, whatever the size of the image that it is resampled to.
     disparity_step : in the sensor's pixels.
     edge_loss, loss : share of the pixels lost at depth edges, and of all pixels.
-    edge_step : a depth difference between neighbours above this share of the depth is an edge.
+    edge_step : an unexpected difference between neighbours above this share of the inverse depth is an edge.
     smoothing : standard deviation in pixels of the correlation of the noise; 0 is none.
     """
 
@@ -86,19 +86,28 @@ def find_sensor(name: str) -> Sensor:
 
 
 def depth_edges(depth: np.ndarray, step: float) -> np.ndarray:
-    """Return (height, width) bool: pixels with one of four neighbours without a return or farther off in depth
-    than `step` times the nearer of the two."""
-    depth = np.nan_to_num(np.asarray(depth, dtype=float), nan=np.inf, posinf=np.inf)
-    edge = np.zeros(depth.shape, dtype=bool)
-    for axis in (0, 1):
-        first = depth.take(range(depth.shape[axis] - 1), axis)
-        second = depth.take(range(1, depth.shape[axis]), axis)
-        nearer = np.minimum(first, second)
-        with np.errstate(invalid="ignore"):
-            jump = np.abs(first - second) > step * nearer
-        before = [slice(None)] * 2
-        after = [slice(None)] * 2
-        before[axis], after[axis] = slice(None, -1), slice(1, None)
-        edge[tuple(before)] |= jump
-        edge[tuple(after)] |= jump
-    return edge & np.isfinite(depth)
+    """Return (height, width) bool: pixels beside a jump in depth, or beside one without a return.
+
+    Between two neighbours there is a jump where their inverse depths differ by more than the share `step` from what
+    either side's slope leads to expect: inverse depth is affine on a plane, so a slanted one has none.
+    """
+    depth = np.asarray(depth, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(np.isfinite(depth) & (depth > 0), 1 / depth, 0.0)
+    jumps = _jumps(inverse, step)
+    return (jumps | _jumps(inverse.T, step).T) & (inverse > 0)
+
+
+def _jumps(inverse: np.ndarray, step: float) -> np.ndarray:
+    """Return bool of the same shape: pixels beside a jump along the rows."""
+    ahead = np.diff(inverse, axis=1)
+    here = np.pad(ahead, ((0, 0), (1, 1)), mode="edge")  # the slopes to the left and right of each difference
+    unexpected = np.minimum(np.abs(ahead - here[:, :-2]), np.abs(ahead - here[:, 2:]))
+    # At the border the slope would be compared with itself: there only one side leads to expect anything.
+    unexpected[:, 0] = np.abs(ahead - here[:, 2:])[:, 0]
+    unexpected[:, -1] = np.abs(ahead - here[:, :-2])[:, -1]
+    jump = unexpected > step * np.minimum(inverse[:, :-1], inverse[:, 1:])
+    beside = np.zeros(inverse.shape, dtype=bool)
+    beside[:, :-1] |= jump
+    beside[:, 1:] |= jump
+    return beside

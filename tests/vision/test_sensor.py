@@ -52,3 +52,16 @@ def test_what_has_no_return_stays_without():
 def test_an_unknown_sensor_is_named():
     with pytest.raises(DerenderError, match="did you mean 'kinect'"):
         find_sensor("kinekt")
+
+
+def test_a_slanted_plane_has_no_edge_and_a_box_on_it_has_its_outline():
+    columns, rows = np.meshgrid(np.arange(64), np.arange(48))
+    plane = 1 / (0.3 + 0.02 * rows + 0.003 * columns)  # 9 cm a pixel at the top: far steeper than any edge_step
+    assert not depth_edges(plane, 0.02).any()
+    box = (abs(columns - 30) < 8) & (abs(rows - 24) < 6)
+    depth = np.where(box, plane * 0.8, plane)
+    edge = depth_edges(depth, 0.02)
+    inner = (abs(columns - 30) < 7) & (abs(rows - 24) < 5)
+    outer = (abs(columns - 30) < 9) & (abs(rows - 24) < 7)
+    corners = (abs(columns - 30) == 8) & (abs(rows - 24) == 6)
+    assert np.array_equal(edge, outer & ~inner & ~corners)

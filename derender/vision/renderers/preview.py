@@ -21,9 +21,9 @@ SUN_PIXELS = 1024  # a side of the shadow map
 
 def default_colours(solids: Solids) -> np.ndarray:
     """Return (N, 3) uint8, a colour for each solid: a palette, light grey for planes."""
-    colours = PALETTE[np.arange(len(solids.kind)) % len(PALETTE)].copy()
-    colours[solids.kind == PLANE] = PLANE_COLOUR
-    return colours.astype(np.uint8)
+    thing = solids.kind != PLANE
+    order = np.maximum(np.cumsum(thing) - 1, 0) % len(PALETTE)
+    return np.where(thing[:, None], PALETTE[order], PLANE_COLOUR).astype(np.uint8)
 
 
 def draw_preview(

@@ -1,0 +1,110 @@
+"""The command line as a whole: exit statuses, one line for each fault, lazy commands."""
+
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+
+from derender import __version__
+from derender.cli import COMMANDS, group, main
+from derender.cli.options import Talk
+from derender.errors import DerenderError
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    return ended.value.code
+
+
+@pytest.fixture
+def replaced(monkeypatch):
+    """Return a function that puts a callback in place of `derender types`."""
+
+    def replace(callback):
+        monkeypatch.setattr(type(group), "get_command", lambda *_: click.Command("types", callback=callback))
+
+    return replace
+
+
+def raising(error):
+    def callback():
+        raise error
+
+    return callback
+
+
+@pytest.mark.parametrize(
+    "outcome, status, line",
+    [
+        (lambda: None, 0, ""),
+        (lambda: 3, 3, ""),
+        (
+            raising(DerenderError("it is\nbroken", "a.yaml:3", "mend it")),
+            1,
+            "derender: a.yaml:3: it is broken; mend it\n",
+        ),
+        (raising(click.UsageError("no")), 2, None),
+        (raising(KeyboardInterrupt()), 130, None),
+        (raising(click.Abort()), 130, None),
+        (raising(PermissionError(13, "Permission denied", "out.npz")), 1, "derender: out.npz: Permission denied\n"),
+        (raising(OSError(28, "No space left on device", "x")), 1, "derender: x: No space left on device\n"),
+    ],
+)
+def test_exit_statuses(outcome, status, line, replaced, capsys):
+    replaced(outcome)
+    assert run("types") == status
+    if line is not None:
+        assert capsys.readouterr().err == line
+
+
+def test_a_bug_shows_its_traceback(replaced):
+    replaced(raising(ZeroDivisionError("a bug")))
+    with pytest.raises(ZeroDivisionError):
+        main(["types"])
+
+
+def test_help_lists_every_command(capsys):
+    assert run("--help") == 0
+    text = capsys.readouterr().out
+    assert all(f"  {name} " in text for name in COMMANDS)
+    assert run("-h") == 0
+
+
+def test_version(capsys):
+    assert run("--version") == 0
+    assert __version__ in capsys.readouterr().out
+
+
+def test_an_unknown_command_or_option_is_a_usage_fault_with_a_suggestion(capsys):
+    assert run("infr") == 2
+    assert "did you mean 'infer'" in capsys.readouterr().err
+    assert run("doctor", "--no-such") == 2
+
+
+def test_a_reader_that_goes_away_is_no_fault():
+    code = "import sys\nfrom derender.cli import main\nmain(sys.argv[1:])"
+    command = f"{sys.executable} -c '{code}' --help | head -n 1"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("Usage") and "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr
+
+
+def test_talk_keeps_to_its_level(capsys):
+    for level, expected in ((-1, "warning: c\n"), (0, "a\nwarning: c\n"), (1, "a\nb\nwarning: c\n")):
+        talk = Talk(level)
+        talk.say("a")
+        talk.detail("b")
+        talk.warn("c")
+        captured = capsys.readouterr()
+        assert captured.err == expected and not captured.out
+
+
+def test_doctor_says_what_works(capsys):
+    assert run("doctor", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["renderers"]["raycast"] == {"works": True, "fault": None, "remedy": None}
+    assert report["versions"]["derender"] == __version__
+    for entry in report["renderers"].values():
+        assert entry["works"] or (entry["fault"] and "apt-get install" in entry["remedy"])
