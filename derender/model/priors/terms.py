@@ -14,7 +14,6 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.model.constraints import Constraint
 from derender.model.scene import SceneGraph
-from derender.model.solids import PLANE
 from derender.registry import Registry
 from derender.yaml_tree import Node, Section
 
@@ -80,43 +79,14 @@ class NoOverlap:
         self.scale = scale
 
     def log_density(self, graph):
-        from derender.model.overlap import separation
+        from derender.model.overlap import overlaps
 
-        solids = graph.solids()
-        total = 0.0
-        for first, second in near_pairs(solids.kind, solids.pose, solids.size, self.depth):
-            excess = -separation(solids, first, second) - self.depth
-            if excess > 0.0:
-                if self.scale is None:
-                    return -math.inf
-                total -= 0.5 * (excess / self.scale) ** 2
-        return total
-
-
-def near_pairs(kind: np.ndarray, pose: np.ndarray, size: np.ndarray, depth: float) -> list[tuple[int, int]]:
-    """Return the pairs of solids that could share more than `depth`: their bounding spheres, or sphere and plane, do.
-
-    kind (N,), pose (N, 4, 4), size (N, 3) as in Solids.  Two planes never count: they have no inside to share.
-    """
-    kinds = kind.tolist()
-    centres = pose[:, :3, 3].tolist()
-    radii = (0.5 * np.sqrt((size * size).sum(axis=1))).tolist()
-    normals = pose[:, :3, 2].tolist()
-    pairs = []
-    for i in range(len(kinds)):
-        for j in range(i):
-            dx, dy, dz = (centres[i][k] - centres[j][k] for k in range(3))
-            if kinds[i] == PLANE or kinds[j] == PLANE:
-                if kinds[i] == kinds[j]:
-                    continue
-                n = normals[i] if kinds[i] == PLANE else normals[j]
-                apart = dx * n[0] + dy * n[1] + dz * n[2]
-                apart = -apart if kinds[i] == PLANE else apart
-            else:
-                apart = math.sqrt(dx * dx + dy * dy + dz * dz)
-            if apart < radii[i] + radii[j] - depth:
-                pairs.append((j, i))
-    return pairs
+        excess = overlaps(graph.solids()) - self.depth
+        if self.scale is None:
+            return -math.inf if (excess > 0.0).any() else 0.0
+        return (
+            -0.25 * float(np.sum(np.square(np.maximum(excess, 0.0)))) / self.scale**2
+        )  # every pair stands there twice
 
 
 class DoesNotTouch:
