@@ -30,6 +30,9 @@ IMPEDANCE_WIDTH = 0.0025
 # Contacts of the graph start engaged by this much (in units of s), about what the weight of two or three bodies presses
 # them in, so that they bear from the first step.
 ENGAGED = 2e-5
+# A contact of the graph is open by no more than this (in units of s, or metres): beyond it is a graph that is wrong, and
+# things fall.
+WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
 # Sliding is the body's own; resistance to spinning and rolling in units of s: enough that a ball on a table stays.
 SPINNING, ROLLING = 0.05, 0.01
 # Without bodies there is nothing to scale by.
@@ -169,7 +172,7 @@ class World:
                 continue
             by_graph = frozenset((a.name, b.name)) in joined
             gap = self.gap(a.name, b.name)
-            if not by_graph and gap >= 0:
+            if gap > (self._widest_gap() if by_graph else 0.0):
                 continue
             pair = spec.add_pair(geomname1=f"geom_{i}", geomname2=f"geom_{j}")
             sliding, rolling = max(a.friction, b.friction), ROLLING * self.length
@@ -178,6 +181,9 @@ class World:
             pair.solref = [CONTACT_STEPS * spec.option.timestep, 1]
             pair.solimp = [*IMPEDANCE, IMPEDANCE_WIDTH * self.length, 0.5, 2]
             pair.margin = gap + (ENGAGED * self.length if by_graph else 0.0)
+
+    def _widest_gap(self) -> float:
+        return max(WIDEST_GAP * self.length, WIDEST_GAP_METRES)
 
     def _upright(self, plane: Body) -> np.ndarray:
         """Return the plane's pose with its normal to the side of what rests on it (MuJoCo's planes have one side)."""

@@ -27,13 +27,14 @@ def gaps(matter: Matter, limit: float = 1.0) -> dict[tuple[str, str], float]:
 
 
 def floating(matter: Matter, tolerance: float = TOLERANCE) -> list[str]:
-    """Return the bodies that touch nothing, within `tolerance` metres."""
-    near: dict[str, float] = {body.name: np.inf for body in matter.bodies if body.kind != "plane" and not body.fixed}
-    for pair, gap in gaps(matter).items():
-        for name in pair:
-            if name in near:
-                near[name] = min(near[name], gap)
-    return [name for name, gap in near.items() if gap > tolerance]
+    """Return the bodies that nothing joins to a plane or a fixed body, through touches within `tolerance` metres."""
+    near = [pair for pair, gap in gaps(matter).items() if gap <= tolerance]
+    held = {body.name for body in matter.bodies if body.kind == "plane" or body.fixed}
+    reached = held
+    while reached:
+        reached = {name for pair in near if held & set(pair) for name in pair} - held
+        held |= reached
+    return [body.name for body in matter.bodies if body.name not in held]
 
 
 def intersecting(matter: Matter, tolerance: float = TOLERANCE) -> list[tuple[str, str, float]]:
@@ -83,7 +84,8 @@ def can_stand(matter: Matter, tolerance: float = 0.001) -> bool:
     needed = np.hstack([-weights, np.zeros((free, 3))]).ravel() / np.linalg.norm(weights, axis=1).max()
     if not rows:
         return bool(np.allclose(needed, 0))
-    balance = coo_matrix((entries, (rows, columns)), shape=(6 * free, data.ncon * FACETS)).tocsr()
+    place = (np.array(rows), np.array(columns))
+    balance = coo_matrix((np.array(entries), place), shape=(6 * free, data.ncon * FACETS)).tocsr()
     result = linprog(  # type: ignore[call-overload]
         np.zeros(balance.shape[1]), A_eq=balance, b_eq=needed, bounds=(0, None), method="highs"
     )

@@ -85,6 +85,11 @@ def test_contacts_of_the_graph_are_kept_from_the_first_step(gap):
         assert loose.acceleration() > 1.0
 
 
+def test_a_contact_that_is_wide_open_is_none():
+    scene = matter(FLOOR, cube("a", 0, 0.15), supports=[("a", "floor")])
+    assert judge(simulate(scene)).fallen == ("a",)
+
+
 def test_overlapping_neighbours_are_not_thrown_apart():
     scene = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.096, 0.05), supports=[("a", "floor"), ("b", "floor")])
     assert World(scene).gap("a", "b") == pytest.approx(-0.004, abs=1e-9)

@@ -56,6 +56,8 @@ def test_gaps_floating_and_intersecting():
     assert [(a, b) for a, b, _ in intersecting(scene)] == [("a", "b")]
     assert intersecting(scene)[0][2] == pytest.approx(0.01)
     assert floating(matter(cube("a", 0, 0.05))) == ["a"]
+    # Two that touch each other and nothing else float together.
+    assert floating(matter(FLOOR, cube("a", 0, 0.25), cube("b", 0, 0.35))) == ["a", "b"]
     assert floating(matter(FLOOR, gravity=GRAVITY)) == []
 
 

@@ -1,0 +1,112 @@
+"""Truth files as other tools write them, and scenes judged by physics."""
+
+import json
+
+import numpy as np
+import pytest
+
+from derender.errors import DerenderError
+from derender.evaluation.condition import condition_of
+from derender.evaluation.metrics import compare_scenes
+from derender.evaluation.truth import checked_scene, read_json_scene, read_labels
+
+
+def box(name, x, z, parent="floor", size=0.1):
+    pose = np.eye(4)
+    pose[:3, 3] = x, 0, z
+    return {"name": name, "type": "box", "size": [size] * 3, "pose": pose.tolist(), "parent": parent}
+
+
+FLOOR = {"name": "floor", "type": "plane", "size": None, "pose": np.eye(4).tolist(), "parent": "root"}
+SCENE = {"frame": "camera", "gravity": [0, 0, -9.81], "objects": [FLOOR, box("a", 0, 0.05), box("b", 0.02, 0.15, "a")]}
+
+
+def write_bop(folder):
+    """Write a frame as BOP's tools do: millimetres, one row of nine numbers, models' origins off their middles."""
+    turned = [0, -1, 0, 1, 0, 0, 0, 0, 1]
+    frame = [{"cam_R_m2c": turned, "cam_t_m2c": [100.0, 0.0, 800.0], "obj_id": 5}]
+    twice = frame + [{"cam_R_m2c": turned, "cam_t_m2c": [300.0, 0.0, 800.0], "obj_id": 5}]
+    (folder / "test" / "000001").mkdir(parents=True)
+    path = folder / "test" / "000001" / "scene_gt.json"
+    path.write_text(json.dumps({"3": frame, "17": twice}))
+    info = {"5": {"diameter": 130, "min_x": 0, "min_y": -20, "min_z": 0, "size_x": 100, "size_y": 40, "size_z": 60}}
+    (folder / "models").mkdir()
+    (folder / "models" / "models_info.json").write_text(json.dumps(info))
+    return path
+
+
+def test_bop_frame(tmp_path):
+    path = write_bop(tmp_path)
+    scene = read_json_scene(path, frame="3")
+    (item,) = scene["objects"]
+    assert item["name"] == "object_5" and item["size"] == pytest.approx([0.1, 0.04, 0.06])
+    # The middle of the box in the model is (50, 0, 30) mm; a quarter turn about z makes that (0, 50, 30).
+    np.testing.assert_allclose(np.array(item["pose"])[:3, 3], [0.1, 0.05, 0.83])
+    assert [item["name"] for item in read_json_scene(path, frame="17")["objects"]] == ["object_5", "object_5_2"]
+    compared = compare_scenes(scene, scene)
+    assert compared["edges"] is None and compared["graph_exact"] is None and compared["objects"]["0.9"]["f1"] == 1
+    with pytest.raises(DerenderError, match="--frame"):
+        read_json_scene(path)
+    with pytest.raises(DerenderError, match="no frame '4'"):
+        read_json_scene(path, frame="4")
+    with pytest.raises(DerenderError, match="--models"):
+        read_json_scene(path, frame="3", models=tmp_path / "nowhere.json")
+
+
+def test_scene_of_show_json(tmp_path):
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(SCENE))
+    assert read_json_scene(path)["objects"] == SCENE["objects"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"name": None}, "no name"),
+        ({"name": "b"}, "two objects"),
+        ({"type": 3}, "no type"),
+        ({"pose": [[1, 2], [3, 4]]}, "rigid"),
+        ({"pose": (2 * np.eye(4)).tolist()}, "rigid"),
+        ({"size": [0.1, -0.1, 0.1]}, "positive"),
+        ({"size": None}, "no size"),
+        ({"size": [0.1, float("nan"), 0.1]}, "positive"),
+    ],
+)
+def test_a_scene_that_cannot_be_compared_is_refused(change, words):
+    with pytest.raises(DerenderError, match=words):
+        checked_scene(SCENE | {"objects": [FLOOR, SCENE["objects"][1] | change, SCENE["objects"][2]]})
+
+
+@pytest.mark.parametrize("text", ["", "not json", "[1, 2]", "{}", '{"1": [{"obj_id": 3}]}'])
+def test_other_json_is_refused(tmp_path, text):
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(DerenderError):
+        read_json_scene(path)
+
+
+def test_label_images(tmp_path):
+    from PIL import Image
+
+    labels = np.array([[0, 10, 21], [22, 30, 30]], dtype=np.uint8)
+    Image.fromarray(labels).save(tmp_path / "label.png")
+    np.save(tmp_path / "label.npy", labels)
+    for name in ("label.png", "label.npy"):
+        np.testing.assert_array_equal(read_labels(tmp_path / name, divisor=10), [[0, 1, 2], [2, 3, 3]])
+    Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "colour.png")
+    (tmp_path / "empty.png").write_bytes(b"")
+    for name in ("colour.png", "empty.png", "missing.png"):
+        with pytest.raises(DerenderError):
+            read_labels(tmp_path / name)
+
+
+def test_condition_of_scenes():
+    assert condition_of(SCENE) == {"floating": [], "intersecting": [], "stable": True, "fallen": []}
+    leaning = SCENE | {"objects": [FLOOR, box("a", 0, 0.05), box("b", 0.07, 0.15, "a")]}
+    assert condition_of(leaning)["fallen"] == ["b"] and condition_of(leaning)["stable"] is False
+    up = SCENE | {"objects": [FLOOR, box("a", 0, 0.25), box("b", 0.02, 0.33, "a")]}
+    found = condition_of(up)
+    assert found["floating"] == ["a", "b"] and found["intersecting"][0][:2] == ["a", "b"] and not found["stable"]
+    alone = SCENE | {"objects": [FLOOR, box("a", 0, 0.25)]}
+    assert condition_of(alone)["floating"] == ["a"]
+    assert condition_of(alone | {"gravity": [0, 0, 0]})["stable"] is None
