@@ -86,9 +86,9 @@ def _whole(settings, region):
 
 
 @njit(cache=True, nogil=True)
-def _rescore(settings, parameters, total, taps, images, rows, region):
+def _rescore(settings, parameters, total, taps, images, strip, region):
     _whole(settings, region)
-    total[CURRENT], _ = score_region(settings, parameters, taps, images, rows, CURRENT, region)
+    total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
     settings[STALE] = 1
     return _log_likelihood(settings, parameters, total[CURRENT])
 
@@ -96,7 +96,7 @@ def _rescore(settings, parameters, total, taps, images, rows, region):
 @njit(cache=True, nogil=True)
 def rescore_state(state):
     """Blur and score the current scene anew without drawing it; returns its log likelihood."""
-    return _rescore(state.settings, state.parameters, state.total, state.taps, state.images, state.rows,
+    return _rescore(state.settings, state.parameters, state.total, state.taps, state.images, state.strip,
                     state.regions[SCORED, 0])
 
 
@@ -117,7 +117,7 @@ def load_state(state, poses, sizes):
     settings[PENDING], settings[REGIONS] = 0, 0
     _whole(settings, region)
     draw_region(settings, state.parameters, state.images, state.kind, state.prepared, state.rectangle, CURRENT, region)
-    return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.rows, region)
+    return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
 
 
 @njit(cache=True, nogil=True)
@@ -212,7 +212,7 @@ def propose_state(state, count, indices, poses, sizes):
     for n in range(settings[REGIONS]):
         draw_region(settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE, regions[DRAWN, n])
     for n in range(settings[REGIONS]):
-        new, old = score_region(settings, state.parameters, state.taps, images, state.rows, CANDIDATE,
+        new, old = score_region(settings, state.parameters, state.taps, images, state.strip, CANDIDATE,
                                 regions[SCORED, n])
         change += new - old
     total[CANDIDATE] = total[CURRENT] + change

@@ -1,70 +1,91 @@
-"""Blur one row at a time: along the row into a ring buffer, then down the ring. Taps of usual radii are unrolled."""
+"""Blur a region: down strips sixteen pixels wide, the rows around the present one held in registers.
+
+Each row of a strip is blurred along itself and pushed into a window; the window's weighted sum is the blurred pixel.
+There is one function for each usual radius, its taps unrolled, and a plain one for wide blurs; a state's radius always
+takes the same way, so full and incremental values agree.
+"""
 
 from numba import njit
 
 from derender.vision.raycast.lanes import (
     LANES,
     add,
-    blur_along_column,
     blur_along_row,
+    blur_window,
     load,
     multiply,
     multiply_add,
+    new_window,
+    push,
     splat,
     store,
 )
 
 
+def _make_blur(radius: int):
+    """Compile the blur of one radius."""
+
+    @njit(cache=True, nogil=True)
+    def blur_strips(source, result, taps, left, right, top, bottom, height):
+        for column in range(left, right, LANES):
+            first = max(top - radius, 0)
+            latest = blur_along_row(source, first, column, taps, radius)
+            window = new_window(latest, radius)
+            for row in range(first + 1, top + radius):
+                if row < height:
+                    latest = blur_along_row(source, row, column, taps, radius)
+                window = push(window, latest)
+            for row in range(top, bottom):
+                if row + radius < height:
+                    latest = blur_along_row(source, row + radius, column, taps, radius)
+                window = push(window, latest)
+                store(result, row, column, blur_window(window, taps))
+
+    return blur_strips
+
+
+_blur_1, _blur_2, _blur_3, _blur_5, _blur_6 = (_make_blur(radius) for radius in (1, 2, 3, 5, 6))
+
+
 @njit(cache=True, nogil=True)
-def blur_row(source, row, target, target_row, first, end, pad, taps, radius):
-    """target[target_row, i + pad] = sum_k taps[|k|] source[row, i + pad + k], i from `first` to `end` by LANES."""
-    if radius == 3:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, target_row, column, blur_along_row(source, row, column, taps, 3))
-    elif radius == 0:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, target_row, column, load(source, row, column))
-    elif radius == 2:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, target_row, column, blur_along_row(source, row, column, taps, 2))
-    elif radius == 5:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, target_row, column, blur_along_row(source, row, column, taps, 5))
-    elif radius == 6:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, target_row, column, blur_along_row(source, row, column, taps, 6))
-    else:
-        for column in range(first + pad, end + pad, LANES):
+def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
+    radius = taps.shape[0] - 1
+    for column in range(left, right, LANES):
+        for row in range(max(top - radius, 0), min(bottom + radius, height)):
             value = multiply(splat(taps[0]), load(source, row, column))
             for k in range(1, radius + 1):
                 sides = add(load(source, row, column - k), load(source, row, column + k))
                 value = multiply_add(splat(taps[k]), sides, value)
-            store(target, target_row, column, value)
+            store(strip, row, 0, value)
+        for row in range(top, bottom):
+            value = multiply(splat(taps[0]), load(strip, row, 0))
+            for k in range(1, radius + 1):
+                sides = add(load(strip, max(row - k, 0), 0), load(strip, min(row + k, height - 1), 0))
+                value = multiply_add(splat(taps[k]), sides, value)
+            store(result, row, column, value)
 
 
 @njit(cache=True, nogil=True)
-def blur_column(ring, row, height, target, first, end, pad, taps, radius):
-    """target[0, i + pad] = sum_k taps[|k|] of image row clip(row + k), which is row j mod len(ring) of the ring."""
+def blur_region(source, result, strip, taps, left, right, top, bottom, height):
+    """Write the blur of image `source` into `result`, columns left:right (a multiple of LANES), rows top:bottom.
+
+    source, result : (>= height, P) float32; `source` holds replicated edges left and right, rows beyond the image are
+    replicated here. strip : (>= height, LANES) float32, scratch. taps : (radius + 1,) float32.
+    """
+    radius = taps.shape[0] - 1
     if radius == 3:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, 0, column, blur_along_column(ring, row, height, column, taps, 3))
+        _blur_3(source, result, taps, left, right, top, bottom, height)
     elif radius == 0:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, 0, column, load(ring, row & (ring.shape[0] - 1), column))
+        for row in range(top, bottom):
+            for column in range(left, right, LANES):
+                store(result, row, column, load(source, row, column))
+    elif radius == 1:
+        _blur_1(source, result, taps, left, right, top, bottom, height)
     elif radius == 2:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, 0, column, blur_along_column(ring, row, height, column, taps, 2))
+        _blur_2(source, result, taps, left, right, top, bottom, height)
     elif radius == 5:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, 0, column, blur_along_column(ring, row, height, column, taps, 5))
+        _blur_5(source, result, taps, left, right, top, bottom, height)
     elif radius == 6:
-        for column in range(first + pad, end + pad, LANES):
-            store(target, 0, column, blur_along_column(ring, row, height, column, taps, 6))
+        _blur_6(source, result, taps, left, right, top, bottom, height)
     else:
-        mask = ring.shape[0] - 1
-        for column in range(first + pad, end + pad, LANES):
-            value = multiply(splat(taps[0]), load(ring, row & mask, column))
-            for k in range(1, radius + 1):
-                above, below = max(row - k, 0) & mask, min(row + k, height - 1) & mask
-                value = multiply_add(splat(taps[k]), add(load(ring, above, column), load(ring, below, column)), value)
-            store(target, 0, column, value)
+        _blur_wide(source, result, strip, taps, left, right, top, bottom, height)

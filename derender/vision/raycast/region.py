@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 
 from derender.model.solids import MESH
-from derender.vision.raycast.filter import blur_column, blur_row
+from derender.vision.raycast.filter import blur_region
 from derender.vision.raycast.lanes import LANES
 from derender.vision.raycast.rows import fill, invert, raise_solid, raise_to_image
-from derender.vision.raycast.score import score_row_gaussian, score_row_robust
+from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (
     BACKGROUND,
     DEPTH,
@@ -16,8 +16,7 @@ from derender.vision.raycast.state import (
     LIKELIHOOD,
     MESHES,
     PAD,
-    RADIUS,
-    RING,
+    SCORE,
     WIDTH,
 )
 
@@ -44,27 +43,15 @@ def draw_region(settings, parameters, images, kind, prepared, rectangle, half, r
 
 
 @njit(cache=True, nogil=True)
-def score_region(settings, parameters, taps, images, rows, half, region):
+def score_region(settings, parameters, taps, images, strip, half, region):
     """Blur and score a half in a region (columns a multiple of LANES).
 
-    Returns the sum of its new scores and of the scores that the current half had there before.
+    Returns the sum of its new scores and of the scores that the current half had there before (after the first, full
+    scoring of a scene the second is not meaningful: the current half itself was written).
     """
-    height, radius = settings[HEIGHT], settings[RADIUS]
-    left, right, top, bottom = region[0], region[1], region[2], region[3]
-    depth, ring = images[DEPTH + half], rows[RING:]
-    mask = ring.shape[0] - 1
-    last = min(bottom + radius, height)
-    new, old = 0.0, 0.0
-    output = top
-    for row in range(max(top - radius, 0), last):
-        blur_row(depth, row, ring, row & mask, left, right, PAD, taps, radius)
-        while output < bottom and (output + radius <= row or row == last - 1):
-            blur_column(ring, output, height, rows, left, right, PAD, taps, radius)
-            if settings[LIKELIHOOD] == GAUSSIAN:
-                row_new, row_old = score_row_gaussian(images, rows, half, output, left, right)
-            else:
-                row_new, row_old = score_row_robust(parameters, images, rows, half, output, height, left, right)
-            new += row_new
-            old += row_old
-            output += 1
-    return new, old
+    height = settings[HEIGHT]
+    left, right, top, bottom = region[0] + PAD, region[1] + PAD, region[2], region[3]
+    blur_region(images[DEPTH + half], images[SCORE + half], strip, taps, left, right, top, bottom, height)
+    if settings[LIKELIHOOD] == GAUSSIAN:
+        return score_gaussian(images, half, left, right, top, bottom)
+    return score_robust(parameters, images, half, left, right, top, bottom, height)

@@ -1,4 +1,4 @@
-"""Score one row of pixels: the compiled twins of the likelihoods' `per_pixel`."""
+"""Score a region of blurred pixels: the compiled twins of the likelihoods' `per_pixel`."""
 
 import math
 
@@ -25,7 +25,6 @@ from derender.vision.raycast.lanes import (
     zero_sum,
 )
 from derender.vision.raycast.state import (
-    BLURRED,
     CURRENT,
     DEPTH,
     GAUSSIAN,
@@ -46,27 +45,30 @@ NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients:
 
 
 @njit(cache=True, nogil=True)
-def score_row_gaussian(images, rows, half, row, first, end):
-    """Square the residuals of a row; return their sum and that of the current scores there."""
+def score_gaussian(images, half, left, right, top, bottom):
+    """Turn the blurred depth in images[SCORE + half] into squared residuals.
+
+    Returns their sum and that of the current half's scores in the region.
+    """
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     zero = splat(np.float32(0))
-    for column in range(first + PAD, end + PAD, LANES):
-        residual = subtract(load(observed, row, column), load(rows, BLURRED, column))
-        square = maximum(multiply(residual, residual), zero)  # 0 where nothing was observed (NaN)
-        old = accumulate(old, load(current, row, column))
-        store(score, row, column, square)
-        new = accumulate(new, square)
+    for row in range(top, bottom):
+        for column in range(left, right, LANES):
+            residual = subtract(load(observed, row, column), load(score, row, column))
+            square = maximum(multiply(residual, residual), zero)  # 0 where nothing was observed (NaN)
+            old = accumulate(old, load(current, row, column))
+            store(score, row, column, square)
+            new = accumulate(new, square)
     return sum_lanes(new), sum_lanes(old)
 
 
 @njit(cache=True, nogil=True)
-def score_row_robust(parameters, images, rows, half, row, height, first, end):
-    """Find the log densities of a row under the mixture; return their sum and that of the current ones there."""
+def score_robust(parameters, images, half, left, right, top, bottom, height):
+    """Turn the blurred depth in images[SCORE + half] into log densities under the mixture; returns sums as above."""
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     depth = images[DEPTH + half]
-    above, below = max(row - 1, 0), min(row + 1, height - 1)
     temper, outlier = parameters[TEMPER], parameters[OUTLIER]
     sigma, growth = splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH]))
     near, far = splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR]))
@@ -78,28 +80,30 @@ def score_row_robust(parameters, images, rows, half, row, height, first, end):
     step, exponent = splat(np.float32(parameters[EDGE_STEP])), splat(np.float32(temper))
     zero, one, half_less, nothing = (splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(-0.5)),
                                      splat(np.float32(1e-30)))
-    for column in range(first + PAD, end + PAD, LANES):
-        value, model = load(observed, row, column), load(rows, BLURRED, column)
-        here = load(depth, row, column)
-        twice = add(here, here)
-        along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
-        down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
-        bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
-        inverse = divide(one, multiply_add(growth, multiply(model, model), sigma))
-        z = multiply(subtract(value, model), inverse)
-        surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
-        inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
-        density = multiply(exponent, logarithm(add(surface, inside)))
-        found = add(density, where_at_least(zero, bend, splat(found_score), splat(found_score_edge)))
-        missed = where_at_least(zero, bend, splat(lost_score), splat(lost_score_edge))
-        result = where_at_least(zero, value, missed, found)  # a missing pixel's value is 0
-        if temper < 1.0:
-            result = subtract(result, where_at_least(zero, bend, _polynomial(parameters, NORMALISER, model),
-                                                     _polynomial(parameters, NORMALISER + 8, model)))
-        result = where_at_least(value, zero, result, zero)  # NaN: the padding
-        old = accumulate(old, load(current, row, column))
-        store(score, row, column, result)
-        new = accumulate(new, result)
+    for row in range(top, bottom):
+        above, below = max(row - 1, 0), min(row + 1, height - 1)
+        for column in range(left, right, LANES):
+            value, model = load(observed, row, column), load(score, row, column)
+            here = load(depth, row, column)
+            twice = add(here, here)
+            along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
+            down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
+            bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
+            inverse = divide(one, multiply_add(growth, multiply(model, model), sigma))
+            z = multiply(subtract(value, model), inverse)
+            surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
+            inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+            density = multiply(exponent, logarithm(add(surface, inside)))
+            found = add(density, where_at_least(zero, bend, splat(found_score), splat(found_score_edge)))
+            missed = where_at_least(zero, bend, splat(lost_score), splat(lost_score_edge))
+            result = where_at_least(zero, value, missed, found)  # a missing pixel's value is 0
+            if temper < 1.0:
+                result = subtract(result, where_at_least(zero, bend, _polynomial(parameters, NORMALISER, model),
+                                                         _polynomial(parameters, NORMALISER + 8, model)))
+            result = where_at_least(value, zero, result, zero)  # NaN: the padding
+            old = accumulate(old, load(current, row, column))
+            store(score, row, column, result)
+            new = accumulate(new, result)
     return sum_lanes(new), sum_lanes(old)
 
 

@@ -24,8 +24,6 @@ FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
 LIKELIHOOD_PARAMETERS = 8
 # images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
-# scratch rows: blurred depth, then the ring of rows blurred along themselves
-BLURRED, RING = np.int64(0), np.int64(1)
 
 
 class EngineState(NamedTuple):
@@ -42,7 +40,7 @@ class EngineState(NamedTuple):
         [DEPTH + half] clean model depth, edges replicated,
         [SCORE + half] each pixel's squared residual (gaussian) or log density (robust),
         [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only.
-    rows : (1 + 2^k, P) float32, scratch, see BLURRED, RING.
+    strip : (H, LANES) float32, scratch for wide blurs.
     kind : (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's.
     pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64. rectangle : (2, N, 4) int64.
     lists : (2, N) int64: solids moved by the proposal; scratch.
@@ -55,7 +53,7 @@ class EngineState(NamedTuple):
     total: np.ndarray
     taps: np.ndarray
     images: np.ndarray
-    rows: np.ndarray
+    strip: np.ndarray
     kind: np.ndarray
     pose: np.ndarray
     size: np.ndarray
@@ -107,7 +105,7 @@ def new_state(
     most = int(np.diff(meshes.starts[:, 0]).max(initial=1))
     return EngineState(
         settings=settings, parameters=numbers, total=np.zeros(2), taps=taps, images=images,
-        rows=np.zeros((1 + (1 << (2 * radius + 1).bit_length()), padded), np.float32), kind=kinds,
+        strip=np.zeros((height, LANES), np.float32), kind=kinds,
         pose=np.zeros((2, count, 4, 4)), size=np.zeros((2, count, 3)), prepared=np.zeros((2, count, PREPARED)),
         rectangle=np.zeros((2, count, 4), np.int64), lists=np.zeros((2, count), np.int64),
         regions=np.zeros((2, 2 * count + 1, 4), np.int64), vertices=meshes.vertices, triangles=meshes.triangles,
