@@ -242,7 +242,7 @@ class SceneGraph:
 
     # ---- changes --------------------------------------------------------------------------------------------------
 
-    def replace(self, name: str, **changes: Any) -> "SceneGraph":
+    def replace(self, name: str, /, **changes: Any) -> "SceneGraph":
         """Return the graph with fields of one vertex changed; `name="new"` renames it wherever it is named."""
         old = self.vertex(name)
         new = replace(old, **changes)
