@@ -1,0 +1,88 @@
+"""What the compiled sweep works on: three NamedTuples of arrays, for the model, the mixture of kernels, and one chain.
+
+Few arrays with named rows, not one array for each name: a NamedTuple reaches every compiled function as seven numbers
+for each of its arrays, and the time to compile grows with them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+ROTATION = 100  # code of the uniform distribution over rotations; smaller codes are those of model.distributions
+CONTACT, SHAPE, ROOT, LIKELIHOOD = range(4)  # tables that a value can go into
+CODE, OFFSET, DIRECTION = range(3)  # rows of Model.unknowns
+PERIOD = 4  # column of Model.laws, after the distribution's row
+TABLE, VERTEX, SLOT = range(3)  # rows of Model.places
+PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID = range(6)  # rows of Model.vertices
+KERNEL, FIRST, FACTOR_FIRST = range(3)  # rows of Kernels.table
+CUMULATIVE, SCALE, COUNT, REACH = range(4)  # columns of Kernels.numbers
+NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
+PRIOR, DENSITY, LOG = -3, -2, -1  # the last columns of Chain.values and Chain.row
+SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
+DIRTY, MOVED = range(2)  # rows of Chain.marks
+PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
+
+
+class Model(NamedTuple):
+    """The prior and where each value goes. U unknowns, P values, D directions, N vertices.
+
+    Attributes
+    ----------
+    unknowns : (3, U + 1) int64: code of the prior, first value, first direction; the last column ends the latter two.
+    laws : (U, 5) float64: the row of the prior's numbers, and the period (0 on a line).
+    places : (3, P) int64, where a value goes: which table, which vertex, which slot.
+    vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place among
+        the solids or -1. The last column is the root's; its contact code says how its numbers give its pose (poses.py).
+    extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
+    """
+
+    unknowns: np.ndarray
+    laws: np.ndarray
+    places: np.ndarray
+    vertices: np.ndarray
+    extents: np.ndarray
+
+
+class Kernels(NamedTuple):
+    """The mixture. K kernels; the unknowns and factors of kernel k are slices of flat arrays.
+
+    Attributes
+    ----------
+    table : (3, K + 1) int64: code, begin of its unknowns, begin of its factor; the last column ends the latter two.
+    numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
+    members : flat int64, unknowns. factors : flat float64, each (D_k, D_k), lower triangle in full rows.
+    spread : (D,) float64, the prior's. mean : (P,) float64, centre of independence proposals.
+    """
+
+    table: np.ndarray
+    numbers: np.ndarray
+    members: np.ndarray
+    factors: np.ndarray
+    spread: np.ndarray
+    mean: np.ndarray
+
+
+class Chain(NamedTuple):
+    """The state of one chain and its scratch space. Where the first axis is 2: NOW, NEXT (proposed).
+
+    Attributes
+    ----------
+    values : (2, P + 3) float64: the values, then the log prior, the log likelihood, and a spare.
+    numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
+    pose : (2, N + 1, 4, 4) float64, object to camera; the root's comes last.
+    marks : (2, N + 1) int64: which vertices differ between the halves; which solids are handed to the engine.
+    moved_pose : (S, 4, 4), moved_size : (S, 3) float64: theirs.
+    tangents : (2, D) float64, scratch. row : (R, P + 3) float64, the places of a window. relative : (4, 4), scratch.
+    flags : (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns.
+    """
+
+    values: np.ndarray
+    numbers: np.ndarray
+    pose: np.ndarray
+    marks: np.ndarray
+    moved_pose: np.ndarray
+    moved_size: np.ndarray
+    tangents: np.ndarray
+    row: np.ndarray
+    relative: np.ndarray
+    flags: np.ndarray

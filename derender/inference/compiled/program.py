@@ -1,0 +1,218 @@
+"""From a scene's target, a mixture and its tuning to the flat arrays of `layout.py`."""
+
+import numpy as np
+
+from derender.inference.compiled import poses, steps
+from derender.inference.compiled.layout import (
+    CONTACT,
+    LIKELIHOOD,
+    ROOT,
+    ROTATION,
+    SHAPE,
+    SHAPES,
+    Chain,
+    Kernels,
+    Model,
+)
+from derender.inference.kernels import kernels
+from derender.inference.kernels.base import Part, Tuning
+from derender.inference.kernels.drift import directions_of, factor_of
+from derender.inference.kernels.flip import flips_of
+from derender.model.contacts import contacts
+from derender.model.contacts.compiled import FEATURE_CODES, FRAME
+from derender.model.priors.root import FreeRoot, LookedAtRoot
+from derender.model.scene import SceneGraph
+from derender.model.shapes import shapes
+
+PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are checked to be affine
+
+
+class NotCompiled(Exception):
+    """Something in the model has no compiled form: the readable kernels have to run."""
+
+
+def model_of(target) -> Model:
+    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
+    graph, space = target.template, target.space
+    if target.constraints:
+        raise NotCompiled("constraints between objects")
+    codes, laws = [], []
+    for unknown in space.unknowns:
+        law = unknown.distribution
+        if law.size == 4:
+            codes.append(ROTATION)
+            laws.append((0.0,) * 5)
+        elif law.code is None:
+            raise NotCompiled(f"the distribution of {unknown.address}")
+        else:
+            codes.append(law.code)
+            laws.append((*law.row, unknown.period or 0.0))
+    count = len(graph.vertices)
+    names = {name: n for n, name in enumerate(graph.names)}
+    solids = {name: n for n, name in enumerate(graph.solid_names)}
+    vertices = np.zeros((6, count + 1), np.int64)
+    extents = np.zeros((count, 4, 3))
+    for n, vertex in enumerate(graph.vertices):
+        contact = vertex.contact
+        code = contacts[contact.type].compiled_code
+        if code is None:
+            raise NotCompiled(f"the contact type {contact.type}")
+        faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
+        vertices[:, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solids.get(vertex.name, -1)
+        extents[n] = extents_of(vertex)
+    vertices[:, count] = count, root_code(target), FRAME, -1, -1, -1
+    places = [place_of(target, names, address) for address in space.addresses]
+    return Model(
+        unknowns=np.stack([np.array([*codes, 0]), space.offsets, space.directions]).astype(np.int64),
+        laws=np.array(laws, float).reshape(-1, 5),
+        places=np.ascontiguousarray(np.array(places, np.int64).T),
+        vertices=vertices,
+        extents=extents,
+    )
+
+
+def _kind(shape: str) -> int:
+    kind = shapes[shape].solid_kind
+    return FRAME if kind is None else int(kind)
+
+
+def extents_of(vertex) -> np.ndarray:
+    """Return (4, 3): the extents at numbers 0, and what each of up to three numbers adds to them for each metre."""
+    shape = shapes[vertex.shape]
+    count = len(shape.parameters)
+    if count > 3:
+        raise NotCompiled(f"the shape {vertex.shape}, which has more than three numbers")
+
+    def size(psi) -> np.ndarray:
+        found = shape.size(np.asarray(psi, float), vertex.options)
+        return np.zeros(3) if found is None else np.asarray(found, float)
+
+    extents = np.zeros((4, 3))
+    ones = np.ones(count)
+    for j in range(count):
+        extents[j + 1] = size(ones + np.eye(count)[j]) - size(ones)
+    extents[0] = size(ones) - extents[1:].sum(axis=0)
+    probe = PROBE[:count]
+    if not np.allclose(size(probe), extents[0] + probe @ extents[1 : count + 1], rtol=1e-12, atol=1e-15):
+        raise NotCompiled(f"the shape {vertex.shape}, whose extents are no affine function of its numbers")
+    return extents
+
+
+def root_code(target) -> int:
+    """Return how the root's numbers give its pose."""
+    if not any(unknown.address.startswith("root.") for unknown in target.space.unknowns):
+        return poses.FIXED_ROOT
+    if isinstance(target.root_prior, FreeRoot):
+        return poses.FREE_ROOT
+    if isinstance(target.root_prior, LookedAtRoot):
+        return poses.LOOKED_AT
+    raise NotCompiled("this kind of root")
+
+
+ROOT_SLOTS = {
+    poses.FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"),
+    poses.LOOKED_AT: LookedAtRoot.KEYS,
+    poses.FIXED_ROOT: (),
+}
+
+
+def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int]:
+    """Return (table, vertex, slot) of a value."""
+    name, _, rest = address.partition(".")
+    if name == "likelihood":
+        if rest != "sigma" or target.images.type != "gaussian":
+            raise NotCompiled(f"an unknown {address} of a {target.images.type} likelihood")
+        return LIKELIHOOD, 0, 0
+    if name == "root":
+        return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
+    vertex = target.template.vertex(name)
+    if rest.startswith("contact."):
+        return CONTACT, names[name], contact_slots(target.template, name).index(rest.removeprefix("contact."))
+    return SHAPE, names[name], [p.name for p in shapes[vertex.shape].parameters].index(rest)
+
+
+def contact_slots(graph: SceneGraph, name: str) -> list[str]:
+    """Return the names of a contact's numbers in their compiled order."""
+    vertex = graph.vertex(name)
+    faces = vertex.contact.parent_face, vertex.contact.child_face
+    parent = graph.body(vertex.parent).shape
+    return [p.name for p in contacts[vertex.contact.type].parameters(parent, shapes[vertex.shape], *faces)]
+
+
+def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
+    """Return the mixture's arrays. Raises NotCompiled for a kernel that has no compiled form."""
+    space = target.space
+    table, numbers, members, factors = [], [], [], []
+    weight = 0.0
+    first = factor_first = 0
+    for part in parts:
+        kind = kernels[part.type]
+        if kind.code is None:
+            raise NotCompiled(f"the kernel {part.type}")
+        scale, count, reach, factor = 1.0, 0.0, 0.0, np.empty(0)
+        moved: list[int] = list(part.block.unknowns)
+        if kind.code == steps.DRIFT:
+            factor = factor_of(tuning.covariance, directions_of(space, part.block))
+            scale = part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(len(factor))
+        elif kind.code == steps.INDEPENDENCE:
+            factor = part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
+        elif kind.code == steps.WINDOW:
+            count, reach = float(int(part.options["count"])), part.options["reach"]
+        elif kind.code == steps.FLIP:
+            moved = [unknown for triple in flips_of(space) for unknown in triple]
+        weight += part.weight
+        table.append((kind.code, first, factor_first))
+        numbers.append((weight, scale, count, reach))
+        members += moved
+        factors.append(np.ravel(factor))
+        first += len(moved)
+        factor_first += factor.size
+    return Kernels(
+        table=np.ascontiguousarray(np.array([*table, (0, first, factor_first)], np.int64).T),
+        numbers=np.array(numbers, float),
+        members=np.array(members, np.int64),
+        factors=np.concatenate(factors),
+        spread=space.scales,
+        mean=np.array(tuning.mean, float),
+    )
+
+
+def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
+    """Return the arrays of a chain that stands at the template, not loaded yet.
+
+    Parameters
+    ----------
+    window : the most places that a kernel of the mixture weighs at once. cycle : kernels take turns.
+    """
+    graph = target.template
+    count, solids = len(graph.vertices), len(graph.solid_names)
+    size, directions = len(target.space.addresses), int(target.space.directions[-1])
+    numbers = np.zeros((2, count + 1, SHAPES + 3))
+    for n, vertex in enumerate(graph.vertices):
+        contact = vertex.contact
+        faces = contact.parent_face, contact.child_face
+        parameters = contacts[contact.type].parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)
+        phi = [contact.values.get(p.name, p.default or 0.0) for p in parameters]
+        psi = np.nan_to_num(vertex.psi)  # an unknown one may be missing from the template
+        numbers[:, n, : len(phi)] = phi
+        numbers[:, n, SHAPES : SHAPES + len(psi)] = psi
+    if root_code(target) != poses.FIXED_ROOT:
+        coordinates = dict(target.root_prior.values(graph.root_pose))
+        for key, value in zip(("qw", "qx", "qy", "qz"), coordinates.pop("root.quat_wxyz", ()), strict=False):
+            coordinates[f"root.{key}"] = value
+        for slot, key in enumerate(ROOT_SLOTS[root_code(target)]):
+            numbers[:, count, slot] = coordinates[f"root.{key}"]
+    pose = np.tile(np.eye(4), (2, count + 1, 1, 1))
+    pose[:, count] = graph.root_pose
+    return Chain(
+        values=np.full((2, size + 3), -np.inf),
+        numbers=numbers,
+        pose=pose,
+        marks=np.zeros((2, count + 1), np.int64),
+        moved_pose=np.tile(np.eye(4), (solids, 1, 1)),
+        moved_size=np.zeros((solids, 3)),
+        tangents=np.zeros((2, max(directions, 3))),
+        row=np.zeros((max(window, 1), size + 3)),
+        relative=np.eye(4),
+        flags=np.array([0, 0, cycle], np.int64),
+    )
