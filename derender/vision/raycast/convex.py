@@ -59,17 +59,21 @@ def box_rectangle(pose, size, camera, width, height, rectangle):
     """Bound the image of a box: exact if it lies before the camera, the whole image if it reaches behind."""
     lower_x, upper_x, lower_y, upper_y = math.inf, -math.inf, math.inf, -math.inf
     behind = 0
+    a, b, c = 0.5 * size[0], 0.5 * size[1], 0.5 * size[2]
+    ax, ay, az = a * pose[0, 0], a * pose[1, 0], a * pose[2, 0]
+    bx, by, bz = b * pose[0, 1], b * pose[1, 1], b * pose[2, 1]
+    cx, cy, cz = c * pose[0, 2], c * pose[1, 2], c * pose[2, 2]
     for corner in range(8):
-        x = (0.5 if corner & 1 else -0.5) * size[0]
-        y = (0.5 if corner & 2 else -0.5) * size[1]
-        z = (0.5 if corner & 4 else -0.5) * size[2]
-        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        i = 1.0 if corner & 1 else -1.0
+        j = 1.0 if corner & 2 else -1.0
+        k = 1.0 if corner & 4 else -1.0
+        depth = pose[2, 3] + i * az + j * bz + k * cz
         if depth <= NEAREST:
             behind += 1
             continue
         inverse = 1.0 / depth
-        horizontal = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * inverse
-        vertical = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * inverse
+        horizontal = (pose[0, 3] + i * ax + j * bx + k * cx) * inverse
+        vertical = (pose[1, 3] + i * ay + j * by + k * cy) * inverse
         lower_x, upper_x = min(lower_x, horizontal), max(upper_x, horizontal)
         lower_y, upper_y = min(lower_y, vertical), max(upper_y, vertical)
     if behind == 8:
@@ -82,12 +86,15 @@ def box_rectangle(pose, size, camera, width, height, rectangle):
 
 @njit(cache=True, nogil=True)
 def _put_face(prepared, nx, ny, nz, offset, camera):
-    """Add the half space n.p <= offset: a front face (counted in [0]) if the camera is outside, else a back face."""
+    """Add the half space n.p <= offset, n = (nx, ny, nz) over the focal lengths: a front face if the camera is outside.
+
+    nx and ny are divided by fx and fy beforehand.
+    """
     if abs(offset) < 1e-12:
         offset = 1e-12
-    b = nx / (camera[0] * offset)
-    c = ny / (camera[1] * offset)
-    a = nz / offset - b * camera[2] - c * camera[3]
+    inverse = 1.0 / offset
+    b, c = nx * inverse, ny * inverse
+    a = nz * inverse - b * camera[2] - c * camera[3]
     front, back = int(prepared[0]), int(prepared[1])
     slot = FACES + 3 * (front + back)
     if offset < 0.0:
@@ -107,6 +114,7 @@ def _put_slab(prepared, pose, axis, half, camera):
     """Add the two faces of a slab |axis coordinate| <= half."""
     nx, ny, nz = pose[0, axis], pose[1, axis], pose[2, axis]
     middle = nx * pose[0, 3] + ny * pose[1, 3] + nz * pose[2, 3]
+    nx, ny = nx / camera[0], ny / camera[1]
     _put_face(prepared, nx, ny, nz, middle + half, camera)
     _put_face(prepared, -nx, -ny, -nz, half - middle, camera)
 
@@ -180,7 +188,8 @@ def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
     if kind == PLANE:
         offset = pose[0, 2] * pose[0, 3] + pose[1, 2] * pose[1, 3] + pose[2, 2] * pose[2, 3]
         sign = 1.0 if offset < 0.0 else -1.0
-        _put_face(prepared, sign * pose[0, 2], sign * pose[1, 2], sign * pose[2, 2], -abs(offset) - 1e-12, camera)
+        _put_face(prepared, sign * pose[0, 2] / camera[0], sign * pose[1, 2] / camera[1], sign * pose[2, 2],
+                  -abs(offset) - 1e-12, camera)
         rectangle[1], rectangle[3] = width, height
     elif kind == BOX:
         for axis in range(3):

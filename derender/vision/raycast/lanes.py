@@ -7,8 +7,8 @@ and the full evaluation agree to the last bit. Arrays are C-contiguous float32; 
 may be read.
 """
 
-from llvmlite import ir
-from numba.core import cgutils, types
+from llvmlite import binding, ir
+from numba.core import cgutils, config, types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
@@ -160,6 +160,30 @@ def multiply_add(typing, a, b, c):
         return _multiply_add(builder, *arguments)
 
     return float_lanes(float_lanes, float_lanes, float_lanes), generate
+
+
+def _has_estimate() -> bool:
+    """Whether the machine compiled for has AVX-512's 14-bit reciprocals."""
+    features = config.CPU_FEATURES
+    return "+avx512f" in features if features is not None else bool(binding.get_host_cpu_features().get("avx512f"))
+
+
+@intrinsic
+def reciprocal(typing, a):
+    """1 / a to the last bit or the last but one; an estimate and a Newton step where that is faster than dividing."""
+
+    def generate(context, builder, signature, arguments):
+        one, value = _constant(1.0), arguments[0]
+        if not _has_estimate():
+            return builder.fdiv(one, value)
+        mask = ir.IntType(16)
+        estimate = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_FLOATS, [_FLOATS, _FLOATS, mask]), "llvm.x86.avx512.rcp14.ps.512")
+        first = builder.call(estimate, [value, one, ir.Constant(mask, -1)])
+        error = _multiply_add(builder, builder.fneg(value), first, one)
+        return _multiply_add(builder, first, error, first)
+
+    return float_lanes(float_lanes), generate
 
 
 @intrinsic

@@ -11,11 +11,11 @@ from derender.vision.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B
 from derender.vision.raycast.lanes import (
     LANES,
     add,
-    divide,
     load,
     maximum,
     minimum,
     multiply_add,
+    reciprocal,
     splat,
     square_root,
     steps_from,
@@ -144,10 +144,9 @@ def fill(image, left, right, top, bottom, pad, value):
 @njit(cache=True, nogil=True)
 def invert(image, left, right, top, bottom, pad, width):
     """Turn inverse depth into depth in a region, and replicate the image's edges where the region touches them."""
-    one = splat(np.float32(1))
     for row in range(top, bottom):
         for column in range(left + pad, right + pad, LANES):
-            store(image, row, column, divide(one, load(image, row, column)))
+            store(image, row, column, reciprocal(load(image, row, column)))
         if left == 0:
             store(image, row, pad - LANES, splat(image[row, pad]))
         if right >= width:
