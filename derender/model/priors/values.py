@@ -12,6 +12,8 @@ Value = float | Distribution
 
 SAME = 1e-9  # a fixed number matches within this, so that a pose may pass through a matrix
 
+NEVER = 1e-9  # a distribution may leave a range with this probability: a side of 10 cm plus or minus 5 mm
+
 ROTATION = ("qw", "qx", "qy", "qz")  # four values of a contact that are one rotation
 QUATERNION = "quat_wxyz"  # the key and address of the four together
 
@@ -39,17 +41,19 @@ def check_range(value: Value, parameter: Parameter, place: Node | None = None, s
     """
     if parameter.period is not None or parameter.name in ROTATION:
         return
-    low, high = (value, value) if isinstance(value, float) else value.support
-    slip = 1e-12 * max(1.0, abs(parameter.lower) if math.isfinite(parameter.lower) else 1.0)
-    # A support that is open at its end (log-normal at 0) reaches the bound only in the limit.
-    at_end = strict and isinstance(value, float) and not parameter.lower < value < parameter.upper
-    if low >= parameter.lower - slip and high <= parameter.upper + slip and not at_end:
-        return
     allowed = f"{parameter.name} lies in [{parameter.lower:g}, {parameter.upper:g}]"
     if isinstance(value, float):
-        raise fault(place, f"{parameter.name} is {value:g}, out of range", allowed)
-    remedy = f"{allowed}; cut it, as {{truncated-normal: [mean, sd, lower, upper]}} does"
-    raise fault(place, f"this distribution reaches from {low:g} to {high:g}, out of range", remedy)
+        inside = parameter.lower < value < parameter.upper if strict else parameter.lower <= value <= parameter.upper
+        if not inside:
+            raise fault(place, f"{parameter.name} is {value:g}, out of range", allowed)
+        return
+    low, high = value.support
+    slip = 1e-12 * max(1.0, abs(parameter.upper) if math.isfinite(parameter.upper) else 1.0)
+    below = value.cdf(parameter.lower) if low < parameter.lower - slip else 0.0
+    above = 1.0 - value.cdf(parameter.upper) if high > parameter.upper + slip else 0.0
+    if below + above > NEVER:
+        what = f"with probability {below + above:.2g} this distribution leaves the range"
+        raise fault(place, what, f"{allowed}; cut it, as {{truncated-normal: [mean, sd, lower, upper]}} does")
 
 
 def default_value(parameter: Parameter) -> Value | None:
