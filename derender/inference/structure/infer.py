@@ -13,6 +13,12 @@ from derender.inference.structure.search import Settings, search, total_energy
 from derender.inference.structure.support import final_parents
 
 
+# Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its solids
+# differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
+CORRELATED = 0.3
+REAL_DISCREPANCY = 0.003
+
+
 class Observation(NamedTuple):
     """A depth image made ready for the search.
 
@@ -21,6 +27,7 @@ class Observation(NamedTuple):
     image : Image in the floor frame, at working resolution.
     floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
     footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
+    correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real sensors.
     """
 
     image: Image
@@ -31,16 +38,17 @@ class Observation(NamedTuple):
     sigma: np.ndarray
     camera: dict
     factor: int
+    correlation: float
 
 
-def observe(rng, depth, camera, widest=160, discrepancy=0.0):
-    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
-
-    discrepancy : metres by which real solids differ from ideal ones, added to the noise in quadrature.
-    """
+def observe(rng, depth, camera, widest=160):
+    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor."""
     depth, camera, factor = reduce(depth, camera, widest)
     floor = find_floor(rng, depth, camera)
-    sigma = np.sqrt(noise_map(depth, floor, camera) ** 2 + discrepancy**2)
+    sigma = noise_map(depth, floor, camera)
+    correlation = neighbour_correlation(depth, floor, camera)
+    if correlation > CORRELATED:
+        sigma = np.hypot(sigma, REAL_DISCREPANCY)
     image = make_image(depth, sigma, camera, floor.pose)
     points = back_project(depth, camera) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
@@ -52,7 +60,7 @@ def observe(rng, depth, camera, widest=160, discrepancy=0.0):
     image.floor[background] = image.depth[background] + 1e-9
 
     footprint = np.nan_to_num(depth) / camera["fx"]
-    return Observation(image, floor, points, mask, footprint, sigma, camera, factor)
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
 
 
 def noise_map(depth, floor, camera):
@@ -64,12 +72,24 @@ def noise_map(depth, floor, camera):
     residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
     order = np.argsort(z)
     thirds = np.array_split(order, 3)
-    near, far = (1.4826 * np.median(residual[k]) + 2e-4 for k in (thirds[0], thirds[2]))
+    near, far = (1.4826 * np.median(residual[k]) + 5e-5 for k in (thirds[0], thirds[2]))
     ratio = np.median(z[thirds[2]]) / np.median(z[thirds[0]])
     power = np.clip(np.log(far / near) / np.log(ratio), 0.0, 2.0) if ratio > 1.05 else 0.0
     middle = np.exp(0.5 * (np.log(np.median(z[thirds[0]])) + np.log(np.median(z[thirds[2]]))))
     scale = max(np.sqrt(near * far), 5e-4)
     return scale * (np.nan_to_num(depth, nan=middle) / middle) ** power
+
+
+def neighbour_correlation(depth, floor, camera):
+    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only."""
+    points = back_project(depth, camera) - floor.pose[:3, 3]
+    height = points @ floor.pose[:3, 2]
+    near = floor.inliers & (depth <= np.median(depth[floor.inliers]))
+    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
+    height = np.where(near & (np.abs(height) < limit), height, np.nan)
+    a, b = height[:, :-1], height[:, 1:]
+    both = np.isfinite(a) & np.isfinite(b)
+    return float(np.mean(a[both] * b[both]) / np.nanvar(height)) if both.sum() > 100 else 0.0
 
 
 def inside_hull(points, inliers, good, margin=0.01):
@@ -91,10 +111,11 @@ def patches_of(seen: Observation) -> Patches:
     return find_patches(seen.points, seen.mask, seen.image.origin, seen.sigma, seen.footprint)
 
 
-def point_estimate(rng, depth, camera, settings=None, widest=160, discrepancy=0.0):
+def point_estimate(rng, depth, camera, settings=None, widest=160):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return."""
     settings = Settings() if settings is None else settings
-    seen = observe(rng, depth, camera, widest, discrepancy)
+    seen = observe(rng, depth, camera, widest)
+    settings = settings.for_correlation(seen.correlation)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001

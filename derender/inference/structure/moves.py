@@ -115,11 +115,11 @@ def corners_of(row):
 
 
 def merge(rng, image, state, hypotheses, settings, places):
-    """Put one box in place of two that touch, spanning both along the axes of one of them."""
+    """Put one box in place of two near and aligned ones, spanning both along the axes of one of them."""
     from derender.inference.structure.search import run_polish
 
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    near = [(i, j) for i in boxes for j in boxes if i != j and penetration(grown(state.rows[i]), state.rows[j]) > 0]
+    near = [(i, j) for i in boxes for j in boxes if i != j and penetration(grown(state.rows[i], 0.06), state.rows[j]) > 0]
     near = [(i, j) for i, j in near if alignment(state.rows[i], state.rows[j]) > 0.98]
     if not near:
         return None
