@@ -30,7 +30,7 @@ IMPEDANCE_WIDTH = 0.0025
 # Contacts of the graph start engaged by this much (in units of s), about what the weight of two or three bodies presses
 # them in, so that they bear from the first step.
 ENGAGED = 2e-5
-# A contact of the graph is open by no more than this (in units of s, or metres): beyond it is a graph that is wrong, and
+# A contact of the graph is open by no more than this (in units of s, or metres); beyond it the graph is wrong, and
 # things fall.
 WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
 # Sliding is the body's own; resistance to spinning and rolling in units of s: enough that a ball on a table stays.
@@ -61,6 +61,7 @@ class World:
         extents = [float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"]
         self.length = min(extents, default=DEFAULT_LENGTH)
         spec = self._spec()
+        self.spec = spec
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
@@ -77,9 +78,7 @@ class World:
 
     def gap(self, a: str, b: str, limit: float = 1.0) -> float:
         """Return the signed distance of two bodies in metres (negative: how deep they overlap), at most `limit`."""
-        first, second = (
-            mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, f"geom_{self.names.index(name)}") for name in (a, b)
-        )
+        first, second = (mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in (a, b))
         if all(self.matter.bodies[self.names.index(name)].kind == "plane" for name in (a, b)):
             return limit
         return float(mujoco.mj_geomDistance(self.model, self.data, first, second, limit, None))
@@ -111,6 +110,11 @@ class World:
         moving = self.data.qacc.reshape(-1, 6)
         return float(np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0))
 
+    def to_xml(self, name: str) -> str:
+        """Return the model as MJCF text, in the frame of the scene."""
+        self.spec.modelname = name
+        return self.spec.to_xml()
+
     def _is_fixed(self, body: Body) -> bool:
         return body.fixed or body.kind == "plane"
 
@@ -133,7 +137,11 @@ class World:
             else:
                 number += 1
                 self._body_ids[index] = number
-                holder = spec.worldbody.add_body(name=f"body_{index}", pos=pose[:3, 3], quat=quaternion(pose))
+                holder = spec.worldbody.add_body(
+                    name=f"{body.name}_body" if body.name == "world" else body.name,
+                    pos=pose[:3, 3],
+                    quat=quaternion(pose),
+                )
                 holder.add_freejoint()
                 place = {}
             self._add_geom(spec, holder, index, body, place)
@@ -154,7 +162,7 @@ class World:
             shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": f"mesh_{index}"}
         else:
             shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}
-        geom = holder.add_geom(name=f"geom_{index}", **shape, **place)
+        geom = holder.add_geom(name=body.name, **shape, **place)
         geom.friction = [body.friction, SPINNING * self.length, ROLLING * self.length]
         geom.condim = 6
         geom.solref = [CONTACT_STEPS * spec.option.timestep, 1]
@@ -167,14 +175,14 @@ class World:
     def _add_resting_pairs(self, spec: Any) -> None:
         """Give each pair that touches by the graph, or overlaps, a contact whose rest distance is the present one."""
         joined = {frozenset(pair) for pair in self.matter.supports}
-        for (i, a), (j, b) in combinations(enumerate(self.matter.bodies), 2):
+        for a, b in combinations(self.matter.bodies, 2):
             if self._is_fixed(a) and self._is_fixed(b):
                 continue
             by_graph = frozenset((a.name, b.name)) in joined
             gap = self.gap(a.name, b.name)
             if gap > (self._widest_gap() if by_graph else 0.0):
                 continue
-            pair = spec.add_pair(geomname1=f"geom_{i}", geomname2=f"geom_{j}")
+            pair = spec.add_pair(geomname1=a.name, geomname2=b.name)
             sliding, rolling = max(a.friction, b.friction), ROLLING * self.length
             pair.friction = [sliding, sliding, SPINNING * self.length, rolling, rolling]
             pair.condim = 6

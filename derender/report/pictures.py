@@ -7,8 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from derender.model import solids as kinds
-from derender.model.pose import inverse
 from derender.model.solids import Solids
 from derender.vision.camera import Camera
 
@@ -80,86 +78,14 @@ def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[
 
 def colours_of(solids: Solids) -> np.ndarray:
     """Return (N, 3) uint8, the colour of each solid in every picture of a report."""
-    from derender.vision.renderers.opengl import default_colours
+    from derender.vision.renderers.preview import default_colours
 
     return default_colours(solids)
 
 
-def shade(solids: Solids, camera: Camera, supersampling: int = 2) -> np.ndarray:
-    """Return a shaded picture of the scene on white, by ray casting, without OpenGL.
-
-    Returns
-    -------
-    (height, width, 3) uint8.
-    """
+def shade(solids: Solids, camera: Camera) -> np.ndarray:
+    """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting."""
     from derender.vision.raycast.depth import render_depth
+    from derender.vision.renderers.preview import draw_preview
 
-    s = supersampling
-    offset = (s - 1) / 2
-    fine = Camera(
-        camera.fx * s,
-        camera.fy * s,
-        camera.cx * s + offset,
-        camera.cy * s + offset,
-        camera.width * s,
-        camera.height * s,
-    )
-    depth, label = render_depth(solids, fine)
-    points = fine.points(np.where(label >= 0, depth, 1.0))
-    normals = surface_normals(solids, label, points)
-    # A lamp above the viewer's left shoulder, and one half as bright to the right.
-    view = -points / np.linalg.norm(points, axis=-1, keepdims=True)
-    lamps = np.array([[-0.4, -0.8, -0.45], [0.8, -0.3, -0.5]])
-    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
-    facing = np.sign(np.sum(normals * view, axis=-1, keepdims=True))
-    normals = normals * np.where(facing == 0, 1, facing)
-    light = 0.35 + np.clip(normals @ lamps.T, 0, 1) @ np.array([0.55, 0.25])
-    colours = colours_of(solids).astype(float)
-    pixels = np.full((*label.shape, 3), 255.0)
-    hit = label >= 0
-    pixels[hit] = np.clip(colours[label[hit]] * light[hit][:, None], 0, 255)
-    blocks = pixels.reshape(camera.height, s, camera.width, s, 3)
-    return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
-
-
-def surface_normals(solids: Solids, label: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the unit normal of the surface under each pixel, in camera axes.
-
-    Parameters
-    ----------
-    label : (height, width) int, index into `solids` or -1.
-    points : (height, width, 3) float64, where each pixel's ray meets the surface.
-
-    Returns
-    -------
-    (height, width, 3) float64; of a mesh from neighbouring points; towards the camera where nothing is hit.
-    """
-    normals = np.zeros_like(points)
-    normals[..., 2] = -1
-    for index, kind in enumerate(solids.kind):
-        mask = label == index
-        if not mask.any():
-            continue
-        pose = solids.pose[index]
-        local = points[mask] @ inverse(pose)[:3, :3].T + inverse(pose)[:3, 3]
-        half = np.maximum(0.5 * solids.size[index], 1e-12)
-        out = np.zeros_like(local)
-        if kind == kinds.PLANE:
-            out[:, 2] = 1
-        elif kind == kinds.SPHERE:
-            out = local / np.linalg.norm(local, axis=1, keepdims=True)
-        elif kind == kinds.CYLINDER:
-            radius = np.hypot(local[:, 0], local[:, 1])
-            cap = np.abs(local[:, 2]) / half[2] > radius / half[0]
-            out[cap, 2] = np.sign(local[cap, 2])
-            out[~cap, :2] = local[~cap, :2] / radius[~cap, None]
-        elif kind == kinds.BOX:
-            axis = np.argmax(np.abs(local) / half, axis=1)
-            out[np.arange(len(local)), axis] = np.sign(local[np.arange(len(local)), axis])
-        else:
-            across, down = np.gradient(points, axis=1)[mask], np.gradient(points, axis=0)[mask]
-            normal = np.cross(across, down)
-            normals[mask] = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-            continue
-        normals[mask] = out @ pose[:3, :3].T
-    return normals
+    return draw_preview(render_depth, solids, camera)

@@ -171,19 +171,6 @@ def test_depth_limits_follow_the_objects():
     assert pictures.depth_limits(np.full((2, 2), np.nan)) == (0.0, 1.0)
 
 
-def test_shading_knows_the_surfaces(report):
-    depth, label = render_depth(report.solids, CAMERA)
-    points = CAMERA.points(np.where(label >= 0, depth, 1.0))
-    normals = pictures.surface_normals(report.solids, label, points)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-9)
-    # The floor's is gravity's opposite; every visible surface faces the camera.
-    np.testing.assert_allclose(normals[label == 0], np.tile(ROOT[:3, 2], ((label == 0).sum(), 1)), atol=1e-9)
-    assert np.all(np.sum(normals * points, axis=-1)[label >= 0] < 1e-9)
-    picture = pictures.shade(report.solids, CAMERA)
-    assert picture.shape == (60, 80, 3) and picture.dtype == np.uint8
-    assert len({tuple(np.median(picture[label == i], axis=0)) for i in range(5)}) == 5
-
-
 def test_graph_stands_on_its_root(report):
     text = svg.graph_svg(report.scene)
     heights = {

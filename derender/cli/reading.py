@@ -1,0 +1,66 @@
+"""What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from derender.errors import DerenderError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from derender.inference.posterior import Posterior
+    from derender.model.scene import SceneGraph
+    from derender.vision.camera import Camera
+
+
+class Found(NamedTuple):
+    """A scene, and what else its file or folder holds.
+
+    Attributes
+    ----------
+    name : of the scene, for titles and files.
+    graph : the scene; of a posterior, its most probable one.
+    posterior, camera : or None.
+    """
+
+    name: str
+    graph: "SceneGraph"
+    posterior: "Posterior | None"
+    camera: "Camera | None"
+
+
+def read_scene(path: str) -> Found:
+    """Read a scene file (`-`: stdin) or a folder written by `derender infer`.
+
+    Raises
+    ------
+    DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
+    """
+    from derender.document import read_document
+
+    folder = Path(path)
+    if path == "-" or not folder.is_dir():
+        document = read_document(path)
+        return Found("scene" if path == "-" else folder.stem, document.graph, None, document.camera)
+    name = folder.resolve().name
+    written = folder / "scene.yaml"
+    document = read_document(written) if written.exists() else None
+    if (folder / "posterior.npz").exists():
+        from derender.inference.posterior import load
+
+        posterior = load(folder)
+        return Found(name, posterior.best_graph(), posterior, document.camera if document else None)
+    if document is None:
+        raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
+    return Found(name, document.graph, None, document.camera)
+
+
+def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":
+    """Return the image from which the posterior in a folder was inferred, and its camera; None if it is not there."""
+    from derender.vision.depth_file import read_depth
+
+    path = Path(folder) / "observation.npz"
+    if not path.exists():
+        return None
+    image = read_depth(path)
+    return image.depth, image.camera

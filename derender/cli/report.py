@@ -1,0 +1,60 @@
+"""derender report: HTML and tables from one or more posteriors."""
+
+from pathlib import Path
+
+import click
+
+from derender.cli import options
+from derender.cli.options import Talk
+
+
+@click.command()
+@click.argument("folders", nargs=-1, required=True, metavar="DIR...")
+@options.output("Where to write the page. Default: report.html in the first DIR.", metavar="FILE.html")
+@click.option("--table/--no-table", default=True, show_default=True, help="Print the table of parameters on stdout.")
+@options.verbosity
+def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Talk) -> None:
+    """Write one HTML page, which needs no network, about what `derender infer` left in DIR; print its table.
+
+    Several DIRs are runs on the same image with different seeds: their chains are put together, and R-hat compares
+    them. A scene file is reported too, without what only a posterior has.
+
+    \b
+    Examples:
+        derender report results/
+        derender report run_1/ run_2/ run_3/ -o all.html
+        derender report results/ --table > table.txt
+    """
+    from derender.cli.reading import read_observation, read_scene
+    from derender.errors import DerenderError
+    from derender.report.html import report_of, write_report
+    from derender.report.tables import parameter_table
+
+    found = [read_scene(folder) for folder in folders]
+    first = found[0]
+    posterior = first.posterior
+    if len(found) > 1:
+        from derender.inference.posterior import merged
+
+        posteriors = [each.posterior for each in found]
+        for folder, each in zip(folders, posteriors, strict=True):
+            if each is None:
+                raise DerenderError("only posteriors can be put together", folder, "give DIRs made by derender infer")
+        posterior = merged(posteriors)
+    graph = first.graph if posterior is None else posterior.best_graph()
+    image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
+    observed, camera = image if image is not None else (None, first.camera)
+    names = ", ".join(each.name for each in found)
+    report = report_of(graph, camera, observed, posterior, names, title_facts(len(found)))
+    if output is None:
+        folder = Path(folders[0])
+        output = str(folder / "report.html") if folder.is_dir() else f"{first.name}.html"
+    write_report(output, report)
+    talk.say(f"wrote {output}")
+    if table and report.parameters:
+        click.echo(parameter_table(report.parameters))
+
+
+def title_facts(count: int) -> dict[str, str]:
+    """Return what the page's head says of several runs."""
+    return {"chains of": f"{count} runs"} if count > 1 else {}

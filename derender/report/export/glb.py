@@ -1,0 +1,109 @@
+"""GLB (binary glTF): the scene graph as nodes, each child under its parent; for viewers, Blender, game engines.
+
+Written by hand, since the format is short: a JSON chunk and a chunk of numbers. glTF has y up and metres.
+"""
+
+import json
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derender import __version__
+from derender.model import solids as kinds
+from derender.model.pose import rotation_x
+from derender.report.export.upright import upright_pose
+from derender.report.geometry import plane_patch, solid_mesh
+from derender.report.pictures import colours_of
+
+if TYPE_CHECKING:
+    from derender.model.scene import SceneGraph
+    from derender.vision.camera import Camera
+
+FLOAT, UNSIGNED = 5126, 5125
+VERTICES, TRIANGLES = 34962, 34963
+
+
+def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:
+    """Return the file's bytes by its name."""
+    solids, names = graph.solids(), graph.solid_names
+    colours = colours_of(solids) / 255
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"derender {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [],
+        "meshes": [],
+        "materials": [],
+        "accessors": [],
+        "bufferViews": [],
+    }
+    data = bytearray()
+    poses = graph.poses()
+    up = rotation_x(-np.pi / 2) @ upright_pose(graph)
+    tree["nodes"].append({"name": "root", "matrix": _column_major(up @ poses["root"]), "children": []})
+    numbers = {"root": 0}
+    for vertex in graph.vertices:
+        relative = graph.relative_pose(vertex.name)
+        number = numbers[vertex.name] = len(tree["nodes"])
+        node: dict[str, Any] = {"name": vertex.name, "matrix": _column_major(relative)}
+        tree["nodes"].append(node)
+        tree["nodes"][numbers[vertex.parent]].setdefault("children", []).append(number)
+        if vertex.name in names:
+            index = names.index(vertex.name)
+            vertices, triangles = _mesh_in_object(solids, index)
+            node["mesh"] = len(tree["meshes"])
+            _add_mesh(tree, data, vertex.name, vertices, triangles, colours[index])
+    tree["buffers"] = [{"byteLength": len(data)}]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + bytes(data)
+    return {path.name: struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body}
+
+
+def _mesh_in_object(solids, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a solid's triangles in its own axes; of a plane, a square under the scene."""
+    if solids.kind[index] != kinds.PLANE:
+        return solid_mesh(solids, index)
+    patch, extent = plane_patch(solids, index)
+    vertices, triangles = solid_mesh(solids, index, extent)
+    offset = (patch[:3, 3] - solids.pose[index, :3, 3]) @ solids.pose[index, :3, :3]
+    return vertices + offset, triangles
+
+
+def _add_mesh(tree: dict, data: bytearray, name: str, vertices: np.ndarray, triangles: np.ndarray, colour) -> None:
+    # Every triangle has vertices of its own and no normals are given: glTF then asks for flat shading.
+    points = vertices[triangles].reshape(-1, 3).astype("<f4")
+    order = np.arange(len(points), dtype="<u4")
+    accessors = []
+    for array, kind, target in ((points, FLOAT, VERTICES), (order, UNSIGNED, TRIANGLES)):
+        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes, "target": target})
+        entry: dict[str, Any] = {
+            "bufferView": len(tree["bufferViews"]) - 1,
+            "componentType": kind,
+            "count": len(array),
+            "type": "VEC3" if array.ndim == 2 else "SCALAR",
+        }
+        if array.ndim == 2:
+            entry |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        tree["accessors"].append(entry)
+        accessors.append(len(tree["accessors"]) - 1)
+        data += array.tobytes()
+    material = {"baseColorFactor": [*_linear(colour), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    tree["materials"].append({"name": name, "pbrMetallicRoughness": material, "doubleSided": True})
+    primitive = {
+        "attributes": {"POSITION": accessors[0]},
+        "indices": accessors[1],
+        "material": len(tree["materials"]) - 1,
+    }
+    tree["meshes"].append({"name": name, "primitives": [primitive]})
+
+
+def _linear(colour: np.ndarray) -> list[float]:
+    """Return an sRGB colour as linear light, as glTF wants it."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4).tolist()
+
+
+def _column_major(pose: np.ndarray) -> list[float]:
+    return np.asarray(pose, float).T.ravel().tolist()
