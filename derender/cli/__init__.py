@@ -88,7 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         result = group.main(args=arguments, prog_name="derender", standalone_mode=False)
         status = result if isinstance(result, int) else 0
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except DerenderError as error:
         status = _complain(str(error))
     except click.ClickException as error:

@@ -1,6 +1,7 @@
 """The command line as a whole: exit statuses, one line for each fault, lazy commands."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -89,6 +90,24 @@ def test_a_reader_that_goes_away_is_no_fault():
     command = f"{sys.executable} -c '{code}' --help | head -n 1"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
     assert done.stdout.startswith("Usage") and "Traceback" not in done.stderr and "BrokenPipe" not in done.stderr
+
+
+@pytest.mark.parametrize("target, line", [("/dev/full", "derender: No space left on device"), ("&-", "")])
+def test_a_full_or_closed_stdout_is_at_most_one_line(target, line):
+    command = f"{sys.executable} -m derender --help >{target}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip() == line
+
+
+def test_an_interrupt_ends_with_130_and_one_line(tmp_path):
+    command = [sys.executable, "-m", "derender", "sample", "free", "-n", "1000000", "-o", "-"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path)
+    assert process.stdout is not None
+    process.stdout.read(1000)  # it is at work
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error.decode().strip().splitlines()[-1] == "derender: interrupted" and b"Traceback" not in error
 
 
 def test_talk_keeps_to_its_level(capsys):
