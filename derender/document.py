@@ -183,7 +183,7 @@ def _read_camera(node: Node, folder: Path) -> Camera:
     sizes = {key: node[key].integer(lower=1, upper=100_000) for key in ("width", "height")}
     scale = {"depth_scale": node["depth_scale"].number()} if "depth_scale" in node else {}
     try:
-        return Camera(**floats, **sizes, **scale)
+        return Camera(**floats, **sizes, **scale)  # type: ignore[arg-type]
     except DerenderError as error:
         raise node.fault(error.what, error.remedy) from None
 

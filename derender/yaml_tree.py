@@ -55,8 +55,8 @@ def parse_yaml(data: bytes | str, file: str = "YAML") -> Section:
         raise DerenderError(
             f"the file is larger than {MOST_BYTES // 1_000_000} MB", where=file, remedy="is it a scene?"
         )
-    for number, line in enumerate(text.splitlines(), start=1):
-        if "\t" in line and not line[: line.index("\t")].strip():
+    for number, content in enumerate(text.splitlines(), start=1):
+        if "\t" in content and not content[: content.index("\t")].strip():
             raise Node(file, number, "").fault("a tab indents this line", "indent with spaces")
     loader = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
     try:
@@ -154,7 +154,7 @@ class _Builder:
                 parent.nodes[key.value] = node
                 stack[-1] = (parent, None)
             else:
-                parent.nodes.append(node)  # type: ignore[union-attr]
+                parent.nodes.append(node)  # type: ignore[attr-defined]
         raise AssertionError("the parser closes what it opens")
 
     def _start(self, event: Any, parent: Node | None, key: Any) -> Node:

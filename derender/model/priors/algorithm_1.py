@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from derender.model.distributions import Distribution, distributions
 from derender.model.priors.base import Prior
@@ -39,6 +39,8 @@ class Algorithm1Prior(Prior):
     mean_parents: float
     mean_children: float
     constraints: tuple[Term, ...] = ()
+    _parents: Distribution = field(init=False, repr=False, compare=False)
+    _children: Distribution = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_parents", distributions["poisson"](self.mean_parents))
@@ -62,7 +64,7 @@ class Algorithm1Prior(Prior):
 
     def _sample(self, rng) -> SceneGraph:
         while True:
-            parents, children = self._parents.sample(rng), self._children.sample(rng)  # type: ignore[attr-defined]
+            parents, children = self._parents.sample(rng), self._children.sample(rng)
             if parents or not children:
                 break
         entries = list(self.shapes.values())
@@ -93,7 +95,7 @@ class Algorithm1Prior(Prior):
         first = {name for name, vertex in vertices.items() if vertex.parent == ROOT}
         second = len(vertices) - len(first)
         total = self.root.log_density(graph.root_pose)
-        total += self._parents.log_density(len(first)) + self._children.log_density(second)  # type: ignore[attr-defined]
+        total += self._parents.log_density(len(first)) + self._children.log_density(second)
         for vertex in vertices.values():
             entry = self._entry(vertex)
             if entry is None or vertex.supports or (vertex.parent != ROOT and vertex.parent not in first):

@@ -160,7 +160,8 @@ class ContactPrior:
                 values.update(zip(ROTATION, value if type(value) is tuple else value.sample(rng), strict=True))
             else:
                 values[name] = draw(value, rng)
-        return Contact(*choice, values)
+        kind, parent_face, child_face = choice
+        return Contact(kind, parent_face, child_face, values)
 
     def log_density(self, contact: Contact, parent: str, child: str, top: str | None = None) -> float:
         """Return log p_{s,t}(c) + log p_c(phi)."""

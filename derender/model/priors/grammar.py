@@ -9,7 +9,7 @@ mean numbers of children of each kind has a spectral radius below one; that is c
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ class GrammarPrior(Prior):
     contacts : p_{s,t}(c) and p_c(phi).
     offspring : distribution of the number of objects that grow on one, by the name of a base object, the kind of a
         grown one, or "root"; what is not named, or has no flat face up, bears nothing.
+    tree : the prior of the base alone.
+    spectral_radius : of the matrix of mean numbers of offspring, below 1.
     """
 
     root: RootPrior
@@ -47,6 +49,9 @@ class GrammarPrior(Prior):
     contacts: ContactPrior
     offspring: Mapping[str, Any]
     constraints: tuple[Term, ...] = ()
+    tree: TreePrior = field(init=False, repr=False, compare=False)
+    spectral_radius: float = field(init=False, repr=False, compare=False)
+    _kinds: dict[tuple[str, str | None], Categorical | None] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree", TreePrior(self.root, self.base))
@@ -128,7 +133,7 @@ class GrammarPrior(Prior):
 
     def _sample(self, rng) -> SceneGraph:
         root_pose = self.root.sample(rng)
-        vertices = self.tree.sample_vertices(rng)  # type: ignore[attr-defined]
+        vertices = self.tree.sample_vertices(rng)
         numbers: Counter = Counter()
         waiting = [(ROOT, ROOT), *((name, name) for name in vertices)]
         for name, kind in waiting:  # grows while it is walked: parents before children
@@ -167,7 +172,7 @@ class GrammarPrior(Prior):
 
     def log_density(self, graph: SceneGraph) -> float:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
-        base = self.tree.by_name  # type: ignore[attr-defined]
+        base = self.tree.by_name
         total = self.root.log_density(graph.root_pose)
         children: dict[str, int] = {}
         kinds: dict[str, str] = {ROOT: ROOT}
@@ -175,7 +180,7 @@ class GrammarPrior(Prior):
             if item.name not in vertices or total == -math.inf:
                 return -math.inf
             kinds[item.name] = item.name
-            total += self.tree.vertex_log_density(item, vertices)  # type: ignore[attr-defined]
+            total += self.tree.vertex_log_density(item, vertices)
         for name, vertex in vertices.items():
             if name in base:
                 continue
@@ -204,15 +209,15 @@ class GrammarPrior(Prior):
 
     def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
-        free = self.tree.free_addresses(graph)  # type: ignore[attr-defined]
+        free = self.tree.free_addresses(graph)
         for name, vertex in vertices.items():
             kind = self.kind_of(vertex)
-            if kind is not None and name not in self.tree.by_name:  # type: ignore[attr-defined]
+            if kind is not None and name not in self.tree.by_name:
                 free.update(vertex_addresses(self.shapes[kind], self.contacts, vertices, name))
         return free
 
     def log_orderings(self, graph: SceneGraph) -> float:
-        base = self.tree.by_name  # type: ignore[attr-defined]
+        base = self.tree.by_name
         counts = Counter(vertex.parent for vertex in graph.vertices if vertex.name not in base)
         return math.fsum(math.lgamma(count + 1) for count in counts.values())
 

@@ -28,6 +28,8 @@ class ShapePrior:
     values: Mapping[str, Value] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     weight: float = 1.0
+    _table: tuple[tuple[str, Value], ...] = field(init=False, repr=False, compare=False)
+    _identity: tuple = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         table = []
@@ -49,17 +51,17 @@ class ShapePrior:
 
     def sample(self, rng) -> dict[str, float]:
         """Return a draw of psi by name."""
-        return {name: draw(value, rng) for name, value in self._table}  # type: ignore[attr-defined]
+        return {name: draw(value, rng) for name, value in self._table}
 
     def matches(self, vertex: Vertex) -> bool:
         """Say whether a vertex is of this shape type and, for a mesh, of the same mesh."""
-        return vertex.shape == self.type and identity(vertex.options) == self._identity  # type: ignore[attr-defined]
+        return vertex.shape == self.type and identity(vertex.options) == self._identity
 
     def log_density(self, vertex: Vertex) -> float:
         """Return log p_s(psi) of a vertex that `matches`."""
         total = 0.0
         parameters = vertex.parameters
-        for name, value in self._table:  # type: ignore[attr-defined]
+        for name, value in self._table:
             if name not in parameters:
                 return -math.inf
             total += log_density(value, parameters[name])
@@ -67,7 +69,7 @@ class ShapePrior:
 
     def free(self) -> dict[str, Distribution]:
         """Return the distributions among the values, by parameter name."""
-        return {name: value for name, value in self._table if isinstance(value, Distribution)}  # type: ignore[attr-defined]
+        return {name: value for name, value in self._table if isinstance(value, Distribution)}
 
 
 def identity(options: Mapping[str, Any]) -> tuple:
