@@ -48,6 +48,14 @@ def contact_energy(row, others, skip, bottom, slack):
 
 
 @njit(cache=True, nogil=True)
+def tilt_energy(row, form, tilt):
+    """Return minus the log prior density of an upright solid's tilt off the vertical (normal of scale `tilt` radians)."""
+    if form == FREE or int(row[0]) == SPHERE or tilt <= 0.0:
+        return 0.0
+    return max(1.0 - abs(row[9]), 0.0) / tilt**2
+
+
+@njit(cache=True, nogil=True)
 def turn(row, axis, angle, px, py, pz):
     """Turn the solid about its own axis (0, 1, 2) through the point (px, py, pz), in place."""
     ux, uy, uz = row[1 + axis], row[4 + axis], row[7 + axis]
@@ -76,7 +84,7 @@ def shift(row, axis, distance):
 
 
 @njit(cache=True, nogil=True)
-def try_step(row, origin, form, cube, move, step):
+def try_step(row, origin, form, cube, tilt, move, step):
     """Change the row by the step of kind `move` (see module), in place; return False where it is not allowed.
 
     Moves: 0-5 faces, 6-8 shifts, 9-11 turns about own axes, 12 scale about a corner, 13 radius.
@@ -94,7 +102,7 @@ def try_step(row, origin, form, cube, move, step):
         return True
     if move < 12:
         axis = move - 9
-        if kind == SPHERE or (form == UPRIGHT and (axis != 2)) or (kind == CYLINDER and axis == 2):
+        if kind == SPHERE or (form == UPRIGHT and axis != 2 and tilt <= 0.0) or (kind == CYLINDER and axis == 2):
             return False
         # corner pivots: a visible corner or edge stays where it is
         px, py, pz = row[10], row[11], row[12]
@@ -138,7 +146,7 @@ def try_step(row, origin, form, cube, move, step):
 
 
 @njit(cache=True, nogil=True)
-def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack, rounds, first_step, heat, seed):
+def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack, tilt, rounds, first_step, heat, seed):
     """Return (row, energy, misfit change) of the best solid found in `rounds` tries.
 
     Parameters
@@ -146,13 +154,15 @@ def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack,
     start : (ROW,) the solid; form : UPRIGHT or FREE; cube : keep its edges equal.
     others : (N, ROW) solids in the scene, `skip` the one among them that is this one (or -1).
     depth, misfit : (H, W) of the scene without this solid.
-    bottom : height of what it stands on, NaN for unknown; slack : metres.
+    bottom : height of what it stands on, NaN for unknown; slack : metres; tilt : radians off the
+        vertical that an upright solid may have (0: none).
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
     np.random.seed(seed)
     row = start.copy()
     change = added_misfit(image, row, depth, misfit)
     energy = change + size_energy(row, cube) + contact_energy(row, others, skip, bottom, slack)
+    energy += tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
     scale = np.full(14, first_step)
     trial = row.copy()
@@ -160,9 +170,10 @@ def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack,
         move = np.random.randint(14)
         step = scale[move] * np.random.standard_normal()
         trial[:] = row
-        if not try_step(trial, image.origin, form, cube, move, step):
+        if not try_step(trial, image.origin, form, cube, tilt, move, step):
             continue
         rest = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, slack)
+        rest += tilt_energy(trial, form, tilt)
         if rest - (energy - change) > 100.0:
             scale[move] = max(scale[move] * 0.93, 5e-5)
             continue

@@ -6,10 +6,14 @@ import numpy as np
 
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.moves import find_places, propose
-from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy
+from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
 from derender.inference.structure.state import State, energy, held_out
 from derender.inference.structure.support import assign_supports
 from derender.model.solids import BOX, SPHERE
+
+
+# Of solids on real tables, as sensors see them.
+REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 
 
 class Settings(NamedTuple):
@@ -20,7 +24,7 @@ class Settings(NamedTuple):
     shapes : names of the shapes that may occur.
     max_objects : how many solids there may be.
     price : nats that a solid must gain to be believed.
-    slack : metres within which contacts hold.
+    slack : metres within which contacts hold; tilt : radians off the vertical that a standing solid may have.
     cube_bonus : log prior odds of a cube against the box that nearly is one: P(cube) over P(box) times the prior
         density of two sizes within the accuracy of the image.
     free_price : nats that a tilted pose costs more than an upright one.
@@ -33,6 +37,7 @@ class Settings(NamedTuple):
     max_objects: int = 30
     price: float = 40.0
     slack: float = SLACK
+    tilt: float = 0.0
     cube_bonus: float = 7.0
     free_price: float = 8.0
     repairs: int = 120
@@ -53,13 +58,14 @@ class Settings(NamedTuple):
         factor = ((1 + correlation) / (1 - correlation)) ** 1.5
         return self._replace(price=self.price * factor, cube_bonus=self.cube_bonus * factor,
                              free_price=self.free_price * factor, floating_price=self.floating_price * factor,
-                             clean=self.clean * factor**2)  # fmt: skip
+                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK)  # fmt: skip
 
 
 def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
     """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
     depth, _, misfit, _ = view
-    return polish(image, row, form, cube, state.rows, index, depth, misfit, bottom, settings.slack, rounds, step, heat,
+    return polish(image, row, form, cube, state.rows, index, depth, misfit, bottom, settings.slack,
+                  settings.tilt, rounds, step, heat,
                   int(rng.integers(2**31)))  # fmt: skip
 
 
@@ -228,6 +234,7 @@ def total_energy(image, state, settings):
     total = energy(image, state, settings.slack, 0.0)
     for k in range(len(state)):
         total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
+        total += tilt_energy(state.rows[k], state.forms[k], settings.tilt)
         if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
             total += settings.floating_price
     return total

@@ -9,6 +9,7 @@ from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
 NEAR = 0.006
+LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
 
 
 def shadows_overlap(row, other, margin=0.002):
@@ -22,8 +23,8 @@ def flat_top(row):
     """Whether the solid ends in a level face on which others can stand."""
     kind = int(row[0])
     if kind == BOX:
-        return max(abs(row[7]), abs(row[8]), abs(row[9])) > 0.9995
-    return kind == CYLINDER and abs(row[9]) > 0.9995
+        return max(abs(row[7]), abs(row[8]), abs(row[9])) >= LEVEL
+    return kind == CYLINDER and abs(row[9]) >= LEVEL
 
 
 def with_bottom(row, height):
