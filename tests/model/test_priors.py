@@ -421,6 +421,19 @@ constraints: [no-overlap, {does-not-touch: {objects: [a, b], margin: 2 cm}}]
         assert prior.log_density(graph.with_numbers({"b.contact.x": x})) == -math.inf
 
 
+def test_at_most_so_many_objects_keeps_the_proportions_of_the_rest():
+    prior = read_prior_document("tabletop").prior
+    rng = np.random.default_rng(0)
+    sizes = Counter(len(prior.sample(rng).vertices) - 1 for _ in range(1000))
+    free = replace(prior, constraints=prior.constraints[1:])
+    unbounded = Counter(len(free.sample(rng).vertices) - 1 for _ in range(1000))
+    assert max(sizes) == 4 < max(unbounded)
+    table = [[counts[k] for k in range(1, 5)] for counts in (sizes, unbounded)]
+    assert stats.chi2_contingency(table).pvalue > 1e-3
+    five = next(graph for graph in iter(lambda: free.sample(rng), None) if len(graph.vertices) == 6)
+    assert prior.log_density(five) == -math.inf < free.log_density(five)
+
+
 def test_a_soft_term_is_sampled_exactly():
     """x uniform on [0, 0.2], overlap depth 0.1 - x below 0.1: its density there is a half normal."""
     prior = prior_of("""

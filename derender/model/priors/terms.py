@@ -14,6 +14,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.model.constraints import Constraint
 from derender.model.scene import SceneGraph
+from derender.model.shapes import shapes
 from derender.registry import Registry
 from derender.yaml_tree import Node, Section
 
@@ -109,6 +110,32 @@ class DoesNotTouch:
         first, second = names.index(self.relation.first), names.index(self.relation.second)
         apart = separation(graph.solids(), first, second)
         return 0.0 if apart > self.relation.margin else -math.inf
+
+
+class AtMost:
+    """No more than so many objects of finite size.
+
+    Parameters
+    ----------
+    count : how many.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def log_density(self, graph):
+        bounded = sum(shapes[vertex.shape].bounded for vertex in graph.vertices)
+        return 0.0 if bounded <= self.count else -math.inf
+
+
+@term_types.register("at-most")
+class AtMostType(TermType):
+    """No more than so many objects, floors and frames not counted: `at-most: 4`."""
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("at-most says no number", remedy="write at-most: 4")
+        return AtMost(node.integer(lower=0))
 
 
 @term_types.register("no-overlap")
