@@ -44,15 +44,15 @@ def read_scene(path: str) -> Found:
         return Found("scene" if path == "-" else folder.stem, document.graph, None, document.camera)
     name = folder.resolve().name
     written = folder / "scene.yaml"
-    document = read_document(written) if written.exists() else None
+    best = read_document(written) if written.exists() else None
     if (folder / "posterior.npz").exists():
         from derender.inference.posterior import load
 
         posterior = load(folder)
-        return Found(name, posterior.best_graph(), posterior, document.camera if document else None)
-    if document is None:
+        return Found(name, posterior.best_graph(), posterior, best.camera if best else None)
+    if best is None:
         raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
-    return Found(name, document.graph, None, document.camera)
+    return Found(name, best.graph, None, best.camera)
 
 
 def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":

@@ -36,10 +36,11 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     if len(found) > 1:
         from derender.inference.posterior import merged
 
-        posteriors = [each.posterior for each in found]
-        for folder, each in zip(folders, posteriors, strict=True):
-            if each is None:
-                raise DerenderError("only posteriors can be put together", folder, "give DIRs made by derender infer")
+        posteriors = []
+        for name, each in zip(folders, found, strict=True):
+            if each.posterior is None:
+                raise DerenderError("only posteriors can be put together", name, "give DIRs made by derender infer")
+            posteriors.append(each.posterior)
         posterior = merged(posteriors)
     graph = first.graph if posterior is None else posterior.best_graph()
     image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
@@ -47,8 +48,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     names = ", ".join(each.name for each in found)
     report = report_of(graph, camera, observed, posterior, names, title_facts(len(found)))
     if output is None:
-        folder = Path(folders[0])
-        output = str(folder / "report.html") if folder.is_dir() else f"{first.name}.html"
+        place = Path(folders[0])
+        output = str(place / "report.html") if place.is_dir() else f"{first.name}.html"
     write_report(output, report)
     talk.say(f"wrote {output}")
     if table and report.parameters:

@@ -90,10 +90,9 @@ def _add_inertia(link, kind: int, size: np.ndarray, options) -> None:
         moments = mass * np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 12
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "mass", value=_text(mass))
-    products = {"ixy": "0", "ixz": "0", "iyz": "0"}
-    ElementTree.SubElement(
-        inertial, "inertia", ixx=_text(moments[0]), iyy=_text(moments[1]), izz=_text(moments[2]), **products
-    )
+    inertia = ElementTree.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0")
+    for key, moment in zip(("ixx", "iyy", "izz"), moments, strict=True):
+        inertia.set(key, _text(moment))
 
 
 def _obj(vertices: np.ndarray, triangles: np.ndarray) -> bytes:

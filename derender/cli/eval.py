@@ -1,0 +1,191 @@
+"""derender eval: predicted scenes against the truth."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from derender.cli import options
+from derender.cli.options import Talk
+
+
+@click.command()
+@click.argument("predicted", metavar="PREDICTED")
+@click.argument("truth", metavar="TRUTH")
+@click.option("--frame", metavar="KEY", help="Frame of BOP's scene_gt.json, where it has several.")
+@click.option("--models", metavar="FILE", help="BOP's models_info.json, where it is not near the scene.")
+@click.option(
+    "--background", default="0", show_default=True, metavar="N,N", help="Labels of a label image that are no object."
+)
+@click.option(
+    "--divisor",
+    type=click.IntRange(1, 10_000),
+    default=1,
+    show_default=True,
+    help="Labels are the image's numbers over this (10 where 21 and 22 are parts of object 2).",
+)
+@click.option(
+    "--graph-iou",
+    type=click.FloatRange(0, 1),
+    default=0.25,
+    show_default=True,
+    help="Overlap from which two solids are the same object in edges and errors.",
+)
+@options.as_json
+@options.verbosity
+def command(
+    predicted: str,
+    truth: str,
+    frame: str | None,
+    models: str | None,
+    background: str,
+    divisor: int,
+    graph_iou: float,
+    as_json: bool,
+    talk: Talk,
+) -> None:
+    """Compare PREDICTED scenes with TRUTH: files, or folders in which things of the same name go together.
+
+    A prediction is a scene file, a folder written by `derender infer`, or JSON as `derender show --json` prints it.
+    Truth may be any of these, BOP's scene_gt.json, or a label image, whose masks are compared with those of the
+    prediction's rendering. Prints the F1 of objects at an overlap in volume of .5, .75 and .9, the F1 of edges, whether
+    the graph is exact, errors of what was found (up to symmetry), ADD-S, and whether the prediction floats, overlaps
+    itself by more than 5 mm, and stands.
+
+    \b
+    Examples:
+        derender eval results/ sample_000.yaml
+        derender eval predictions/ truth/ --json | jq .total
+        derender eval results/ label.png --divisor 10 --background 0,1
+    """
+    from derender.evaluation.batch import paired, totals
+
+    pairs = paired(predicted, truth)
+    labels = [int(word) for word in _numbers(background)]
+    results = []
+    for name, left, right in pairs:
+        talk.detail(f"{name}: {left} against {right}")
+        result = _compare(left, right, frame, models, labels, divisor, graph_iou)
+        results.append({"name": name, **result})
+    total = totals(results)
+    if as_json:
+        click.echo(json.dumps({"total": total, "scenes": results}))
+        return
+    if len(results) == 1:
+        for line in _details(results[0]):
+            click.echo(line)
+    click.echo(_total_table(total))
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return [int(word) for word in text.split(",") if word.strip()]
+    except ValueError:
+        raise click.BadParameter("give whole numbers with commas between them", param_hint="--background") from None
+
+
+def _compare(left: Path, right: Path, frame, models, background, divisor, graph_iou) -> dict[str, Any]:
+    """Compare one prediction with one truth."""
+    from derender.evaluation.batch import LABEL_SUFFIXES
+    from derender.evaluation.condition import condition_of
+    from derender.evaluation.metrics import compare_scenes, mask_f1
+    from derender.evaluation.truth import read_labels
+
+    scene, found = _scene(left)
+    result: dict[str, Any]
+    if right.suffix in LABEL_SUFFIXES:
+        labels = read_labels(right, divisor)
+        result = {"masks": mask_f1(_rendered_labels(found, left, labels.shape), labels, background=background)}
+    else:
+        true, _ = _scene(right, frame, models)
+        result = compare_scenes(scene, true, graph_iou)
+    return {**result, "condition": condition_of(scene)}
+
+
+def _scene(path: Path, frame: str | None = None, models: str | None = None):
+    """Return a scene as `show --json` prints it, the corners of its meshes' hulls with it; and what was read."""
+    from derender.cli.reading import read_scene
+    from derender.evaluation.truth import read_json_scene
+    from derender.physics.bodies import matter_of_graph
+    from derender.report.scene_json import scene_json
+
+    if path.suffix == ".json":
+        return read_json_scene(path, frame, models), None
+    found = read_scene(str(path))
+    scene = scene_json(found.graph, found.posterior)
+    hulls = {body.name: body.vertices for body in matter_of_graph(found.graph).bodies if body.kind == "mesh"}
+    for item in scene["objects"]:
+        if item["name"] in hulls and item["type"] == "mesh":
+            item["vertices"] = hulls[item["name"]]
+    return scene, found
+
+
+def _rendered_labels(found, path: Path, shape: tuple[int, int]):
+    """Return which solid of a predicted scene each pixel sees, planes counting as nothing."""
+    import numpy as np
+
+    from derender.errors import DerenderError
+    from derender.model.solids import PLANE
+    from derender.vision.raycast.depth import render_depth
+
+    if found is None or found.camera is None:
+        raise DerenderError("a label image needs a scene with a camera", path, "give a scene file that has one")
+    if found.camera.shape != shape:
+        seen = f"{found.camera.width} x {found.camera.height}"
+        raise DerenderError(f"the label image is {shape[1]} x {shape[0]} pixels, the scene's camera {seen}", path)
+    solids = found.graph.solids()
+    label = render_depth(solids, found.camera)[1]
+    return np.where(np.isin(label, np.flatnonzero(solids.kind == PLANE)), -1, label)
+
+
+def _details(result: dict[str, Any]):
+    """Yield lines about one scene."""
+    import numpy as np
+
+    from derender.report.tables import text_table
+
+    rows = [
+        [
+            f"{pair['predicted']} = {pair['truth']}",
+            f"{pair['iou']:.3f}",
+            f"{1000 * pair['position']:.1f}",
+            "–" if pair["rotation"] is None else f"{np.rad2deg(pair['rotation']):.2f}",
+            f"{1000 * max(map(abs, pair['size'])):.1f}",
+            f"{1000 * pair['add_s']:.1f}",
+        ]
+        for pair in result.get("pairs", ())
+    ]
+    if rows:
+        yield text_table(rows, ("object", "IoU", "position, mm", "rotation, deg", "size, mm", "ADD-S, mm"))
+    for key in ("missed", "extra"):
+        if result.get(key):
+            yield f"{key}: {', '.join(result[key])}"
+    condition = result["condition"]
+    if condition["floating"]:
+        yield f"floating: {', '.join(condition['floating'])}"
+    for a, b, depth in condition["intersecting"]:
+        yield f"overlapping: {a} and {b} by {1000 * depth:.1f} mm"
+    if condition["fallen"]:
+        yield f"would fall: {', '.join(condition['fallen'])}"
+
+
+def _total_table(total: dict[str, Any]) -> str:
+    """Return the totals, one line each, without those that there is nothing to say about."""
+    lines = []
+    for key, value in total.items():
+        if value is None:
+            continue
+        if key.startswith("median_"):
+            unit, scale = ("deg", 57.29577951308232) if key == "median_rotation" else ("mm", 1000.0)
+            words = {"median_add_s": "median ADD-S", "median_size": "median size error"}
+            words |= {"median_position": "median position error", "median_rotation": "median rotation error"}
+            lines.append((f"{words[key]}, {unit}", f"{value * scale:.2f}"))
+        elif key == "scenes":
+            lines.append((key, str(value)))
+        else:
+            words = {"floating": "scenes with something floating", "intersecting": "scenes that overlap themselves"}
+            words |= {"stable": "scenes that stand", "graph_exact": "graphs exact", "edge_f1": "edge F1"}
+            lines.append((words.get(key, key.replace("f1@", "F1 @ ").replace("mask_f1", "mask F1")), f"{value:.3f}"))
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"{name.ljust(width)}  {value:>8}" for name, value in lines)

@@ -1,0 +1,151 @@
+"""The commands that judge and show: as a person types them, on scenes and on a posterior made by hand."""
+
+import json
+
+import numpy as np
+import pytest
+
+from derender.cli import main
+from derender.document import read_document, write_document
+from derender.inference.posterior import Posterior, StructurePosterior
+from derender.report.scene_json import scene_json
+from derender.vision.camera import Camera
+from derender.vision.depth_file import write_depth
+from derender.vision.raycast.depth import render_depth
+
+SCENE = """derender: 1
+camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}
+root: {position: [0, 0.1, 0.8], quat_wxyz: [0.5, 0.8660254037844386, 0, 0]}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+  low: {shape: {type: cube, side: 0.10}, parent: floor, contact: {type: face-to-face, x: 0.02, y: 0.0, theta: 0}}
+  top: {shape: {type: cube, side: 0.08}, parent: low, contact: {type: face-to-face, u: 0.5, v: 0.5, theta: 0}}
+likelihood: {type: gaussian, sigma: 5 mm, blur: 0}
+"""
+CAMERA = Camera(60, 60, 31.5, 23.5, 64, 48)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """A scene that stands, one that does not, and DIR with a posterior of which three draws in four stand."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "stands.yaml").write_text(SCENE)
+    (tmp_path / "falls.yaml").write_text(SCENE.replace("u: 0.5", "u: 0.05"))
+    graph = read_document("stands.yaml").graph
+    rng = np.random.default_rng(0)
+    values = np.stack([np.where(np.arange(400) % 4 == 3, 0.05, 0.5), rng.normal(0.08, 0.001, 400)], axis=1)
+    values = np.stack([values, values[::-1]])
+    density = -((values[..., 1] - 0.08) ** 2) - (values[..., 0] - 0.5) ** 2
+    part = StructurePosterior(graph, ("top.contact.u", "top.side"), values, density, density)
+    (tmp_path / "out").mkdir()
+    Posterior((part,), seed=5, command="derender infer x.npz").save("out/posterior.npz")
+    write_document("out/scene.yaml", part.best()[0], camera=CAMERA)
+    write_depth("out/observation.npz", render_depth(graph.solids(), CAMERA)[0], CAMERA)
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    """Return exit status, stdout and stderr."""
+    with pytest.raises(SystemExit) as ended:
+        main([*map(str, arguments)])
+    captured = capsys.readouterr()
+    return ended.value.code, captured.out, captured.err
+
+
+def test_simulate_a_scene(capsys, folder):
+    status, out, _ = run(capsys, "simulate", "stands.yaml")
+    assert status == 0 and out.splitlines()[0] == "stable"
+    status, out, _ = run(capsys, "simulate", "falls.yaml", "--json", "-o", "t.npz", "--duration", "1")
+    found = json.loads(out)
+    assert status == 0 and found["stable"] is False and found["p_stable"] == 0 and found["fallen"] == ["top"]
+    assert found["displacement"]["top"] > 0.05 > found["displacement"]["low"]
+    with np.load("t.npz", allow_pickle=False) as file:
+        assert file["times"][-1] == pytest.approx(1, abs=0.01) and file["poses"].shape[1:] == (2, 4, 4)
+        assert str(file["version"]) == found["version"]
+
+
+def test_simulate_a_posterior(capsys):
+    found = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1")[1])
+    # Three draws in four stand: of 80, 60 with a standard deviation of 3.9.
+    assert found["stable"] is True and abs(found["p_stable"] - 0.75) < 4 * 3.9 / 80 and found["draws"] == 80
+    again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])
+    assert again["p_stable"] == found["p_stable"]
+    assert "P(stable) = " in run(capsys, "simulate", "out", "--draws", "8")[1]
+
+
+def test_simulate_draws_an_animation(capsys, folder):
+    from PIL import Image
+
+    status, _, talk = run(capsys, "simulate", "falls.yaml", "--animate", "fall.gif", "--duration", "0.5")
+    assert status == 0 and "wrote fall.gif" in talk
+    with Image.open("fall.gif") as picture:
+        assert picture.n_frames > 5 and picture.size[0] >= 320
+        first = np.asarray(picture.convert("RGB"), float)
+        picture.seek(picture.n_frames - 1)
+        assert np.abs(np.asarray(picture.convert("RGB"), float) - first).mean() > 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("simulate", "missing.yaml"),
+        ("simulate", "stands.yaml", "--animate", "x.txt"),
+        ("simulate", "stands.yaml", "-o", "x.csv"),
+        ("simulate", "."),
+        ("export", "stands.yaml", "-o", "x.fbx"),
+        ("report", "missing"),
+        ("report", "stands.yaml", "falls.yaml"),
+        ("eval", "stands.yaml", "missing.yaml"),
+        ("eval", ".", "stands.yaml"),
+    ],
+)
+def test_faults_are_one_line_and_leave_nothing(arguments, capsys, folder):
+    before = sorted(folder.rglob("*"))
+    status, out, talk = run(capsys, *arguments)
+    assert status == 1 and out == "" and len(talk.strip().splitlines()) == 1 and "Traceback" not in talk
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_eval_of_files(capsys):
+    found = json.loads(run(capsys, "eval", "stands.yaml", "stands.yaml", "--json")[1])
+    assert found["total"]["f1@0.9"] == 1 and found["total"]["graph_exact"] == 1 and found["total"]["stable"] == 1
+    status, out, _ = run(capsys, "eval", "out", "falls.yaml")
+    # The lower cube is as in the truth, the upper one 8 cm away: half of the objects at every overlap.
+    assert status == 0 and "missed: top" in out and "F1 @ 0.75" in out and "0.500" in out
+
+
+def test_eval_of_folders_json_and_label_images(capsys, folder):
+    from PIL import Image
+
+    for name in ("predicted", "truth"):
+        (folder / name).mkdir()
+    graph = read_document("stands.yaml").graph
+    (folder / "predicted" / "a.json").write_text(json.dumps(scene_json(graph)))
+    (folder / "predicted" / "b.yaml").write_text(SCENE)
+    (folder / "truth" / "a.yaml").write_text(SCENE)
+    label = render_depth(graph.solids(), CAMERA)[1]
+    Image.fromarray(((label + 1) * 10).astype(np.uint8)).save("truth/b.png")
+    options = ("--divisor", "10", "--background", "0,1", "--json")
+    found = json.loads(run(capsys, "eval", "predicted", "truth", *options)[1])
+    assert [scene["name"] for scene in found["scenes"]] == ["a", "b"]
+    assert found["total"]["mask_f1"] == 1 and found["total"]["edge_f1"] == 1
+    # The floor counts as an object in the label image unless it is said to be background.
+    found = json.loads(run(capsys, "eval", "predicted", "truth", "--divisor", "10", "--json")[1])
+    assert found["total"]["mask_f1"] == pytest.approx(2 * 2 / (2 + 3))
+
+
+def test_report_of_one_and_of_several(capsys, folder):
+    status, out, talk = run(capsys, "report", "out")
+    assert status == 0 and "wrote out/report.html" in talk and "top.contact.u" in out
+    text = (folder / "out" / "report.html").read_text()
+    assert "residual" in text and "seed 5" in text and "2 chains of 400 draws" in text
+    run(capsys, "report", "out", "out", "-o", "both.html")
+    assert "4 chains of 400 draws" in (folder / "both.html").read_text()
+    status, out, _ = run(capsys, "report", "stands.yaml")
+    assert status == 0 and out == "" and "explained depth" in (folder / "stands.html").read_text()
+
+
+def test_export_from_scene_and_folder(capsys, folder):
+    for source in ("stands.yaml", "out"):
+        status, _, talk = run(capsys, "export", source, "-o", "x.xml")
+        assert status == 0 and "wrote x.xml" in talk and "<mujoco" in (folder / "x.xml").read_text()
