@@ -41,7 +41,7 @@ def _tangents(x, z, xx, xz, zz):
 @njit(cache=True, nogil=True)
 def _first_pixel(value, limit):
     """The first pixel at or beyond `value`, in [0, limit]; a hair early, never late."""
-    return int(min(max(math.ceil(value - ROUNDING), 0.0), float(limit)))
+    return int(math.ceil(min(max(value - ROUNDING, 0.0), float(limit))))  # clipped first: ceil of infinity has no int
 
 
 @njit(cache=True, nogil=True)
