@@ -138,7 +138,8 @@ def importance_resampling(rng, space, backend: Backend, particles: int) -> np.nd
     drawn = [space.sample(rng) for _ in range(particles)]
     logs = np.array([backend.evaluate(values)[1] for values in drawn])
     weights = np.exp(logs - np.max(logs))
-    return drawn[int(np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right").clip(0, particles - 1))]
+    chosen = np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right")
+    return drawn[min(int(chosen), particles - 1)]
 
 
 def annealed(progress: float, share: float, target: object) -> float:

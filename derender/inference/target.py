@@ -9,13 +9,15 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.kernels.base import Part
-from derender.inference.space import Block, Space, Unknown
+from derender.inference.space import Block, Space, Unknown, wrap
 from derender.model.contacts import contacts
 from derender.model.distributions import Distribution
 from derender.model.polygon import area_element
 from derender.model.pose import inverse
 from derender.model.scene import SceneGraph
 from derender.model.shapes import Body, shapes
+
+NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
 
 class Images(Protocol):
@@ -97,7 +99,24 @@ class SceneTarget:
         self.space = scene_space(prior, graph, self.likelihood)
         self.root_prior = getattr(prior, "root", None)
         self.constraints = tuple(getattr(prior, "constraints", ()))
+        self._index = {address: i for i, address in enumerate(self.space.addresses)}
+        self.folds = {
+            unknown.address: theta_fold(graph, unknown)
+            for unknown in self.space.unknowns
+            if unknown.address.endswith(".contact.theta")
+        }
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
+
+    def backend(self, parts: list[Part], cycle: bool = False):
+        """Return the compiled backend, or the readable one where the model or the mixture has no compiled form."""
+        from derender.inference.compiled.backend import CompiledBackend
+        from derender.inference.compiled.program import NotCompiled
+        from derender.inference.sampler import ReadableBackend
+
+        try:
+            return CompiledBackend(self, parts, cycle)
+        except NotCompiled:
+            return ReadableBackend(self, parts, cycle)
 
     def by_address(self, values: Sequence[float]) -> dict[str, float]:
         """Return the values by address."""
@@ -145,62 +164,83 @@ class SceneTarget:
         return self.images.log_likelihood(self.graph(values), parameters)
 
     def keep_children(self, values: np.ndarray, moved: np.ndarray, block: Block) -> tuple[np.ndarray, float] | None:
-        """Return `moved` with the contacts of the block's object's children changed so that they stay in the world.
+        """Return `moved` with contacts of the block's object's descendants such that all of them stay in the world.
 
-        Also the log of the product of |d phi' / d phi| over the children. In metres and radians the children move
-        rigidly, which has Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). None
-        where a child would leave its contact, or where its angle would pass its seam (its own children would turn).
+        Also the log of the product of |d phi' / d phi| over them. In metres and radians they move rigidly, which has
+        Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). An angle is folded into its
+        period, which turns the child's own axes by a symmetry of the child, so that its children get new contacts too.
+        None where a child would leave its contact.
         """
         name = block.name.removesuffix(".contact")
         before, after = self.graph(values), self.graph(moved)
-        old_poses, new_poses = before.poses(), after.poses()
+        old, new = before.poses(), after.poses()
+        turned = {name}
         kept = moved.copy()
         log_jacobian = 0.0
-        index = {address: i for i, address in enumerate(self.space.addresses)}
-        parent_body = after.body(name)
-        for child in after.children(name):
-            vertex = after.vertex(child)
-            contact = vertex.contact
-            kind = contacts[contact.type]
-            body = after.body(child)
-            relative = inverse(new_poses[name]) @ old_poses[child]
-            found = kind.invert(relative, parent_body, body, contact.parent_face, contact.child_face)
-            slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items() if key != "theta"]
-            if found.outside > 1e-9 or found.angle > 1e-7 or max(slack, default=0.0) > 1e-7:
+        for child in before.descendants(name):
+            vertex = before.vertex(child)
+            if vertex.parent not in turned:
+                continue
+            contact, kind = vertex.contact, contacts[vertex.contact.type]
+            on, by = before.body(vertex.parent), vertex.body
+            relative = inverse(new[vertex.parent]) @ old[child]
+            found = kind.invert(relative, on, by, contact.parent_face, contact.child_face)
+            slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items()]
+            if found.outside > 1e-9 or found.angle > NEAR or max(slack, default=0.0) > NEAR:
                 return None
-            for key, value in found.phi.items():
-                i = index[f"{child}.contact.{key}"]
-                if key == "theta":
-                    period = self.space.periods[i] or math.tau
-                    turned = (value - kept[i] + 0.5 * period) % period - 0.5 * period
-                    if not 0.0 <= kept[i] + turned < period:
-                        return None
-                    value = kept[i] + turned
-                kept[i] = value
-            if "u" in found.phi:
-                outlines = [b.face(f).outline for b, f in ((parent_body, contact.parent_face), (body, contact.child_face))]
-                old = before.vertex(child).contact.values
-                log_jacobian += math.log(area_element(old["u"], old["theta"], *outlines))
-                new_theta, new_u = (kept[index[f"{child}.contact.{key}"]] for key in ("theta", "u"))
-                log_jacobian -= math.log(area_element(new_u, new_theta, *outlines))
+            phi = dict(found.phi)
+            centre, period = self.folds[f"{child}.contact.theta"]
+            phi["theta"] = fold(phi["theta"], centre, period)
+            if abs(fold(found.phi["theta"] - phi["theta"], 0.0, math.tau)) > 1e-6:
+                turned.add(child)
+                numbers = {**contact.values, **phi}
+                pose = kind.relative_pose(numbers, on, by, contact.parent_face, contact.child_face)
+                new[child] = new[vertex.parent] @ pose
+            for key, value in phi.items():
+                kept[self._index[f"{child}.contact.{key}"]] = value
+            if "u" in phi:
+                outlines = on.face(contact.parent_face).outline, by.face(contact.child_face).outline
+                log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *outlines))
+                log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
         return kept, log_jacobian
 
 
+def fold(angle: float, centre: float, period: float) -> float:
+    """Return the angle by whole periods into [centre - period / 2, centre + period / 2)."""
+    return wrap(angle - centre + 0.5 * period, period) + centre - 0.5 * period
+
+
+def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
+    """Return (centre, period) by which an unknown theta is folded: into its prior's support where that is an interval."""
+    name = unknown.address.partition(".")[0]
+    vertex = graph.vertex(name)
+    faces = vertex.contact.parent_face, vertex.contact.child_face
+    kind = contacts[vertex.contact.type]
+    parameters = kind.parameters(graph.body(vertex.parent).shape, vertex.body.shape, *faces)
+    period = next(p.period for p in parameters if p.name == "theta") or math.tau
+    low, high = unknown.distribution.support
+    centre = 0.5 * (low + high) if math.isfinite(low) and math.isfinite(high) else 0.5 * period
+    return centre, period
+
+
 def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
-    """Return whether the block is the contact of an object with children whose contacts' free numbers are all unknown."""
+    """Return whether the block is the contact of an object with descendants whose free contact numbers are all unknown.
+
+    Without a theta of its own (a disc's is slack) a descendant could not stay as its parent turns.
+    """
     if not block.endswith(".contact"):
         return False
-    name = block.removesuffix(".contact")
-    children = graph.children(name)
-    for child in children:
-        vertex = graph.vertex(child)
+    below = graph.descendants(block.removesuffix(".contact"))
+    for name in below:
+        vertex = graph.vertex(name)
         contact = vertex.contact
         free = contacts[contact.type].free_parameters(
-            shapes[graph.vertex(name).shape], shapes[vertex.shape], contact.parent_face, contact.child_face
+            graph.body(vertex.parent).shape, vertex.body.shape, contact.parent_face, contact.child_face
         )
-        if any(f"{child}.contact.{p.name}" not in unknown for p in free) or len(free) < 2:
+        names = {p.name for p in free}
+        if "theta" not in names or any(f"{name}.contact.{key}" not in unknown for key in names):
             return False
-    return bool(children)
+    return bool(below)
 
 
 def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
@@ -216,4 +256,4 @@ def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
     ]
 
 
-__all__ = ["Images", "Part", "SceneTarget", "block_name", "default_parts", "period_of", "scene_space"]
+__all__ = ["Images", "SceneTarget", "block_name", "default_parts", "period_of", "scene_space"]

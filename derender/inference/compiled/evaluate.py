@@ -8,6 +8,7 @@ from derender.inference.compiled.layout import (
     CONTACT,
     DENSITY,
     DIRTY,
+    KEPT,
     LIKELIHOOD,
     MOVED,
     NEXT,
@@ -44,7 +45,8 @@ def fill(places, values, numbers, marks, parameters, everything):
                 marks[DIRTY, root] = 1
             else:
                 numbers[NEXT, vertex, slot if table == CONTACT else SHAPES + slot] = value
-                marks[DIRTY, vertex] = 1
+                if not marks[KEPT, vertex]:
+                    marks[DIRTY, vertex] = 1
 
 
 @njit(cache=True, nogil=True)
@@ -55,7 +57,7 @@ def arrange(vertices, extents, numbers, pose, marks, relative, moved_pose, moved
         place_root(vertices, numbers, pose)
     moved = 0
     for n in range(root):
-        if marks[DIRTY, n] or marks[DIRTY, vertices[PARENT, n]]:
+        if not marks[KEPT, n] and (marks[DIRTY, n] or marks[DIRTY, vertices[PARENT, n]]):
             marks[DIRTY, n] = 1
             place(vertices, extents, numbers, pose, relative, n)
             if vertices[SOLID, n] >= 0:
@@ -94,8 +96,8 @@ def copy_marked(numbers, pose, marks, source):
     """Bring the other half up to `source` where vertices are marked, and take the marks away."""
     target = 1 - source
     for n in range(marks.shape[1]):
-        if marks[DIRTY, n]:
-            marks[DIRTY, n] = 0
+        if marks[DIRTY, n] or marks[KEPT, n]:
+            marks[DIRTY, n] = marks[KEPT, n] = 0
             for i in range(numbers.shape[2]):
                 numbers[target, n, i] = numbers[source, n, i]
             for i in range(3):

@@ -11,15 +11,15 @@ import numpy as np
 ROTATION = 100  # code of the uniform distribution over rotations; smaller codes are those of model.distributions
 CONTACT, SHAPE, ROOT, LIKELIHOOD = range(4)  # tables that a value can go into
 CODE, OFFSET, DIRECTION = range(3)  # rows of Model.unknowns
-PERIOD = 4  # column of Model.laws, after the distribution's row
-TABLE, VERTEX, SLOT = range(3)  # rows of Model.places
+PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
+TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
 PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID = range(6)  # rows of Model.vertices
-KERNEL, FIRST, FACTOR_FIRST = range(3)  # rows of Kernels.table
+KERNEL, FIRST, FACTOR_FIRST, KEEP = range(4)  # rows of Kernels.table
 CUMULATIVE, SCALE, COUNT, REACH = range(4)  # columns of Kernels.numbers
 NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
 PRIOR, DENSITY, LOG = -3, -2, -1  # the last columns of Chain.values and Chain.row
 SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
-DIRTY, MOVED = range(2)  # rows of Chain.marks
+DIRTY, KEPT, MOVED = range(3)  # rows of Chain.marks
 PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
 
 
@@ -29,8 +29,8 @@ class Model(NamedTuple):
     Attributes
     ----------
     unknowns : (3, U + 1) int64: code of the prior, first value, first direction; the last column ends the latter two.
-    laws : (U, 5) float64: the row of the prior's numbers, and the period (0 on a line).
-    places : (3, P) int64, where a value goes: which table, which vertex, which slot.
+    laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
+    places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it belongs to.
     vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place among
         the solids or -1. The last column is the root's; its contact code says how its numbers give its pose (poses.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
@@ -48,7 +48,8 @@ class Kernels(NamedTuple):
 
     Attributes
     ----------
-    table : (3, K + 1) int64: code, begin of its unknowns, begin of its factor; the last column ends the latter two.
+    table : (4, K + 1) int64: code, begin of its unknowns, begin of its factor (the last column ends these two), and the
+        vertex whose children it keeps where they are in the world, or -1.
     numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
     members : flat int64, unknowns. factors : flat float64, each (D_k, D_k), lower triangle in full rows.
     spread : (D,) float64, the prior's. mean : (P,) float64, centre of independence proposals.
@@ -70,7 +71,7 @@ class Chain(NamedTuple):
     values : (2, P + 3) float64: the values, then the log prior, the log likelihood, and a spare.
     numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
     pose : (2, N + 1, 4, 4) float64, object to camera; the root's comes last.
-    marks : (2, N + 1) int64: which vertices differ between the halves; which solids are handed to the engine.
+    marks : (3, N + 1) int64: vertices that move; vertices that only get other numbers; solids handed to the engine.
     moved_pose : (S, 4, 4), moved_size : (S, 3) float64: theirs.
     tangents : (2, D) float64, scratch. row : (R, P + 3) float64, the places of a window. relative : (4, 4), scratch.
     flags : (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns.

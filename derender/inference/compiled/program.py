@@ -41,12 +41,12 @@ def model_of(target) -> Model:
         law = unknown.distribution
         if law.size == 4:
             codes.append(ROTATION)
-            laws.append((0.0,) * 5)
+            laws.append((0.0,) * 7)
         elif law.code is None:
             raise NotCompiled(f"the distribution of {unknown.address}")
         else:
             codes.append(law.code)
-            laws.append((*law.row, unknown.period or 0.0))
+            laws.append((*law.row, unknown.period or 0.0, *target.folds.get(unknown.address, (0.0, 0.0))))
     count = len(graph.vertices)
     names = {name: n for n, name in enumerate(graph.names)}
     solids = {name: n for n, name in enumerate(graph.solid_names)}
@@ -61,10 +61,11 @@ def model_of(target) -> Model:
         vertices[:, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solids.get(vertex.name, -1)
         extents[n] = extents_of(vertex)
     vertices[:, count] = count, root_code(target), FRAME, -1, -1, -1
-    places = [place_of(target, names, address) for address in space.addresses]
+    owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
+    places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     return Model(
         unknowns=np.stack([np.array([*codes, 0]), space.offsets, space.directions]).astype(np.int64),
-        laws=np.array(laws, float).reshape(-1, 5),
+        laws=np.array(laws, float).reshape(-1, 7),
         places=np.ascontiguousarray(np.array(places, np.int64).T),
         vertices=vertices,
         extents=extents,
@@ -161,14 +162,15 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
         elif kind.code == steps.FLIP:
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
-        table.append((kind.code, first, factor_first))
+        keep = target.template.names.index(part.block.name.removesuffix(".contact")) if kind.keeps_children else -1
+        table.append((kind.code, first, factor_first, keep))
         numbers.append((weight, scale, count, reach))
         members += moved
         factors.append(np.ravel(factor))
         first += len(moved)
         factor_first += factor.size
     return Kernels(
-        table=np.ascontiguousarray(np.array([*table, (0, first, factor_first)], np.int64).T),
+        table=np.ascontiguousarray(np.array([*table, (0, first, factor_first, -1)], np.int64).T),
         numbers=np.array(numbers, float),
         members=np.array(members, np.int64),
         factors=np.concatenate(factors),
@@ -208,7 +210,7 @@ def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
         values=np.full((2, size + 3), -np.inf),
         numbers=numbers,
         pose=pose,
-        marks=np.zeros((2, count + 1), np.int64),
+        marks=np.zeros((3, count + 1), np.int64),
         moved_pose=np.tile(np.eye(4), (solids, 1, 1)),
         moved_size=np.zeros((solids, 3)),
         tangents=np.zeros((2, max(directions, 3))),

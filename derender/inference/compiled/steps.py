@@ -9,6 +9,7 @@ import math
 from numba import njit
 
 from derender.inference.compiled.evaluate import evaluate, settle
+from derender.inference.compiled.keep import keep_children
 from derender.inference.compiled.layout import (
     COUNT,
     CUMULATIVE,
@@ -17,6 +18,7 @@ from derender.inference.compiled.layout import (
     DIRECTION,
     FACTOR_FIRST,
     FIRST,
+    KEEP,
     KERNEL,
     LOG,
     NEXT,
@@ -156,6 +158,7 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
         members = kernels.members[kernels.table[FIRST, k] : kernels.table[FIRST, k + 1]]
         factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
         scale = kernels.numbers[k, SCALE]
+        keep = kernels.table[KEEP, k]
         places, present, spacing = 1, -1, 0.0
         if code == WINDOW:
             reach = kernels.numbers[k, REACH]
@@ -174,16 +177,18 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
             if place == present:
                 continue
             if code == WINDOW:
-                if place < places:
-                    step = (place - present) * spacing
-                    move(unknowns, laws, members, values[NOW], chain.tangents[0], step, values[NEXT])
-                else:
-                    chosen = choose(rng, row, places, present)
-                    if chosen == present:
-                        break
-                    for p in range(size):
-                        values[NEXT, p] = row[chosen, p]
-            if math.isnan(correction):
+                chosen = choose(rng, row, places, present) if place == places else place
+                if chosen == present:
+                    break
+                step = (chosen - present) * spacing
+                move(unknowns, laws, members, values[NOW], chain.tangents[0], step, values[NEXT])
+            jacobian = 0.0
+            if keep >= 0:
+                jacobian = keep_children(
+                    model.vertices, model.extents, model.places, laws, values, chain.numbers, chain.pose,
+                    chain.marks, engine.parameters, chain.relative, keep,
+                )  # fmt: skip
+            if math.isnan(correction + jacobian):
                 values[NEXT, PRIOR] = -math.inf
             else:
                 evaluate(model, chain, engine)
@@ -192,7 +197,7 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
                     row[place, p] = values[NEXT, p]
                 row[place, LOG] = -math.inf
                 if values[NEXT, PRIOR] > -math.inf:
-                    row[place, LOG] = values[NEXT, PRIOR] + temperature * values[NEXT, DENSITY]
+                    row[place, LOG] = values[NEXT, PRIOR] + temperature * values[NEXT, DENSITY] + jacobian
             elif code == WINDOW:
                 accepted = True
             else:
@@ -202,7 +207,7 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
                         values[NEXT, PRIOR]
                         - values[NOW, PRIOR]
                         + temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])
-                        + correction
+                        + (correction + jacobian)
                     )
                 accepted = math.log(1.0 - rng.random()) < log_ratio
             settle(model, chain, engine, accepted)

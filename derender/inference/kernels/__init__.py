@@ -9,6 +9,7 @@ from derender.inference.kernels import (  # noqa: F401  (importing registers)
     langevin,
     resimulate,
     slide,
+    slide_window,
     window,
 )
 from derender.inference.kernels.base import Info, Kernel, KernelType, Part, State, Target, Tuning, kernels, mixture

@@ -82,6 +82,7 @@ class KernelType:
     options : the options that YAML may set, with their defaults; all numbers.
     per_block : whether there is one kernel for each block of the space, or a single one for all unknowns.
     adapts : whether warm-up tunes its scale towards `acceptance`.
+    keeps_children : whether it leaves the children of the object that it moves where they are in the world.
     code : the compiled twin's number, or None.
     """
 
@@ -90,6 +91,7 @@ class KernelType:
     per_block: bool = True
     adapts: bool = False
     acceptance: float = 0.3
+    keeps_children: bool = False
     code: int | None = None
 
     def applies(self, space: Space, block: Block) -> bool:
@@ -175,6 +177,18 @@ def evaluate(target: Target, values: np.ndarray) -> State:
     if not log_prior > -math.inf:
         return State(values, -math.inf, -math.inf)
     return State(values, log_prior, target.log_likelihood(values))
+
+
+def evaluate_kept(target: Any, old: State, moved: np.ndarray, block: Block) -> tuple[State, float]:
+    """Return the state after the block of an object has `moved` and its children have stayed, and the log Jacobian.
+
+    The target knows how (`keep_children`). Where a child would lose its contact the density is zero.
+    """
+    if target.log_prior(moved) > -math.inf:
+        kept = target.keep_children(old.values, moved, block)
+        if kept is not None:
+            return evaluate(target, kept[0]), kept[1]
+    return State(moved, -math.inf, -math.inf), 0.0
 
 
 def decide(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from derender.inference.kernels.base import KernelType, decide, evaluate, kernels
+from derender.inference.kernels.base import KernelType, decide, evaluate_kept, kernels
 from derender.inference.kernels.drift import directions_of, factor_of
 
 
@@ -26,13 +26,8 @@ class Slide:
     def __call__(self, rng, state):
         normal = np.array([rng.standard_normal() for _ in range(len(self.factor))])
         moved = self.target.space.move(state.values, self.block, self.scale * (self.factor @ normal))
-        kept = None
-        if self.target.log_prior(moved) > -np.inf:
-            kept = self.target.keep_children(state.values, moved, self.block)
-        if kept is None:
-            return decide(rng, state, state._replace(log_prior=-np.inf), 0.0, self.temperature, self.name)
-        values, log_jacobian = kept
-        return decide(rng, state, evaluate(self.target, values), log_jacobian, self.temperature, self.name)
+        new, log_jacobian = evaluate_kept(self.target, state, moved, self.block)
+        return decide(rng, state, new, log_jacobian, self.temperature, self.name)
 
 
 @kernels.register("slide")
@@ -41,6 +36,8 @@ class SlideType(KernelType):
 
     options = {"scale": 1.0}
     adapts = True
+    keeps_children = True
+    code = 1
 
     def applies(self, space, block):
         return block.name in getattr(space, "slides", ())

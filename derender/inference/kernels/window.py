@@ -24,10 +24,14 @@ class Window:
     group of rotations do not commute, there the row moves along one axis through the state, which it leaves in place.)
     """
 
-    def __init__(self, target, block, directions, count, reach, temperature=1.0):
+    def __init__(self, target, block, directions, count, reach, temperature=1.0, kind="window"):
         self.target, self.block, self.temperature = target, block, temperature
         self.directions, self.count, self.reach = directions, count, reach
-        self.name = f"window {block.name}"
+        self.name = f"{kind} {block.name}"
+
+    def place(self, state, tangent):
+        """Return the state after a step by `tangent`, and the log of what its density is multiplied by."""
+        return evaluate(self.target, self.target.space.move(state.values, self.block, tangent)), 0.0
 
     def __call__(self, rng, state):
         size = len(self.directions)
@@ -45,17 +49,15 @@ class Window:
                 tangent[i] = 0.0
         present = int(rng.random() * self.count)
 
-        places = []
+        places, logs = [], []
         for k in range(self.count):
-            if k == present:
-                places.append(state)
-                continue
             step = (k - present) * spacing
-            places.append(evaluate(self.target, self.target.space.move(state.values, self.block, step * tangent)))
-        logs = [
-            place.log_prior + self.temperature * place.log_likelihood if place.log_prior > -math.inf else -math.inf
-            for place in places
-        ]
+            place, log_factor = (state, 0.0) if k == present else self.place(state, step * tangent)
+            places.append(place)
+            log = -math.inf
+            if place.log_prior > -math.inf:
+                log = place.log_prior + self.temperature * place.log_likelihood + log_factor
+            logs.append(log)
         highest = max(logs)
         total = 0.0
         for log in logs:

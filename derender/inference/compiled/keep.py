@@ -1,0 +1,89 @@
+"""Give an object's children the contacts that leave them where they are in the world, compiled; see kernels.slide."""
+
+import math
+
+from numba import njit
+
+from derender.inference.compiled.evaluate import fill
+from derender.inference.compiled.layout import (
+    CHILD_FACE,
+    CONTACT,
+    CONTACT_CODE,
+    DIRTY,
+    FOLD_CENTRE,
+    FOLD_PERIOD,
+    KEPT,
+    KIND,
+    NEXT,
+    NOW,
+    OWNER,
+    PARENT,
+    PARENT_FACE,
+    SHAPES,
+    SIZES,
+    SLOT,
+    TABLE,
+    VERTEX,
+)
+from derender.inference.compiled.poses import place
+from derender.inference.compiled.prior import wrap
+from derender.model.contacts.compiled import area_element, invert, outline
+
+NEAR = 1e-7  # slack that rounding may leave
+
+
+@njit(cache=True, nogil=True)
+def fold(angle, centre, period):
+    """Return the angle by whole periods into [centre - period / 2, centre + period / 2)."""
+    return wrap(angle - centre + 0.5 * period, period) + centre - 0.5 * period
+
+
+@njit(cache=True, nogil=True)
+def keep_children(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n):
+    """Write the proposed values of the descendants of vertex n, whose own proposed values are there.
+
+    Returns the log of the product of |d phi' / d phi| over them, NaN where one would leave its contact.
+    """
+    fill(places, values, numbers, marks, parameters, False)
+    place(vertices, extents, numbers, pose, scratch, n)
+    log_jacobian = 0.0
+    for c in range(n + 1, vertices.shape[1] - 1):
+        parent = vertices[PARENT, c]
+        if not marks[DIRTY, parent]:  # its axes are as they were
+            continue
+        old, new = pose[NOW, c], pose[NEXT, parent]
+        for i in range(3):  # the child in the parent's new axes: new^-1 old
+            for j in range(4):
+                total = 0.0
+                for k in range(3):
+                    total += new[k, i] * (old[k, j] - (new[k, 3] if j == 3 else 0.0))
+                scratch[i, j] = total
+        own, phi = numbers[NOW, c], numbers[NEXT, c]
+        on, by = vertices[PARENT_FACE, c], vertices[CHILD_FACE, c]
+        size, child_size = numbers[NEXT, parent, SIZES:SHAPES], own[SIZES:SHAPES]
+        marks[KEPT, c] = 1
+        outside, angle = invert(
+            vertices[CONTACT_CODE, c], vertices[KIND, parent], size, vertices[KIND, c], child_size, on, by, scratch, phi
+        )
+        left = max(abs(phi[3] - own[3]), abs(phi[4] - own[4]), abs(phi[5] - own[5]))
+        if outside > 1e-9 or angle > NEAR or left > NEAR:
+            return math.nan
+        phi[3], phi[4], phi[5] = own[3], own[4], own[5]
+        for p in range(places.shape[1]):
+            if places[VERTEX, p] == c and places[TABLE, p] == CONTACT:
+                if places[SLOT, p] == 0:
+                    owner = places[OWNER, p]
+                    theta = fold(phi[0], laws[owner, FOLD_CENTRE], laws[owner, FOLD_PERIOD])
+                    if abs(fold(phi[0] - theta, 0.0, 2.0 * math.pi)) > 1e-6:
+                        marks[KEPT, c], marks[DIRTY, c] = 0, 1
+                    phi[0] = theta
+                values[NEXT, p] = phi[places[SLOT, p]]
+        if marks[DIRTY, c]:
+            place(vertices, extents, numbers, pose, scratch, c)
+        a, b, radius, _ = outline(vertices[KIND, parent], size, on)
+        d, e, child_radius, _ = outline(vertices[KIND, c], child_size, by)
+        if a < math.inf and d < math.inf:
+            radius += child_radius
+            log_jacobian += math.log(area_element(own[1], own[0], a, b, d, e, radius))
+            log_jacobian -= math.log(area_element(phi[1], phi[0], a, b, d, e, radius))
+    return log_jacobian
