@@ -51,10 +51,12 @@ clean:  ## Remove what the other targets made
 	@touch $@
 
 .venv/installed: .venv/made pyproject.toml
+	@echo "Installing derender into .venv ..."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
 	@touch $@
 
 .venv/developed: .venv/made pyproject.toml
+	@echo "Installing derender and what its tests need into .venv ..."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@ .venv/installed
 

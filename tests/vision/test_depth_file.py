@@ -93,6 +93,17 @@ def test_an_npz_keeps_camera_meta_and_label_and_its_bytes_do_not_change(tmp_path
         assert json.loads(str(archive["camera"]))["fx"] == 5
 
 
+def test_standard_streams_carry_whole_files(tmp_path, monkeypatch, capfdbinary):
+    write_depth("-", TRUTH, CAMERA)
+    data = capfdbinary.readouterr().out
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+    image = read_depth("-")
+    assert np.allclose(image.depth, TRUTH, equal_nan=True) and image.camera == CAMERA
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"")))
+    with pytest.raises(DerenderError, match="the file is empty"):
+        read_depth("-")
+
+
 def test_an_npz_of_others_gives_its_intrinsic_matrix(tmp_path):
     np.savez(tmp_path / "a.npz", depth=TRUTH.astype(np.float32), K=np.array([[5, 0, 1.5], [0, 5, 1], [0, 0, 1]]))
     assert read_depth(tmp_path / "a.npz").camera == CAMERA

@@ -1,0 +1,73 @@
+"""Draw the picture of the README: a depth image, the scene that derender found in it, and a view from elsewhere.
+
+python scripts/readme_picture.py IMAGE CAMERA RESULT docs/derender.png        RESULT is a folder written by `infer`
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from derender.document import read_document
+from derender.model.pose import from_rotation_vector, rotation_x, translation
+from derender.model.solids import PLANE
+from derender.vision.camera import Camera
+from derender.vision.depth_file import read_depth
+from derender.vision.renderers import find_renderer
+from derender.vision.renderers.preview import draw_preview
+
+WIDTH, HEIGHT, GAP = 480, 360, 8
+
+
+def depth_picture(depth: np.ndarray) -> Image.Image:
+    """Return the depth image in colour, near bright; black where nothing returned."""
+    from matplotlib import colormaps
+
+    low, high = np.nanpercentile(1 / depth, [1, 99])
+    share = np.clip((1 / depth - low) / (high - low), 0, 1)
+    colour = (colormaps["magma"](0.1 + 0.85 * np.nan_to_num(share))[..., :3] * 255).astype(np.uint8)
+    colour[np.isnan(depth)] = 0
+    return Image.fromarray(colour).resize((WIDTH, HEIGHT), Image.Resampling.NEAREST)
+
+
+def scene_picture(solids, camera: Camera) -> Image.Image:
+    """Return the shaded scene as the camera sees it."""
+    factor = 2 * WIDTH // camera.width + 1
+    large = Camera(
+        camera.fx * factor,
+        camera.fy * factor,
+        camera.cx * factor + (factor - 1) / 2,
+        camera.cy * factor + (factor - 1) / 2,
+        camera.width * factor,
+        camera.height * factor,
+    )
+    picture = draw_preview(find_renderer("raycast").render_depth, solids, large)
+    return Image.fromarray(picture).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
+
+
+def seen_from_elsewhere(solids, turn: float, lift: float):
+    """Return the solids as a camera sees them that went around them by `turn` and up by `lift` radians."""
+    middle = solids.pose[solids.kind != PLANE, :3, 3].mean(axis=0)
+    up = solids.pose[solids.kind == PLANE][0, :3, 2]
+    moved = translation(*middle) @ rotation_x(lift) @ from_rotation_vector(turn * up) @ translation(*-middle)
+    return solids._replace(pose=moved @ solids.pose)
+
+
+def main(image: str, camera: str, result: str, target: str) -> None:
+    seen = read_depth(image, camera)
+    solids = read_document(Path(result) / "scene.yaml").graph.solids()
+    pictures = [
+        depth_picture(seen.depth),
+        scene_picture(solids, seen.camera),
+        scene_picture(seen_from_elsewhere(solids, -0.7, 0.35), seen.camera),
+    ]
+    whole = Image.new("RGB", (3 * WIDTH + 2 * GAP, HEIGHT), "white")
+    for place, picture in enumerate(pictures):
+        whole.paste(picture, (place * (WIDTH + GAP), 0))
+    Path(target).parent.mkdir(exist_ok=True)
+    whole.save(target, optimize=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
