@@ -10,7 +10,10 @@ import numpy as np
 SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes")
 
 
-def camera_of(width, height, field_of_view=np.radians(60.0)):
+FIELD_OF_VIEW = np.radians(60.0)
+
+
+def camera_of(width, height, field_of_view=FIELD_OF_VIEW):
     """Return the intrinsics dict of a pinhole camera with this horizontal field of view."""
     focal = width / 2 / np.tan(field_of_view / 2)
     return {
@@ -76,7 +79,9 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
         height += np.linalg.norm(size) / 2 + 0.005
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>'
-        '<geom type="plane" size="3 3 .1" friction="0.8 0.005 0.002" condim="6"/>' + "".join(geoms) + "</worldbody></mujoco>"
+        '<geom type="plane" size="3 3 .1" friction="0.8 0.005 0.002" condim="6"/>'
+        + "".join(geoms)
+        + "</worldbody></mujoco>"
     )
     data = mujoco.MjData(model)
     quiet = 0

@@ -12,7 +12,6 @@ from derender.inference.structure.proposals import all_hypotheses, make_surface
 from derender.inference.structure.search import Settings, search, total_energy
 from derender.inference.structure.support import final_parents
 
-
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its solids
 # differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
@@ -162,3 +161,21 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(1.0, f"{len(state)} solids")
     return Posterior((part,), seed=options.get("seed"), meta={"reduced_by": seen.factor, "noise": seen.floor.sigma})
+
+
+def draw_graph(graph, shape, camera):
+    """Return (depth (H, W), label (H, W) int32 into names or negative, names) of a graph's solids over its floor."""
+    from derender.inference.structure.image import FAR, ROW, draw, make_row
+
+    names = [n for n in graph.solid_names if graph.vertex(n).shape != "plane"]
+    floor = next(n for n in graph.solid_names if graph.vertex(n).shape == "plane")
+    poses, solids = graph.poses(), graph.solids()
+    image = make_image(np.zeros(shape), 1.0, camera, poses[floor])
+    rows = np.empty((len(names), ROW))
+    for k, name in enumerate(names):
+        number = graph.solid_names.index(name)
+        pose = np.linalg.inv(poses[floor]) @ poses[name]
+        rows[k] = make_row(solids.kind[number], pose[:3, :3], pose[:3, 3], solids.size[number])
+    depth, label = np.empty(shape), np.empty(shape, np.int32)
+    draw(image, rows, -1, depth, label)
+    return np.where(depth >= FAR, np.inf, depth), label, names

@@ -11,7 +11,6 @@ from derender.inference.structure.state import State, energy, held_out
 from derender.inference.structure.support import assign_supports
 from derender.model.solids import BOX, SPHERE
 
-
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 
