@@ -64,7 +64,7 @@ def support_residual(graph: "SceneGraph", name: str, support: str) -> SupportRes
 
     The support's face is the one that looks most squarely at it. A vertex that floats takes its best pair of faces.
     """
-    from derender.model.scene import nearest_contact
+    from derender.model.vertex import nearest_contact
 
     vertex = graph.vertex(name)
     poses = graph.poses()

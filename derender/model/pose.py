@@ -79,14 +79,14 @@ def quaternion(pose: np.ndarray) -> np.ndarray:
     squares = (1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace)
     largest = int(np.argmax(squares))
     if largest == 0:
-        quat = (squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
+        parts = (squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
     elif largest == 1:
-        quat = (r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
+        parts = (r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0])
     elif largest == 2:
-        quat = (r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1])
+        parts = (r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1])
     else:
-        quat = (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3])
-    quat = np.array(quat)
+        parts = (r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3])
+    quat = np.array(parts)
     return quat / math.copysign(math.sqrt(quat @ quat), quat[0])
 
 

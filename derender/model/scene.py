@@ -1,7 +1,7 @@
 """The scene graph of Definition 2.1: a tree of solids, each placed on its parent by a contact; poses by Eq. 1."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,68 +13,13 @@ from derender.model.contacts import contacts
 from derender.model.contacts.base import Inverse
 from derender.model.pose import inverse
 from derender.model.shapes import Body, shapes
-from derender.model.solids import MESH, Solids
+from derender.model.solids import Solids
+from derender.model.vertex import ROOT, Contact, Vertex, nearest_contact, relative_pose, solids_of
 from derender.registry import suggest
 
-ROOT = "root"
+__all__ = ["ROOT", "Constraint", "Contact", "SceneGraph", "Vertex"]
+
 ROOT_BODY = Body(shapes["frame"])
-
-# What is left of a slack number after a pose went through matrices: below this it is none.
-ROUNDING = 1e-11
-
-
-@dataclass(frozen=True)
-class Contact:
-    """How a vertex touches its parent: c_i and phi_i.
-
-    Attributes
-    ----------
-    type : registered contact type.
-    parent_face, child_face : names of the features that touch, or None (`6dof`).
-    values : phi by name, slack included where it is not zero; what is missing has its default.
-    """
-
-    type: str
-    parent_face: str | None = None
-    child_face: str | None = None
-    values: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Vertex:
-    """One object: s_i, psi_i, pi(i), c_i, phi_i.
-
-    Attributes
-    ----------
-    name : unique in the graph; not "root".
-    shape : registered shape type.
-    parameters : psi by name.
-    parent : name of the parent, or "root".
-    contact : the contact with the parent.
-    options : mesh file, hull, mass, friction, colour ... : what is not a parameter.
-    supports : names of further vertices on which it rests (a bridge's second tower); see `constraints`.
-    """
-
-    name: str
-    shape: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    parent: str = ROOT
-    contact: Contact = Contact("6dof")
-    options: Mapping[str, Any] = field(default_factory=dict)
-    supports: tuple[str, ...] = ()
-
-    @property
-    def body(self) -> Body:
-        """The shape with its numbers."""
-        shape = shapes[self.shape]
-        return Body(shape, self.psi, self.options)
-
-    @property
-    def psi(self) -> np.ndarray:
-        """The (P,) shape parameters in the order of the shape's type; NaN where one is missing."""
-        given = self.parameters
-        values = [given.get(p.name, p.default) for p in shapes[self.shape].parameters]
-        return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +46,9 @@ class SceneGraph:
                 raise DerenderError(f"two objects are called {vertex.name!r}", vertex.name, "give each its own name")
             if vertex.parent not in seen:
                 later = any(other.name == vertex.parent for other in self.vertices)
-                what = f"the parent {vertex.parent!r} comes after its child" if later else "no such parent"
-                remedy = "list parents first" if later else suggest(vertex.parent, seen)
-                raise DerenderError(
-                    f"{what}: {vertex.parent!r}" if not later else what, f"{vertex.name}.parent", remedy
-                )
+                what = f"the parent {vertex.parent!r} " + ("comes after its child" if later else "does not exist")
+                remedy = "list parents first, without a cycle" if later else suggest(vertex.parent, seen)
+                raise DerenderError(what, f"{vertex.name}.parent", remedy)
             seen.add(vertex.name)
 
     def __eq__(self, other: object) -> bool:
@@ -306,6 +249,31 @@ class SceneGraph:
         after = [v for v in self.vertices if v.name in below]
         return replace(self, vertices=tuple(_in_order([*before, changed, *after], list(self.names))))
 
+    def canonical(self) -> "SceneGraph":
+        """Return the same scene with every theta in its period [0, period): a cube turned by a quarter is the cube.
+
+        The solids stay where they are; the axes of one that was folded turn by one of its symmetries, so what rests on
+        it is written down anew, on the face that now bears the name. What floats (`6dof`) is left as it is.
+        """
+        before, after = self._poses, {ROOT: self._poses[ROOT]}
+        vertices: dict[str, Vertex] = {}
+        for vertex in self.vertices:
+            contact, parent = vertex.contact, vertex.parent
+            parent_body, body = self.body(parent), vertex.body
+            if after[parent] is not before[parent]:
+                relative = inverse(after[parent]) @ before[vertex.name]
+                contact, _ = nearest_contact(relative, parent_body, body, contact.type, None, contact.child_face)
+            faces = contact.parent_face, contact.child_face
+            for parameter in contacts[contact.type].free_parameters(parent_body.shape, body.shape, *faces):
+                if parameter.period is not None:
+                    folded = contact.values.get(parameter.name, 0.0) % parameter.period
+                    contact = replace(contact, values={**contact.values, parameter.name: folded})
+            vertices[vertex.name] = new = replace(vertex, contact=contact)
+            placed = after[parent] @ relative_pose(new, parent_body, body)
+            same = np.abs(placed - before[vertex.name]).max() < 1e-9
+            after[vertex.name] = before[vertex.name] if same else placed
+        return replace(self, vertices=tuple(vertices.values()))
+
     def check(self) -> None:
         """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
         for vertex in self.vertices:
@@ -329,69 +297,6 @@ class SceneGraph:
                     raise DerenderError(f"no such support: {support!r}", f"{vertex.name}.supports", remedy)
         for constraint in self.constraints:
             self.vertex(constraint.first), self.vertex(constraint.second)
-
-
-def relative_pose(vertex: Vertex, parent: Body, child: Body | None = None) -> np.ndarray:
-    """Return the (4, 4) pose of a vertex in the object axes of its parent's body."""
-    contact = vertex.contact
-    child = vertex.body if child is None else child
-    faces = contact.parent_face, contact.child_face
-    return contacts[contact.type].relative_pose(contact.values, parent, child, *faces)
-
-
-def nearest_contact(
-    relative: np.ndarray,
-    parent: Body,
-    child: Body,
-    type: str,
-    parent_face: str | None = None,
-    child_face: str | None = None,
-) -> tuple[Contact, Inverse]:
-    """Return the contact of one type that is nearest to the (4, 4) pose of child in parent, and its residuals.
-
-    Among the faces not given those win that need the least slack, an angle counting as its arc at the child's radius.
-    """
-    kind = contacts[type]
-    reach = child.size()
-    radius = 0.1 if reach is None else 0.5 * float(np.linalg.norm(reach))
-    best: tuple[float, Contact, Inverse] | None = None
-    for on, by in kind.choices(parent.shape, child.shape):
-        if (parent_face is not None and on != parent_face) or (child_face is not None and by != child_face):
-            continue
-        found = kind.invert(relative, parent, child, on, by)
-        angles = [x for name, x in found.slack.items() if name.startswith("tilt")]
-        cost = (
-            found.outside + abs(found.slack.get("gap", 0.0)) + radius * (np.hypot(*[0, 0, *angles][-2:]) + found.angle)
-        )
-        if best is None or cost < best[0]:
-            slack = {name: value for name, value in found.slack.items() if abs(value) > ROUNDING}
-            best = (cost, Contact(type, on, by, {**found.phi, **slack}), found)
-    if best is None:
-        kind.default_choice(parent.shape, child.shape)
-        raise DerenderError(f"{parent_face!r} and {child_face!r} cannot be in {type} contact")
-    return best[1], best[2]
-
-
-def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids:
-    """Return vertices with extent as flat arrays; a mesh that several share appears once."""
-    count = len(vertices)
-    kind, mesh = np.zeros(count, np.int32), np.full(count, -1, np.int32)
-    pose, size = np.zeros((count, 4, 4)), np.zeros((count, 3))
-    meshes: list[tuple[np.ndarray, np.ndarray]] = []
-    places: dict[Any, int] = {}
-    for index, vertex in enumerate(vertices):
-        body = vertex.body
-        pose[index] = poses[vertex.name]
-        kind[index] = body.shape.solid_kind
-        extents = body.size()
-        size[index] = 0.0 if extents is None else extents
-        if kind[index] == MESH:
-            key, arrays = body.shape.drawn_mesh(body.psi, body.options)
-            if key not in places:
-                places[key] = len(meshes)
-                meshes.append(arrays)
-            mesh[index] = places[key]
-    return Solids(kind, pose, size, mesh, tuple(meshes))
 
 
 def _in_order(vertices: list[Vertex], names: list[str]) -> list[Vertex]:

@@ -105,14 +105,14 @@ class ContactType:
         choices = self.choices(parent, child)
         if not choices:
             self.default_choice(parent, child, where)
-        for label, face, known in (
+        for label, face, faces in (
             ("parent_face", parent_face, [pair[0] for pair in choices]),
             ("child_face", child_face, [pair[1] for pair in choices]),
         ):
-            if face not in known:
+            if face not in faces:
                 shape = parent.name if label == "parent_face" else child.name
                 what = f"{label} {face!r} of a {shape} cannot be in {self.name} contact"
-                raise DerenderError(what, where, suggest(face, set(known)))
+                raise DerenderError(what, where, suggest(face, set(faces)))
         known = {p.name: p for p in self.parameters(parent, child, parent_face, child_face)}
         for name, value in values.items():
             if name not in known:
