@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from derender.vision.raycast.antialias import Canvas, draw_antialiased, new_canvas
+from derender.vision.raycast.antialias import Canvas, draw_antialiased, new_canvas, prepare_all
 from derender.vision.raycast.sensitivity import MOTION, Records, gather, new_records, record, spread
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
 
@@ -41,6 +41,7 @@ class Misfit(NamedTuple):
     numbers: np.ndarray
     taps: np.ndarray
     window: np.ndarray
+    drawn: np.ndarray
     blurred: np.ndarray
     weighted: np.ndarray
     scratch: np.ndarray
@@ -60,15 +61,52 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
         new_canvas(camera, len(kinds)), new_records(camera, len(kinds)), kinds,
         np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64), np.ascontiguousarray(precision),
         np.array([background, limit], np.float64), np.ascontiguousarray(taps, np.float64),
-        np.array([0, width, 0, height], np.int64), *zeros,
+        np.array([0, width, 0, height], np.int64), np.zeros(4, np.int64), *zeros,
         np.zeros((parameters, height * width)), np.zeros((parameters, 4), np.int64))
+
+
+@njit(cache=True, nogil=True)
+def grow(window, margin, width, height, grown):
+    """Write a rectangle grown by a margin and clipped to the image."""
+    grown[0], grown[1] = max(window[0] - margin, 0), min(window[1] + margin, width)
+    grown[2], grown[3] = max(window[2] - margin, 0), min(window[3] + margin, height)
+
+
+@njit(cache=True, nogil=True)
+def watch(misfit, poses, sizes, moving, margin):
+    """Set the window to where the moving solids are seen and `margin` pixels around; everything if they are not.
+
+    moving : (N,) bool. While the solids stay in it, costs differ from those of the whole image by a constant.
+    """
+    height, width = misfit.observed.shape
+    prepare_all(misfit.canvas, misfit.kinds, poses, sizes)
+    window = misfit.window
+    window[0], window[1], window[2], window[3] = width, 0, height, 0
+    for k in range(moving.shape[0]):
+        rectangle = misfit.canvas.rectangle[k]
+        if moving[k] and rectangle[0] < rectangle[1]:
+            window[0], window[1] = min(window[0], rectangle[0]), max(window[1], rectangle[1])
+            window[2], window[3] = min(window[2], rectangle[2]), max(window[3], rectangle[3])
+    if window[0] >= window[1]:
+        watch_all(misfit)
+    else:
+        grow(window.copy(), margin + misfit.taps.shape[0] - 1, width, height, window)
+
+
+@njit(cache=True, nogil=True)
+def watch_all(misfit):
+    """Set the window to the whole image."""
+    misfit.window[0], misfit.window[2] = 0, 0
+    misfit.window[1], misfit.window[3] = misfit.observed.shape[1], misfit.observed.shape[0]
 
 
 @njit(cache=True, nogil=True)
 def cost(misfit, poses, sizes):
     """Draw, blur and compare: return the cost (minus log likelihood up to a constant) over the window."""
     window = misfit.window
-    draw_antialiased(misfit.canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], window)
+    height, width = misfit.observed.shape
+    grow(window, misfit.taps.shape[0] - 1, width, height, misfit.drawn)
+    draw_antialiased(misfit.canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.drawn)
     blur_rectangle(misfit.canvas.depth, misfit.taps, window, misfit.scratch, misfit.blurred)
     limit = misfit.numbers[LIMIT]
     floor = math.exp(-limit)
@@ -101,9 +139,9 @@ def cost_gradient(misfit, poses, sizes, active, edges, totals):
     """
     value = cost(misfit, poses, sizes)
     record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.window, edges)
+           misfit.drawn, edges)
     carried = misfit.images[0].reshape(misfit.blurred.shape)
-    blur_adjoint(misfit.weighted, misfit.taps, misfit.scratch, carried)
+    blur_adjoint(misfit.weighted, misfit.taps, misfit.window, misfit.scratch, carried)
     totals[:] = 0.0
     gather(misfit.records, misfit.images[0], totals)
     misfit.images[0] = 0.0
@@ -137,10 +175,10 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                     moves[p, k] = True
                     active[k] = True
     record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.window, edges)
+           misfit.drawn, edges)
     spread(misfit.records, motions, moves, misfit.images)
     radius = misfit.taps.shape[0] - 1
-    window = misfit.window
+    window, drawn = misfit.window, misfit.drawn
     blurred = misfit.canvas.inverse  # free now: the next rendering overwrites it
     for p in range(count):
         bounds = misfit.bounds[p]
@@ -177,7 +215,6 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
             hessian[p, q] = total
             hessian[q, p] = total
     for p in range(count):  # leave the images clean for the next call
-        image, bounds = misfit.images[p], misfit.bounds[p]
-        for row in range(bounds[2], bounds[3]):
-            image[row * width + bounds[0]:row * width + max(bounds[1], bounds[0])] = 0.0
+        for row in range(drawn[2], drawn[3]):
+            misfit.images[p, row * width + drawn[0]:row * width + drawn[1]] = 0.0
     return value

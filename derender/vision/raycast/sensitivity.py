@@ -17,11 +17,12 @@ import numpy as np
 from numba import njit
 
 from derender.model.solids import CYLINDER, MESH, PLANE
-from derender.vision.raycast.antialias import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, SAMPLES
+from derender.vision.raycast.antialias import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, SAMPLES, SPLIT
 from derender.vision.raycast.convex import FACES, inverse_depth
 from derender.vision.raycast.silhouette import CHORDS, NEAR, outline
 
 MOTION = 9  # twist (v, w) and the rates of the three extents
+BISECTIONS = 10  # an outline's hidden part is found to a thousandth of a pixel
 
 
 class Records(NamedTuple):
@@ -109,6 +110,20 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
         row, column = pixel // width, pixel % width
         codes = canvas.samples[m]
         begin = count
+        if codes[0] == SPLIT:
+            for part in range(2):
+                share = canvas.split[m, part]
+                here = codes[1 + part]
+                if here == NOTHING or not active[here >> FACE_BITS]:
+                    continue
+                k = here >> FACE_BITS
+                if part == 0 or count == begin or records.solid[count - 1] != k:
+                    records.pixel[count], records.solid[count] = pixel, k
+                    records.form[count] = 0.0
+                    count += 1
+                _add_surface(records.form[count - 1], share[0], kinds[k], poses[k], sizes[k], canvas.prepared[k],
+                             here & FACE_MASK, column + share[1], row + share[2], camera)
+            continue
         for n in range(SAMPLES):
             here = codes[n]
             if here == NOTHING or not active[here >> FACE_BITS]:
@@ -146,14 +161,23 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
 
 @njit(cache=True, nogil=True)
 def nearest(canvas, kinds, without, column, row):
-    """The greatest inverse depth of all solids but one along the ray through (column, row); 0 if nothing is hit."""
-    best = 0.0
+    """Return (inverse depth, index) of the nearest of all solids but one along the ray through (column, row), or (0, -1)."""
+    best, label = 0.0, -1
     i, j = math.floor(column + 0.5), math.floor(row + 0.5)
     for k in range(kinds.shape[0]):
         rectangle = canvas.rectangle[k]
         if k != without and rectangle[0] <= i < rectangle[1] and rectangle[2] <= j < rectangle[3]:
-            best = max(best, inverse_depth(canvas.prepared[k], column, row))
-    return best
+            value = inverse_depth(canvas.prepared[k], column, row)
+            if value > best:
+                best, label = value, k
+    return best, label
+
+
+@njit(cache=True, nogil=True)
+def _behind(canvas, kinds, k, column, row, w):
+    """What lies behind an outline of solid k at inverse depth w: a solid's index, -1 for nothing, -2 if hidden itself."""
+    value, label = nearest(canvas, kinds, k, column, row)
+    return label if w > value else -2
 
 
 @njit(cache=True, nogil=True)
@@ -202,11 +226,11 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
     width = canvas.inverse.shape[1]
     count = records.count[0]
     t = enter
-    most = 0.5 / pixels  # no step is longer than half a pixel: hidden parts begin and end inside pixels
+    state = _behind(canvas, kinds, k, i0 + t * di, j0 + t * dj, w0 + t * (w1 - w0))
     while t < leave - 1e-12 and count < records.pixel.shape[0]:
         # to the next border between pixels
         column, row = i0 + t * di, j0 + t * dj
-        following = min(leave, t + most)
+        following = min(leave, t + 1.0 / pixels)
         if di != 0.0:
             border = math.floor(column + 0.5 + (1e-9 if di > 0.0 else -1e-9)) + (0.5 if di > 0.0 else -0.5)
             following = min(following, (border - i0) / di)
@@ -214,10 +238,21 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
             border = math.floor(row + 0.5 + (1e-9 if dj > 0.0 else -1e-9)) + (0.5 if dj > 0.0 else -0.5)
             following = min(following, (border - j0) / dj)
         following = max(following, t + 1e-9)
+        state_after = _behind(canvas, kinds, k, i0 + following * di, j0 + following * dj, w0 + following * (w1 - w0))
+        if state_after != state:  # stop where the one that hides it, or that is behind it, changes
+            low, high = t, following
+            for _ in range(BISECTIONS):
+                middle = 0.5 * (low + high)
+                if _behind(canvas, kinds, k, i0 + middle * di, j0 + middle * dj, w0 + middle * (w1 - w0)) == state:
+                    low = middle
+                else:
+                    high = middle
+            following = high
+            state_after = _behind(canvas, kinds, k, i0 + high * di, j0 + high * dj, w0 + high * (w1 - w0))
         middle = 0.5 * (t + following)
         column, row = i0 + middle * di, j0 + middle * dj
         w = w0 + middle * (w1 - w0)
-        behind = nearest(canvas, kinds, k, column, row)
+        behind, label = nearest(canvas, kinds, k, column, row)
         if w > behind:
             depth = 1.0 / w
             step = depth - (1.0 / behind if behind > 0.0 else background)
@@ -231,7 +266,7 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
                 add_form(records.form[count - 1], step * (following - t) * pixels * scale * w, nx, ny, nz,
                          depth * (column - camera[2]) / camera[0], depth * (row - camera[3]) / camera[1], depth,
                          pose, size)
-        t = following
+        t, state = following, state_after
     records.count[0] = count
 
 
