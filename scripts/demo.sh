@@ -13,7 +13,7 @@ run() {
 
 mkdir -p "$folder"
 if [ -z "$image" ]; then
-    run sample --seed 9 -o "$folder"
+    run sample --seed 6 -o "$folder"
     run render "$folder/sample_000.yaml" --preview -o "$folder/truth.png"
     image=$folder/sample_000.npz
 fi
