@@ -10,6 +10,10 @@ import numpy as np
 from derender.inference.adaptation import centre_of, covariance_of, first_tuning, rescale
 from derender.inference.chains import Segment
 from derender.inference.kernels.base import Part, Target, Tuning, evaluate, kernels
+from derender.inference.smc import tempered
+
+LOCAL = ("drift", "slide", "window", "slide-window", "choose")  # kernels that move particles of a starting population
+START_STEPS = 40  # of the mixture, for each particle and temperature
 
 
 class Stretch(NamedTuple):
@@ -70,7 +74,7 @@ class MixtureSampler:
     parts : the mixture.
     thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
     particles : draws from the prior of which importance resampling takes the start.
-    anneal : share of the warm-up in which the likelihood is raised to a power that grows to 1.
+    population : particles of the tempered SMC that then finds the mode; 1: none, the start is the resampled draw.
     """
 
     segment = 100
@@ -82,10 +86,10 @@ class MixtureSampler:
         thin: int = 20,
         cycle: bool = False,
         particles: int = 100,
-        anneal: float = 0.4,
+        population: int = 16,
     ) -> None:
         self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
-        self.particles, self.anneal = particles, anneal
+        self.particles, self.population = particles, population
 
     def backend(self) -> Backend:
         """Return what runs the kernels."""
@@ -93,10 +97,20 @@ class MixtureSampler:
         return make(self.parts, self.cycle) if make else ReadableBackend(self.target, self.parts, self.cycle)
 
     def start(self, rng):
-        values = self.target.initial(rng, self.particles) if hasattr(self.target, "initial") else None
-        if values is None:
-            values = importance_resampling(rng, self.target.space, self.backend(), self.particles)
-        return _pack(values, first_tuning(self.target.space, values), np.empty((0, len(values))), self.parts)
+        space, backend = self.target.space, self.backend()
+        if self.population > 1:
+            parts = [part for part in self.parts if part.type in LOCAL] or self.parts
+            total = sum(part.weight for part in parts)
+            parts = [part._replace(weight=part.weight / total) for part in parts]
+            moving = getattr(self.target, "backend", None)
+            movers = moving(parts, False) if moving else ReadableBackend(self.target, parts)
+            found = tempered(rng, space, movers, parts, self.population, START_STEPS, max(self.particles, 1))
+            best = int(np.argmax(found.densities.sum(axis=1)))
+            values, scale = found.values[best], dict(found.tuning.scale)
+        else:
+            values, scale = importance_resampling(rng, space, backend, self.particles), {}
+        tuning = first_tuning(space, values)._replace(scale=scale)
+        return _pack(values, tuning, np.empty((0, len(values))), self.parts)
 
     def warm_up(self, rng, state, done, rounds, total):
         values, tuning, history, counts, taken = _unpack(state)
@@ -104,8 +118,6 @@ class MixtureSampler:
         stop = done + rounds
         while done < stop:
             stretch_rounds = min(25, stop - done)
-            progress = done / total
-            tuning = tuning._replace(temperature=annealed(progress, self.anneal, self.target))
             stretch = backend.sweep(rng, values, tuning, stretch_rounds, self.thin, taken)
             values = stretch.values[-1]
             taken += stretch_rounds * self.thin
@@ -114,7 +126,6 @@ class MixtureSampler:
             tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
             history = np.concatenate([history, stretch.values])
             tuning = self._shape(tuning, history)
-        tuning = tuning._replace(temperature=1.0)
         return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
 
     def _shape(self, tuning: Tuning, history: np.ndarray) -> Tuning:
@@ -140,13 +151,6 @@ def importance_resampling(rng, space, backend: Backend, particles: int) -> np.nd
     weights = np.exp(logs - np.max(logs))
     chosen = np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right")
     return drawn[min(int(chosen), particles - 1)]
-
-
-def annealed(progress: float, share: float, target: object) -> float:
-    """Return the exponent on the likelihood: geometric from a cold start to 1 within the first `share` of the warm-up."""
-    if progress >= share or share <= 0:
-        return 1.0
-    return float(getattr(target, "coldest", 0.01) ** (1.0 - progress / share))
 
 
 def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -> dict[str, np.ndarray]:

@@ -244,12 +244,18 @@ def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
 
 
 def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
-    """Return the default mixture as data, as a prior file would write it."""
+    """Return the default mixture as data, as a prior file would write it.
+
+    Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
+    """
     return [
-        {"window": {"weight": 0.25}},
-        {"drift": {"weight": 0.35}},
-        {"drift-all": {"weight": 0.25}},
-        {"independence": {"weight": 0.10}},
+        {"drift": {"weight": 0.30}},
+        {"slide": {"weight": 0.30}},
+        {"drift-all": {"weight": 0.20}},
+        {"window": {"weight": 0.05}},
+        {"slide-window": {"weight": 0.05}},
+        {"independence": {"weight": 0.04}},
+        {"choose": {"weight": 0.03}},
         {"jump": {"weight": 0.02}},
         {"flip": {"weight": 0.01}},
         {"resimulate": {"weight": 0.02}},

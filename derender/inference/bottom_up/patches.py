@@ -1,4 +1,4 @@
-"""Planar patches of a depth image: local plane fits, each pixel taking the best window that holds it, grown to regions."""
+"""Planar patches of a depth image: local plane fits, each pixel taking its best window, grown to regions."""
 
 from typing import NamedTuple
 
@@ -25,6 +25,15 @@ class Patches(NamedTuple):
     centre: np.ndarray
     residual: np.ndarray
     touching: np.ndarray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def separation(points, j, i, v, u):
+    """Return the squared distance of two pixels' points."""
+    x = points[v, u, 0] - points[j, i, 0]
+    y = points[v, u, 1] - points[j, i, 1]
+    z = points[v, u, 2] - points[j, i, 2]
+    return x * x + y * y + z * z
 
 
 @njit(cache=True, nogil=True)
@@ -189,8 +198,7 @@ def grow(points, mask, normal, quality, order, tolerance, jump, cosine, smallest
                     continue
                 if normal[v, u, 0] * nx + normal[v, u, 1] * ny + normal[v, u, 2] * nz < cosine:
                     continue
-                dx, dy, dz = points[v, u, 0] - points[j, i, 0], points[v, u, 1] - points[j, i, 1], points[v, u, 2] - points[j, i, 2]
-                if dx * dx + dy * dy + dz * dz > 4 * jump[v, u] * jump[v, u]:
+                if separation(points, j, i, v, u) > 4 * jump[v, u] * jump[v, u]:
                     continue
                 label[v, u] = regions
                 stack[tail, 0], stack[tail, 1] = v, u
@@ -225,7 +233,9 @@ def moments(points, label, regions):
                     for axis in range(3):
                         centre[k, axis] += points[j, i, axis]
                 else:
-                    x, y, z = points[j, i, 0] - centre[k, 0], points[j, i, 1] - centre[k, 1], points[j, i, 2] - centre[k, 2]
+                    x = points[j, i, 0] - centre[k, 0]
+                    y = points[j, i, 1] - centre[k, 1]
+                    z = points[j, i, 2] - centre[k, 2]
                     scatter[k, 0] += x * x
                     scatter[k, 1] += x * y
                     scatter[k, 2] += x * z
@@ -259,7 +269,7 @@ def fit_regions(points, label, regions, origin):
 
 @njit(cache=True, nogil=True)
 def reassign(points, mask, label, normal, offset, tolerance, jump, rounds):
-    """Let pixels at borders change to, and free pixels join, the neighbouring region whose plane is nearest, in place."""
+    """Let pixels at borders change to, and free ones join, the neighbouring region of the nearest plane, in place."""
     height, width = mask.shape
     for _ in range(rounds):
         changed = 0
@@ -281,10 +291,10 @@ def reassign(points, mask, label, normal, offset, tolerance, jump, rounds):
                     k = label[v, u]
                     if k < 0 or k == own:
                         continue
-                    dx, dy, dz = points[v, u, 0] - points[j, i, 0], points[v, u, 1] - points[j, i, 1], points[v, u, 2] - points[j, i, 2]
-                    if dx * dx + dy * dy + dz * dz > 4 * jump[v, u] * jump[v, u]:
+                    if separation(points, j, i, v, u) > 4 * jump[v, u] * jump[v, u]:
                         continue
-                    r = abs(normal[k, 0] * points[j, i, 0] + normal[k, 1] * points[j, i, 1] + normal[k, 2] * points[j, i, 2] - offset[k])
+                    r = abs(normal[k, 0] * points[j, i, 0] + normal[k, 1] * points[j, i, 1]
+                            + normal[k, 2] * points[j, i, 2] - offset[k])  # fmt: skip
                     if r < best:
                         best, choice = r, k
                 if choice != own and choice >= 0:
@@ -311,8 +321,7 @@ def touching_pixels(points, label, regions, jump):
                 b = label[v, u]
                 if b < 0 or a == b:
                     continue
-                dx, dy, dz = points[v, u, 0] - points[j, i, 0], points[v, u, 1] - points[j, i, 1], points[v, u, 2] - points[j, i, 2]
-                if dx * dx + dy * dy + dz * dz < (jump[j, i] * (2.0 + way // 2)) ** 2:
+                if separation(points, j, i, v, u) < (jump[j, i] * (2.0 + way // 2)) ** 2:
                     touching[a, b] += 1
                     touching[b, a] += 1
     return touching

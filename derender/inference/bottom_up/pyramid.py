@@ -46,7 +46,7 @@ def block_median(depth, factor, enough):
 
 
 def reduce(depth, camera, widest):
-    """Return (depth, camera dict, factor) of the image reduced by a whole factor to at most about `widest` pixels across.
+    """Return (depth, camera dict, factor) of the image reduced by a whole factor to about `widest` pixels across.
 
     depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
     """

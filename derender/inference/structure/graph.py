@@ -95,7 +95,7 @@ def scene_graph(state: State, floor_pose: np.ndarray) -> SceneGraph:
 
 
 def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> Contact | None:
-    """Return the contact with `parent` that reproduces the pose of `name` with the least slack, made exact where near."""
+    """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near."""
     best, chosen = np.inf, None
     reach = 0.5 * float(np.linalg.norm(row[13:16]))
     for place, kind in enumerate(ON_A_FACE):

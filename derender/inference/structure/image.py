@@ -71,7 +71,7 @@ def make_image(depth, sigma, camera, floor_pose):
 
 @njit(cache=True, nogil=True)
 def bounding_rectangle(row, projection, height, width):
-    """Return (i0, i1, j0, j1): the pixels, ends excluded, that can see the solid; the whole image if it reaches behind."""
+    """Return (i0, i1, j0, j1): the pixels, ends excluded, that can see the solid; all if it reaches behind."""
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
     for corner in range(8):
         x = row[13] * (0.5 if corner & 1 else -0.5)
@@ -95,7 +95,7 @@ def bounding_rectangle(row, projection, height, width):
 
 @njit(cache=True, nogil=True, inline="always")
 def hit(kind, row, ox, oy, oz, dx, dy, dz):
-    """Return the depth of the first hit of a ray with a solid, or FAR. Origin (o) and direction (d) in the solid's axes."""
+    """Return the depth of a ray's first hit, or FAR. Origin (o) and direction (d) in the solid's axes."""
     if kind == BOX:
         near, far = 1e-6, FAR
         half = 0.5 * row[13]

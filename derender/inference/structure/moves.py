@@ -1,7 +1,8 @@
 """Moves between structures: take out and explain anew, split, merge, put a support under what floats.
 
-Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or None
-where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the energy.
+Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
+None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
+energy.
 """
 
 from typing import NamedTuple
@@ -104,7 +105,8 @@ def split(rng, image, state, hypotheses, settings, places):
     last = len(new) - 1
     for k in (i, last) if rng.random() < 0.5 else (last, i):
         view = held_out(image, new, k)
-        new.rows[k], _, _ = run_polish(rng, image, new, k, new.rows[k], new.forms[k], False, view, np.nan, settings, 250)
+        row, form = new.rows[k], new.forms[k]
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
     return new, {i, last}
 
 
@@ -115,11 +117,12 @@ def corners_of(row):
 
 
 def merge(rng, image, state, hypotheses, settings, places):
-    """Put one box in place of two near and aligned ones, spanning both along the axes of one of them."""
+    """Put one box in place of two near and aligned ones, spanning both along the axes of one."""
     from derender.inference.structure.search import run_polish
 
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    near = [(i, j) for i in boxes for j in boxes if i != j and penetration(grown(state.rows[i], 0.06), state.rows[j]) > 0]
+    pairs = [(i, j) for i in boxes for j in boxes if i != j]
+    near = [(i, j) for i, j in pairs if penetration(grown(state.rows[i], 0.06), state.rows[j]) > 0]
     near = [(i, j) for i, j in near if alignment(state.rows[i], state.rows[j]) > 0.98]
     if not near:
         return None

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from derender.inference.structure.image import added_misfit
-from derender.inference.structure.touch import lowest, penetration
+from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6
@@ -31,12 +31,17 @@ def size_energy(row, cube):
 
 
 @njit(cache=True, nogil=True)
-def contact_energy(row, others, skip, bottom, slack):
-    """Return the energy of standing off its support (`bottom`, NaN for none), of sinking into the floor or others."""
+def contact_energy(row, others, skip, bottom, carried, slack):
+    """Return the energy of standing off its support, of sinking into the floor or others, of those it carries.
+
+    bottom : height of what it stands on, NaN for none.  carried : (K,) heights of the lowest points of what stands on it.
+    """
     total = 0.0
     low = lowest(row)
     if not np.isnan(bottom):
         total += 0.5 * ((low - bottom) / slack) ** 2
+    for k in range(carried.shape[0]):
+        total += 0.5 * min(((highest(row) - carried[k]) / slack) ** 2, 100.0)
     if low < -slack:
         total += 0.5 * ((low + slack) / slack) ** 2
     for k in range(others.shape[0]):
@@ -84,7 +89,7 @@ def shift(row, axis, distance):
 
 
 @njit(cache=True, nogil=True)
-def try_step(row, origin, form, cube, tilt, move, step):
+def try_step(rng, row, origin, form, cube, tilt, move, step):
     """Change the row by the step of kind `move` (see module), in place; return False where it is not allowed.
 
     Moves: 0-5 faces, 6-8 shifts, 9-11 turns about own axes, 12 scale about a corner, 13 radius.
@@ -106,9 +111,9 @@ def try_step(row, origin, form, cube, tilt, move, step):
             return False
         # corner pivots: a visible corner or edge stays where it is
         px, py, pz = row[10], row[11], row[12]
-        if np.random.random() < 0.7:
+        if rng.random() < 0.7:
             for k in range(3):
-                w = 0.5 * row[13 + k] * (1.0 if np.random.random() < 0.5 else -1.0)
+                w = 0.5 * row[13 + k] * (1.0 if rng.random() < 0.5 else -1.0)
                 px += w * row[1 + k]
                 py += w * row[4 + k]
                 pz += w * row[7 + k]
@@ -118,7 +123,7 @@ def try_step(row, origin, form, cube, tilt, move, step):
         if kind != BOX or not cube:
             return False
         for k in range(3):
-            w = 0.5 * step * (1.0 if np.random.random() < 0.5 else -1.0)
+            w = 0.5 * step * (1.0 if rng.random() < 0.5 else -1.0)
             if form == UPRIGHT and k == 2 and row[9] > 0:
                 w = abs(w) if step > 0 else -abs(w)
             shift(row, k, w)
@@ -131,10 +136,10 @@ def try_step(row, origin, form, cube, tilt, move, step):
     if kind == CYLINDER:
         along = ex * row[3] + ey * row[6] + ez * row[9]
         ex, ey, ez = ex - along * row[3], ey - along * row[6], ez - along * row[9]
-    elif np.random.random() < 0.5:
+    elif rng.random() < 0.5:
         ex, ey, ez = 0.0, 0.0, 1.0
     length = np.sqrt(ex * ex + ey * ey + ez * ez) + 1e-12
-    held = 0.5 * step if np.random.random() < 0.7 else 0.0
+    held = 0.5 * step if rng.random() < 0.7 else 0.0
     row[10] += held * ex / length
     row[11] += held * ey / length
     row[12] += held * ez / length
@@ -146,7 +151,9 @@ def try_step(row, origin, form, cube, tilt, move, step):
 
 
 @njit(cache=True, nogil=True)
-def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack, tilt, rounds, first_step, heat, seed):
+def polish(
+    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, rounds, first_step, heat
+):
     """Return (row, energy, misfit change) of the best solid found in `rounds` tries.
 
     Parameters
@@ -154,25 +161,24 @@ def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack,
     start : (ROW,) the solid; form : UPRIGHT or FREE; cube : keep its edges equal.
     others : (N, ROW) solids in the scene, `skip` the one among them that is this one (or -1).
     depth, misfit : (H, W) of the scene without this solid.
-    bottom : height of what it stands on, NaN for unknown; slack : metres; tilt : radians off the
+    bottom : height of what it stands on, NaN for unknown; carried : (K,) lowest heights of what stands on it; slack : metres; tilt : radians off the
         vertical that an upright solid may have (0: none).
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
-    np.random.seed(seed)
     row = start.copy()
     change = added_misfit(image, row, depth, misfit)
-    energy = change + size_energy(row, cube) + contact_energy(row, others, skip, bottom, slack)
+    energy = change + size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
     energy += tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
     scale = np.full(14, first_step)
     trial = row.copy()
     for k in range(rounds):
-        move = np.random.randint(14)
-        step = scale[move] * np.random.standard_normal()
+        move = rng.integers(0, 14)
+        step = scale[move] * rng.standard_normal()
         trial[:] = row
-        if not try_step(trial, image.origin, form, cube, tilt, move, step):
+        if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
             continue
-        rest = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, slack)
+        rest = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
         rest += tilt_energy(trial, form, tilt)
         if rest - (energy - change) > 100.0:
             scale[move] = max(scale[move] * 0.93, 5e-5)
@@ -180,7 +186,7 @@ def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack,
         new_change = added_misfit(image, trial, depth, misfit)
         new = new_change + rest
         temperature = heat * (1.0 - k / rounds)
-        if new < energy or (temperature > 0 and np.random.random() < np.exp((energy - new) / temperature)):
+        if new < energy or (temperature > 0 and rng.random() < np.exp((energy - new) / temperature)):
             row[:] = trial
             energy, change = new, new_change
             scale[move] = min(scale[move] * 1.25, 0.02)
@@ -190,3 +196,39 @@ def polish(image, start, form, cube, others, skip, depth, misfit, bottom, slack,
         else:
             scale[move] = max(scale[move] * 0.93, 5e-5)
     return best, best_energy, best_change
+
+
+@njit(cache=True, nogil=True)
+def walk(
+    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, scale, steps, temper, adapt
+):
+    """Return the solid after `steps` Metropolis steps on its density given all others.
+
+    Each kind of step is drawn with its own fixed scale and is its own reverse with the sign changed (a pivot keeps its
+    name and place), and has Jacobian one in (centre, size, Haar's measure of the rotation): proposals are symmetric, so
+    the log acceptance ratio is the difference of energies alone.
+
+    Parameters
+    ----------
+    scale : (14,) float64, standard deviation of each kind of step; changed in place when `adapt` (warm-up only).
+    temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
+    """
+    row = start.copy()
+    energy = added_misfit(image, row, depth, misfit) / temper + size_energy(row, cube)
+    energy += contact_energy(row, others, skip, bottom, carried, slack) + tilt_energy(row, form, tilt)
+    trial = row.copy()
+    for _ in range(steps):
+        move = rng.integers(0, 14)
+        step = scale[move] * rng.standard_normal()
+        trial[:] = row
+        if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
+            continue
+        new = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
+        new += tilt_energy(trial, form, tilt) + added_misfit(image, trial, depth, misfit) / temper
+        accepted = new < energy or rng.random() < np.exp(energy - new)
+        if accepted:
+            row[:] = trial
+            energy = new
+        if adapt:
+            scale[move] = min(max(scale[move] * (1.2 if accepted else 0.92), 2e-5), 0.03)
+    return row

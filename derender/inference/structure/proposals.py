@@ -1,4 +1,4 @@
-"""Hypotheses of single solids from planar patches: boxes from one to three orthogonal ones, round solids from clusters."""
+"""Hypotheses of solids from planar patches: boxes from one to three orthogonal ones, round ones from clusters."""
 
 from itertools import combinations, product
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Hypothesis(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """What hypotheses are made from: the points of each patch, the patches, and the camera's place in the floor frame."""
+    """What hypotheses are made from: each patch's points, the patches, and the camera's place in the floor frame."""
 
     points: list[np.ndarray]
     normal: np.ndarray
@@ -197,7 +197,8 @@ def boxes(surface, group):
         options = [(min(e[0][axis] for e in seen_by), max(e[1][axis] for e in seen_by))]
         options += [(e[0][axis], e[1][axis]) for e in seen_by]
         intervals.append(distinct(
-            [with_planes(o, fixed_low[axis], fixed_high[axis], axis == 2 and form == UPRIGHT, surface) for o in options],
+            [with_planes(o, fixed_low[axis], fixed_high[axis], axis == 2 and form == UPRIGHT, surface)
+             for o in options],
             1.5 * surface.footprint,
         ))  # fmt: skip
     for x, y, z in product(*intervals):
@@ -206,7 +207,7 @@ def boxes(surface, group):
 
 
 def with_planes(interval, low, high, upright, surface):
-    """Return the interval with its ends on the faces that are seen, and for an upright box near the floor, on the floor."""
+    """Return the interval with its ends on the faces that are seen, and on the floor where it is near."""
     start, end = interval
     if not np.isnan(low):
         start = low
@@ -227,7 +228,7 @@ def distinct(intervals, tolerance):
 
 
 def hidden_intervals(low, high, ends, axis, form):
-    """Return guesses for the extent behind a single face: as long as a side of it, short, middling, down to the floor."""
+    """Return guesses for the extent behind a single face: as long as its sides, short, down to the floor."""
     guesses = [ends[1][k] - ends[0][k] for k in range(3) if k != axis] + [0.04, 0.08]
     if form == UPRIGHT and axis == 2 and not np.isnan(high):
         guesses.append(max(high, THINNEST))
@@ -329,7 +330,7 @@ def cylinders(surface, group):
 
 
 def lying_circle(flat, axes):
-    """Return (centre, radius) of the circle that stands on the floor and is as high as the points (N, 2) along `axes`."""
+    """Return (centre, radius) of the circle on the floor that is as high as the points (N, 2) along `axes`."""
     up = UP @ axes
     radius = max(0.5 * np.quantile(flat @ up, 0.99), 0.004)
     across = np.array([-up[1], up[0]])
@@ -344,7 +345,7 @@ def fit_circle(points):
 
 
 def clusters(surface, touch=2):
-    """Return tuples of patches joined by convex edges: each patch with its neighbours, and the whole components."""
+    """Return tuples of patches joined by convex edges: each with its neighbours, and the whole components."""
     count = len(surface.count)
     joined = np.zeros((count, count), bool)
     for a in range(count):
@@ -366,7 +367,7 @@ def clusters(surface, touch=2):
 
 
 def all_hypotheses(surface, shapes):
-    """Return every hypothesis that the patches suggest, for the allowed shapes ("box", "cube", "cylinder", "sphere")."""
+    """Return every hypothesis that the patches suggest, for the shapes allowed (box, cube, cylinder, sphere)."""
     found = []
     if "box" in shapes or "cube" in shapes:
         triples, pairs, singles = groups_of_faces(surface)

@@ -7,7 +7,7 @@ import numpy as np
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.moves import find_places, propose
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
-from derender.inference.structure.state import State, energy, held_out
+from derender.inference.structure.state import State, carried_by, energy, held_out
 from derender.inference.structure.support import assign_supports
 from derender.model.solids import BOX, SPHERE
 
@@ -63,9 +63,10 @@ class Settings(NamedTuple):
 def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
     """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
     depth, _, misfit, _ = view
-    return polish(image, row, form, cube, state.rows, index, depth, misfit, bottom, settings.slack,
-                  settings.tilt, rounds, step, heat,
-                  int(rng.integers(2**31)))  # fmt: skip
+    return polish(
+        rng, image, row, form, cube, state.rows, index, depth, misfit, bottom, carried_by(state, index), settings.slack,
+        settings.tilt, rounds, step, heat,
+    )  # fmt: skip
 
 
 def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):

@@ -6,8 +6,10 @@ import numpy as np
 
 from derender.inference.structure.image import ROW, draw, misfit_map
 from derender.inference.structure.polish import contact_energy, size_energy
+from derender.inference.structure.touch import lowest
 
 FLOOR = -1
+NOTHING = np.empty(0)
 
 
 @dataclass
@@ -63,6 +65,12 @@ def blank(image):
     return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
 
 
+def carried_by(state, index):
+    """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
+    held = [k for k in range(len(state)) if state.parents[k] == index and not np.isnan(state.bottoms[k])]
+    return np.array([lowest(state.rows[k]) for k in held])
+
+
 def held_out(image, state, index):
     """Return depth, label, misfit and total misfit of the scene without solid `index` (-1: all of it)."""
     depth, label, misfit = blank(image)
@@ -80,5 +88,5 @@ def energy(image, state, slack, per_object):
     *_, total = held_out(image, state, -1)
     for k in range(len(state)):
         total += size_energy(state.rows[k], state.cubes[k])
-        total += contact_energy(state.rows[k], state.rows, k, state.bottoms[k], slack)
+        total += contact_energy(state.rows[k], state.rows, k, state.bottoms[k], NOTHING, slack)
     return total + per_object * len(state)

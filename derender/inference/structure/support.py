@@ -4,7 +4,7 @@ import numpy as np
 
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.polish import UPRIGHT, contact_energy, size_energy
-from derender.inference.structure.state import FLOOR, held_out
+from derender.inference.structure.state import FLOOR, NOTHING, held_out
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
@@ -63,7 +63,7 @@ def assign_supports(image, state, slack):
                 trial = with_bottom(row, height)
                 value = (
                     added_misfit(image, trial, depth, misfit) + size_energy(trial, False)
-                    + contact_energy(trial, state.rows, i, height, slack) - 0.5 * (j != FLOOR)
+                    + contact_energy(trial, state.rows, i, height, NOTHING, slack) - 0.5 * (j != FLOOR)
                 )  # fmt: skip
                 if value < best:
                     best, choice, best_row = value, j, trial
@@ -88,7 +88,9 @@ def standing_on(state, i, reach=0.012):
     if gap < reach:
         return parent, height
     leaning = [
-        (-penetration(row, state.rows[j]), j) for j in range(len(state)) if j != i and touches(row, state.rows[j], reach)
+        (-penetration(row, other), j)
+        for j, other in enumerate(state.rows)
+        if j != i and touches(row, other, reach)
     ]
     return (min(leaning)[1] if leaning else FLOOR), np.nan
 
@@ -98,7 +100,8 @@ def final_parents(state):
     parents = []
     for i in range(len(state)):
         row = state.rows[i]
-        carriers = [j for j in range(len(state)) if j != i and state.rows[j][12] < row[12] and touches(row, state.rows[j])]
+        below = [j for j in range(len(state)) if j != i and state.rows[j][12] < row[12]]
+        carriers = [j for j in below if touches(row, state.rows[j])]
         on_floor = lowest(row) < NEAR
         if on_floor or not carriers:
             parents.append(FLOOR if on_floor or state.parents[i] in (FLOOR, i) else state.parents[i])

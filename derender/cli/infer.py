@@ -1,0 +1,102 @@
+"""derender infer: one depth image in, a posterior over scene graphs out."""
+
+import sys
+
+import click
+
+from derender.cli import options
+from derender.cli.options import Talk
+
+
+@click.command()
+@click.argument("image", metavar="IMAGE")
+@click.option(
+    "--scene",
+    "--prior",
+    "prior",
+    metavar="FILE",
+    help="Scene file with distributions, or a built-in prior: its objects are given, their numbers are inferred. "
+    "Without it, everything is found from the image.",
+)
+@options.camera
+@options.depth_scale
+@click.option(
+    "--method",
+    type=click.Choice(["auto", "mcmc", "map", "smc"]),
+    default="auto",
+    show_default=True,
+    help="auto and mcmc: chains; smc: tempered particles; map: the single best scene.",
+)
+@click.option(
+    "--gradient",
+    type=click.Choice(["exact", "finite-difference"]),
+    default="exact",
+    show_default=True,
+    help="Derivatives that --method map uses.",
+)
+@click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")
+@click.option("--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many.")
+@click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4.")
+@click.option("--draws", type=click.IntRange(1, 10_000_000), help="Kept draws of each chain. Default 1000.")
+@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 500.")
+@options.jobs
+@click.option("--resume", is_flag=True, help="Go on where the same command was stopped.")
+@options.seed
+@options.output("Folder for the results.", None, "DIR")
+@options.strict
+@options.verbosity
+def command(talk: Talk, **arguments) -> int | None:
+    """Infer the scene graph behind the depth image IMAGE.
+
+    Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
+    DIR/report.html, DIR/summary.json and DIR/observation.npz, and prints a table. Ctrl-C writes what there is.
+
+    \b
+    Examples:
+        derender sample && derender infer sample_000.npz
+        derender infer frame.png --camera camera.json -o out && derender show out
+        derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
+    """
+    from derender.report.inferred import infer_to_folder
+
+    bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
+    text = " ".join(["derender", *(argument for argument in sys.argv[1:])])
+    try:
+        outcome = infer_to_folder(**arguments, command=text, progress=bar, say=talk.say, warn=talk.warn)
+    finally:
+        if bar:
+            bar.close()
+    if sys.stdout.isatty():
+        outcome.print_rich()
+    else:
+        click.echo(outcome.table())
+    talk.say(f"wrote {outcome.folder}/")
+    if outcome.interrupted:
+        return 130
+    for doubt in outcome.doubts:
+        talk.say(f"not to be trusted: {doubt}")
+    return 3 if arguments["strict"] and outcome.doubts else None
+
+
+class Bar:
+    """A progress bar in one line of a terminal."""
+
+    WIDTH = 30
+
+    def __init__(self, stream) -> None:
+        self.stream, self.shown = stream, ""
+
+    def __call__(self, fraction: float, words: str) -> None:
+        filled = round(self.WIDTH * min(max(fraction, 0.0), 1.0))
+        line = f"{words} [{'#' * filled}{'.' * (self.WIDTH - filled)}] {100 * fraction:3.0f} %"
+        if line != self.shown:
+            self.stream.write("\r\x1b[K" + line)
+            self.stream.flush()
+            self.shown = line
+
+    def close(self) -> None:
+        if self.shown:
+            self.stream.write("\r\x1b[K")
+            self.stream.flush()
+
+

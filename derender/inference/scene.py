@@ -1,0 +1,256 @@
+"""Inference with a given structure: from a document and an image to a posterior."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.document import Document, LikelihoodPrior
+from derender.errors import DerenderError
+from derender.inference import workers
+from derender.inference.chains import Plan
+from derender.inference.checkpoint import Record, fingerprint
+from derender.inference.images import ObservedImage
+from derender.inference.kernels import mixture
+from derender.inference.posterior import Posterior, StructurePosterior
+from derender.inference.sampler import MixtureSampler
+from derender.inference.settings import Settings
+from derender.inference.smc import tempered
+from derender.inference.target import SceneTarget, default_parts
+from derender.model.priors.tree import TreePrior
+from derender.model.scene import SceneGraph
+from derender.vision.likelihoods import likelihoods
+
+STRUCTURE_DRAWS = 300  # of the prior, among which its structures are looked for
+MOST_STRUCTURES = 64
+LEAST_WEIGHT = 1e-3  # of a structure that is given chains
+SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
+SMC_PARTICLES, SMC_STEPS = 400, 100
+
+Progress = Callable[[float, str], None]
+
+
+class Result(NamedTuple):
+    """What came of it. posterior; interrupted: by Ctrl-C, with what there was; lost: why chains died, by number."""
+
+    posterior: Posterior
+    interrupted: bool
+    lost: dict[int, str]
+
+
+def has_fixed_objects(document: Document) -> bool:
+    """Return whether the document names its objects: then chains can walk over their numbers."""
+    return isinstance(document.prior, TreePrior)
+
+
+def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> ObservedImage:
+    """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means."""
+    fixed = {name: value for name, value in likelihood.values.items() if isinstance(value, float)}
+    free = {a.removeprefix("likelihood."): law.mean() for a, law in likelihood.free_addresses().items()}
+    likelihoods[likelihood.type].complete({**fixed, **free})
+    return ObservedImage(camera, image, likelihood.type, {**fixed, **free})
+
+
+def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
+    """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
+
+    Raises
+    ------
+    DerenderError : nothing is unknown, or there are too many structures.
+    """
+    likelihood = document.likelihood or LikelihoodPrior()
+    images = observed_image(image, camera, likelihood)
+    unknown = {a.removeprefix("likelihood."): law for a, law in likelihood.free_addresses().items()}
+    rng = np.random.default_rng([seed, 1])
+    found: dict[tuple, SceneGraph] = {}
+    for _ in range(STRUCTURE_DRAWS if _is_open(document.prior) else 1):
+        graph = document.prior.sample(rng)
+        found.setdefault(graph.structure(), graph)
+    if len(found) > MOST_STRUCTURES:
+        what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
+        raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
+    result = []
+    for graph in found.values():
+        free = document.prior.free_addresses(graph)
+        numbers = {**graph.numbers(), **_root_values(document.prior, graph)}
+        density = document.prior.log_density(graph)
+        for address, law in free.items():
+            value = numbers.get(address)
+            density -= law.log_density(value) if value is not None and law.size == 1 else 0.0
+        result.append((SceneTarget(document.prior, graph, images, unknown), density))
+    return result
+
+
+def _is_open(prior: TreePrior) -> bool:
+    """Return whether parents or faces are left open."""
+    rng = np.random.default_rng(0)
+    return len({prior.sample(rng).structure() for _ in range(8)}) > 1
+
+
+def _root_values(prior: TreePrior, graph: SceneGraph) -> dict:
+    return dict(prior.root.values(graph.root_pose))
+
+
+def infer_scene(
+    document: Document,
+    image: np.ndarray,
+    camera,
+    settings: Settings = Settings(),
+    method: str = "auto",
+    seed: int = 0,
+    jobs: int = 1,
+    folder: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    command: str = "",
+) -> Result:
+    """Infer the unknown numbers of a document's scene from a depth image.
+
+    Parameters
+    ----------
+    image : (H, W) metres, NaN where nothing returned.
+    method : "auto" or "mcmc": chains; "smc": tempered particles; "map": the best scene only.
+    jobs : threads, or for long runs processes; the draws do not depend on it.
+    folder : where checkpoints go, in a folder of their own; None: none.
+    resume : go on from the checkpoints there.
+    progress : called with the fraction that is done and a word on what is being done.
+
+    Raises
+    ------
+    DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
+    """
+    if not has_fixed_objects(document):
+        raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
+    found = targets(document, image, camera, seed)
+    tell = progress or (lambda fraction, words: None)
+    weights = _structure_weights(found, settings, seed, tell) if len(found) > 1 else [1.0]
+    parts, lost, interrupted = [], {}, False
+    for number, ((target, _), weight) in enumerate(zip(found, weights, strict=True)):
+        if weight < LEAST_WEIGHT or interrupted:
+            continue
+        entries = settings.kernels if settings.kernels is not None else default_parts(target.space)
+        mixed = mixture(target.space, entries, settings.where)
+        if method == "smc":
+            parts.append(_particles(target, mixed, settings, seed, number, weight, tell))
+            continue
+        sampler = MixtureSampler(
+            target, mixed, settings.thin, settings.cycle, settings.particles, settings.population
+        )
+        draws, warmup, chains = settings.draws, settings.warmup, settings.chains
+        if method == "map":
+            draws, warmup = 200, 200
+        run = fingerprint(
+            image.tobytes(), repr(camera), document.file, repr(target.space.unknowns), repr(target.template.numbers()),
+            repr(settings._replace(draws=0, where=None)), method, str(seed), str(number),
+        )  # fmt: skip
+        place = None
+        if folder is not None and method != "map":
+            place = folder / "checkpoint" / str(number)
+            place.mkdir(parents=True, exist_ok=True)
+        plan = Plan(sampler, seed + number, chains, warmup, draws, place, run, resume)
+        total = chains * (warmup + draws)
+        done = dict.fromkeys(range(chains), 0)
+
+        def report(chain: int, steps: int, _: int, done=done, total=total) -> None:
+            done[chain] = steps
+            tell(sum(done.values()) / total, "sampling")
+
+        outcome = workers.run(plan, jobs, total * settings.thin > SHORT, report)
+        lost.update(outcome.lost)
+        interrupted = interrupted or outcome.interrupted
+        part = part_of(target, list(outcome.records.values()), mixed, weight)
+        if part is not None:
+            parts.append(best_only(part) if method == "map" else part)
+    if not parts:
+        raise KeyboardInterrupt
+    total_weight = sum(part.weight for part in parts)
+    parts = [replace(part, weight=part.weight / total_weight) for part in parts]
+    return Result(Posterior(tuple(parts), seed, command), interrupted, lost)
+
+
+def part_of(target: SceneTarget, records: list[Record], mixed, weight: float) -> StructurePosterior | None:
+    """Return the draws of several chains as one rectangle, cut where that keeps the most; None without any draw."""
+    counts = sorted((record.drawn for record in records), reverse=True)
+    kept = max(range(len(counts)), key=lambda k: (k + 1) * counts[k], default=None)
+    if kept is None or counts[kept] == 0:
+        return None
+    length = counts[kept]
+    chosen = [record for record in records if record.drawn >= length]
+    values = np.stack([record.values[:length] for record in chosen])
+    counts_by_kernel = np.sum([record.state["counts"] for record in chosen], axis=0)
+    acceptance = {
+        part.name: float(accepted / steps) if steps else math.nan
+        for part, (steps, accepted) in zip(mixed, counts_by_kernel, strict=True)
+    }
+    return _part(
+        target,
+        values,
+        np.stack([record.log_prior[:length] for record in chosen]),
+        np.stack([record.log_likelihood[:length] for record in chosen]),
+        weight,
+        {"acceptance": {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}},
+    )
+
+
+def _part(target: SceneTarget, values, log_prior, log_likelihood, weight, extras) -> StructurePosterior:
+    poses = None
+    if any(address.startswith("root.") for address in target.space.addresses):
+        poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
+    return StructurePosterior(
+        target.template,
+        target.space.addresses,
+        values,
+        log_prior,
+        log_likelihood,
+        weight,
+        target.space.periods,
+        poses,
+        extras,
+    )
+
+
+def best_only(part: StructurePosterior) -> StructurePosterior:
+    """Return the part with its best draw alone."""
+    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
+    place = np.s_[chain : chain + 1, draw : draw + 1]
+    return replace(
+        part,
+        values=part.values[place],
+        log_prior=part.log_prior[place],
+        log_likelihood=part.log_likelihood[place],
+        root_pose=None if part.root_pose is None else part.root_pose[place],
+    )
+
+
+def _particles(target, mixed, settings: Settings, seed: int, number: int, weight: float, tell) -> StructurePosterior:
+    """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations."""
+    populations = []
+    for chain in range(settings.chains):
+        tell(chain / settings.chains, "tempering")
+        rng = np.random.default_rng([seed, number, chain])
+        backend = target.backend(mixed)
+        populations.append(tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS))
+    densities = np.stack([population.densities for population in populations])
+    extras = {"log_evidence": [population.log_evidence for population in populations]}
+    values = np.stack([population.values for population in populations])
+    return _part(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
+
+
+def _structure_weights(found, settings: Settings, seed: int, tell) -> list[float]:
+    """Return the posterior probability of each structure: its prior's times its evidence, estimated by tempering."""
+    logs = []
+    for number, (target, log_prior) in enumerate(found):
+        tell(number / len(found), "weighing structures")
+        rng = np.random.default_rng([seed, 2, number])
+        entries = settings.kernels if settings.kernels is not None else default_parts(target.space)
+        mixed = mixture(target.space, entries, settings.where)
+        population = tempered(rng, target.space, target.backend(mixed), mixed, 50, 60, settings.particles)
+        logs.append(log_prior + population.log_evidence)
+    weights = np.exp(np.array(logs) - max(logs))
+    return list(weights / weights.sum())
+
+
+__all__ = ["Result", "has_fixed_objects", "infer_scene", "targets"]

@@ -1,0 +1,106 @@
+"""Sequential Monte Carlo over temperatures: a population that follows posterior_b = prior x likelihood^b from 0 to 1.
+
+Del Moral, Doucet, Jasra, "Sequential Monte Carlo samplers" (2006). Particles start from the prior; each stage raises the
+exponent as far as half of the population's weight can bear, resamples, and moves every particle by a mixture of kernels
+that leaves the new stage invariant. It finds the one mode that matters among many, and estimates the evidence.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.inference.adaptation import first_tuning, rescale
+from derender.inference.kernels.base import Part, Tuning
+from derender.inference.space import Space
+
+LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
+
+
+class Population(NamedTuple):
+    """Particles of equal weight from the posterior.
+
+    Attributes
+    ----------
+    values : (n, P) float64. densities : (n, 2) float64, log prior and log likelihood.
+    log_evidence : estimate of log p(image); unbiased on the natural scale but for the adaptation.
+    tuning : scales that the moves ended with.
+    temperatures : the exponents gone through.
+    """
+
+    values: np.ndarray
+    densities: np.ndarray
+    log_evidence: float
+    tuning: Tuning
+    temperatures: tuple[float, ...]
+
+
+def next_temperature(log_likelihood: np.ndarray, present: float, share: float = 0.5) -> float:
+    """Return the largest exponent, at most 1, under which the weights' effective number is `share` of the particles."""
+
+    def effective(exponent: float) -> float:
+        logs = (exponent - present) * (log_likelihood - np.max(log_likelihood))
+        weights = np.exp(logs)
+        return float(np.sum(weights) ** 2 / np.sum(weights**2))
+
+    wanted = share * len(log_likelihood)
+    if effective(1.0) >= wanted:
+        return 1.0
+    low, high = present, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective(middle) >= wanted else (low, middle)
+    return min(1.0, max(low, present * LEAST_STEP))
+
+
+def systematic(rng: np.random.Generator, weights: np.ndarray) -> np.ndarray:
+    """Return (n,) indices: systematic resampling, which copies each particle n w or n w + 1 times."""
+    count = len(weights)
+    places = (rng.random() + np.arange(count)) / count
+    cumulative = np.cumsum(weights) / np.sum(weights)
+    return np.minimum(np.searchsorted(cumulative, places, side="right"), count - 1)
+
+
+def tempered(
+    rng: np.random.Generator,
+    space: Space,
+    backend,
+    parts: list[Part],
+    particles: int,
+    steps: int,
+    drawn: int | None = None,
+) -> Population:
+    """Run the sampler.
+
+    Parameters
+    ----------
+    backend : see `sampler.Backend`.
+    parts : the mixture that moves the particles.
+    particles : how many. steps : of the mixture for each particle and stage.
+    drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
+    """
+    count = max(particles, drawn or particles)
+    values = np.array([space.sample(rng) for _ in range(count)])
+    densities = np.array([backend.evaluate(value) for value in values])
+    tuning = first_tuning(space, values[0])
+    present, log_evidence = 0.0, 0.0
+    temperatures = [0.0]
+    while present < 1.0:
+        following = next_temperature(densities[:, 1], present, 0.5 * particles / len(values))
+        logs = (following - present) * densities[:, 1]
+        weights = np.exp(logs - np.max(logs))
+        log_evidence += float(np.max(logs) + np.log(np.mean(weights)))
+        if len(values) > particles:  # from the many draws of the prior to the population
+            chosen = systematic(rng, weights)[rng.permutation(len(values))[:particles]]
+        else:
+            chosen = systematic(rng, weights)
+        values, densities = values[chosen], densities[chosen]
+        present = following
+        temperatures.append(present)
+        tuning = tuning._replace(temperature=present)
+        counts = np.zeros((len(parts), 2), np.int64)
+        for n in range(particles):
+            stretch = backend.sweep(rng, values[n], tuning, 1, steps)
+            values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
+            counts += stretch.counts
+        tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, 2.0))
+    return Population(values, densities, log_evidence, tuning, tuple(temperatures))
