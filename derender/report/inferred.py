@@ -1,5 +1,6 @@
 """The folder that `derender infer` writes: read the image, have it inferred, write what came of it."""
 
+import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -102,7 +103,21 @@ def infer_to_folder(
             seen = seen._replace(camera=document.camera, camera_is_guess=False)
     if seen.camera_is_guess:
         say(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
+    if not np.any(np.isfinite(seen.depth) & (seen.depth > 0)):
+        raise DerenderError("the image has no pixel with a depth", image, "give an image that shows something")
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
+    try:
+        return _infer(folder, document, seen, image, method, shapes, max_objects, chains, draws, warmup, jobs, resume,
+                      seed, command, progress, warn, started)  # fmt: skip
+    except BaseException:
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # nothing was written: leave nothing
+        raise
+
+
+def _infer(folder, document, seen, image, method, shapes, max_objects, chains, draws, warmup, jobs, resume, seed,
+           command, progress, warn, started) -> Outcome:  # fmt: skip
+    """Infer by what is given, and write."""
     interrupted, lost = False, {}
     likelihood = (document.likelihood if document else None) or LikelihoodPrior()
     if document is not None and has_objects(document):
@@ -143,7 +158,7 @@ def has_objects(document) -> bool:
 
 def _structure(seen, document, method, shapes, max_objects, chains, draws, seed, progress) -> Posterior:
     """Infer what there is from the image alone."""
-    from derender.inference.structure import infer_structure
+    from derender.inference.structure.infer import infer_structure
 
     chosen = {"method": method, "seed": seed}
     if shapes:
@@ -157,8 +172,6 @@ def _structure(seen, document, method, shapes, max_objects, chains, draws, seed,
             chosen[key] = value
     if document is not None:
         chosen["prior"] = document.prior
-    if not np.any(np.isfinite(seen.depth) & (seen.depth > 0)):
-        raise DerenderError("the image has no pixel with a depth", remedy="give an image that shows something")
     return infer_structure(seen.depth, seen.camera, chosen, np.random.default_rng(seed), progress)
 
 
