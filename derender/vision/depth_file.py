@@ -4,15 +4,7 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 16-bit images (.png, .tiff, integer .npy) count units of the camera's `depth_scale` millimetres; floats are metres.
 """
 
-import contextlib
-import io
-import json
-import struct
 import sys
-import tokenize
-import zipfile
-import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,16 +12,23 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.vision.camera import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera, camera_from_tree, read_camera
+from derender.vision.depth_formats import (
+    DAMAGE,
+    MOST_BYTES,
+    SUFFIXES,
+    decode_npz,
+    encode_npy,
+    encode_npz,
+    encode_png,
+    encode_tiff,
+    recognise,
+)
+from derender.vision.exr import encode_exr
 
-SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
 FARTHEST = 1000.0  # metres; farther than any depth camera sees
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
 NEAREST_MEDIAN = 0.002  # metres; likewise
 SKY = 65504.0  # the largest half float: what Blender and others write into an .exr where a ray hits nothing
-MOST_BYTES = 2**30
-# What decoders raise on damaged files; anything else is a bug and shows its traceback.
-DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
-DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, RuntimeError)  # type: ignore[assignment]
 
 
 class DepthImage(NamedTuple):
@@ -49,14 +48,6 @@ class DepthImage(NamedTuple):
     meta: dict[str, Any] = {}
 
 
-class _Decoded(NamedTuple):
-    """What a format's decoder found: the raw array and, in an .npz, camera and meta."""
-
-    array: np.ndarray
-    camera: object = None
-    meta: dict[str, Any] = {}
-
-
 def read_depth(
     path: str | Path, camera: Camera | str | Path | None = None, depth_scale: float | None = None
 ) -> DepthImage:
@@ -73,7 +64,7 @@ def read_depth(
     DerenderError : anything that makes the image unusable, in one line.
     """
     data = _read_bytes(path)
-    decoder, name = _recognise(data, path)
+    decoder, name = recognise(data, path)
     try:
         decoded = decoder(data)
     except DerenderError as error:
@@ -112,13 +103,13 @@ def write_depth(
     if suffix == ".npz":
         data = encode_npz(metres, camera, meta or {}, label)
     elif suffix == ".npy":
-        data = _npy(metres)
+        data = encode_npy(metres)
     elif suffix == ".png":
-        data = _encode_png(metres, camera.depth_scale, path)
+        data = encode_png(metres, camera.depth_scale, path)
     elif suffix == ".exr":
-        data = _encode_exr(metres)
+        data = encode_exr(metres)
     else:
-        data = _encode_tiff(metres)
+        data = encode_tiff(metres)
     if str(path) == "-":
         sys.stdout.buffer.write(data)
         return
@@ -189,7 +180,7 @@ def _camera(path: str | Path, given: Camera | str | Path | None, inside: object,
 
 def _camera_of_npz(path: str | Path, shape: tuple[int, int]) -> Camera:
     try:
-        tree = _decode_npz(_read_bytes(path)).camera
+        tree = decode_npz(_read_bytes(path)).camera
     except DAMAGE:
         tree = None
     if tree is None:
@@ -221,151 +212,3 @@ def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path
         used = f"depth_scale is {scale:g} mm" if scale is not None else "floats count as metres"
         raise DerenderError(what, path, f"{used}; set --depth-scale (1 where a unit is a millimetre)")
     return depth
-
-
-# Formats: the first bytes tell them apart
-
-
-def _recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], _Decoded], str]:
-    for magic, name, decoder in MAGIC:
-        if data.startswith(magic):
-            return decoder, name
-    for magic, name in ((b"\xff\xd8", "JPEG"), (b"BM", "BMP"), (b"GIF8", "GIF"), (b"P5", "PGM"), (b"P6", "PPM")):
-        if data.startswith(magic):
-            raise DerenderError(f"a {name} is not a depth image", path, "give " + " ".join(SUFFIXES))
-    raise DerenderError("not a depth image that derender knows", path, "give " + " ".join(SUFFIXES))
-
-
-def _npy(array: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
-    return stream.getvalue()
-
-
-def _decode_npy(data: bytes) -> _Decoded:
-    return _Decoded(_load_npy(data))
-
-
-def _load_npy(data: bytes) -> np.ndarray:
-    """Return the array of an .npy; its header is checked against the length before memory is asked for."""
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _fortran, dtype = header(stream)
-    if dtype.hasobject:
-        raise DerenderError(f"the array holds Python objects ({dtype})", remedy="save it as float32 metres")
-    count = 1
-    for length in shape:
-        count *= length
-    if count * dtype.itemsize > len(data) - stream.tell():
-        raise ValueError(f"{count} numbers announced, fewer there")
-    stream.seek(0)
-    return np.load(stream, allow_pickle=False)
-
-
-def encode_npz(depth: np.ndarray, camera: Camera, meta: dict[str, Any], label: np.ndarray | None = None) -> bytes:
-    """Return the bytes of an .npz: `depth` float32 metres, `camera` and `meta` as JSON text, `label` int32.
-
-    The same arguments give the same bytes: the members' times are fixed.
-    """
-    members = {"depth": depth, "camera": np.array(json.dumps(camera.to_dict())), "meta": np.array(json.dumps(meta))}
-    if label is not None:
-        members["label"] = np.asarray(label, dtype=np.int32)
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, array in members.items():
-            info = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))
-            info.external_attr = 0o644 << 16
-            info.create_system = 3
-            archive.writestr(info, _npy(array), zipfile.ZIP_DEFLATED, compresslevel=6)
-    return stream.getvalue()
-
-
-def _decode_npz(data: bytes) -> _Decoded:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        sizes = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        if sum(info.file_size for info in sizes.values()) > MOST_BYTES:
-            raise DerenderError("too large for a depth image")
-        name = "depth" if "depth" in sizes else next(iter(sizes)) if len(sizes) == 1 else None
-        if name is None:
-            kinds = ", ".join(list(sizes)[:6])
-            raise DerenderError(f"no array `depth` among {kinds}", remedy="give an .npz as derender writes it")
-        array = _load_npy(archive.read(sizes[name]))
-        texts = {key: _load_npy(archive.read(sizes[key])) for key in ("camera", "meta") if key in sizes}
-        matrix = next((_load_npy(archive.read(sizes[k])) for k in ("K", "intrinsics") if k in sizes), None)
-    trees = {key: json.loads(str(text.item())) for key, text in texts.items()}
-    camera = trees.get("camera")
-    if camera is None and matrix is not None:
-        camera = {"K": matrix.ravel().tolist()}
-    meta = trees.get("meta")
-    return _Decoded(array, camera, meta if isinstance(meta, dict) else {})
-
-
-def _decode_picture(data: bytes) -> _Decoded:
-    """Decode a .png or .tiff; what its mode says about depth is checked before a pixel is read."""
-    import warnings
-
-    from PIL import Image, UnidentifiedImageError
-
-    from derender.vision.silence import silence
-
-    with silence(), warnings.catch_warnings(), contextlib.ExitStack() as stack:
-        warnings.simplefilter("ignore")  # about corrupt metadata; the pixels are what counts
-        try:
-            picture = stack.enter_context(Image.open(io.BytesIO(data), formats=("PNG", "TIFF")))
-        except UnidentifiedImageError:
-            remedy = "save a 16-bit .png or a float32 .tiff of one channel"
-            raise DerenderError("the picture is damaged, cut off, or of a rare kind", remedy=remedy) from None
-        if picture.width * picture.height > MOST_PIXELS:
-            raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
-        if picture.mode in ("1", "L", "P"):
-            raise DerenderError("8 bits a pixel are too coarse for depth", remedy="save 16 bits a pixel")
-        if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
-            what = f"this is a colour image ({picture.mode})"
-            raise DerenderError(what, remedy="give the depth image: one channel of 16-bit units or float metres")
-        picture.load()
-        array = np.array(picture)
-    return _Decoded(array.astype(array.dtype.newbyteorder("=")))
-
-
-def _encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:
-    from PIL import Image
-
-    units = np.round(depth.astype(np.float64) * (1000 / depth_scale))
-    if units.max(initial=0) > 65535:
-        what = f"{depth.max():.4g} m does not fit into 16 bits of {depth_scale:g} mm"
-        raise DerenderError(what, path, "write .npz, .npy, .tiff or .exr, or a camera with a larger depth_scale")
-    stream = io.BytesIO()
-    Image.fromarray(units.astype(np.uint16)).save(stream, "PNG")
-    return stream.getvalue()
-
-
-def _encode_tiff(depth: np.ndarray) -> bytes:
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(depth).save(stream, "TIFF")
-    return stream.getvalue()
-
-
-def _decode_exr(data: bytes) -> _Decoded:
-    from derender.vision.exr import decode_exr
-
-    return _Decoded(decode_exr(data))
-
-
-def _encode_exr(depth: np.ndarray) -> bytes:
-    from derender.vision.exr import encode_exr
-
-    return encode_exr(depth)
-
-
-MAGIC: tuple[tuple[bytes, str, Callable[[bytes], _Decoded]], ...] = (
-    (b"\x89PNG", ".png", _decode_picture),
-    (b"II*\x00", ".tiff", _decode_picture),
-    (b"MM\x00*", ".tiff", _decode_picture),
-    (b"II+\x00", ".tiff", _decode_picture),
-    (b"\x93NUMPY", ".npy", _decode_npy),
-    (b"PK\x03\x04", ".npz", _decode_npz),
-    (b"v/1\x01", ".exr", _decode_exr),
-)
