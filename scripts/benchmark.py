@@ -1,7 +1,7 @@
 """Measure the engine beside what people use today, every competitor in the same run: `make bench`.
 
-One thread. Each row is timed in rounds that go over all rows in turn, so that a busy machine slows all alike; printed are
-medians. The scene is a plane with boxes on it. "Kept scene" is pyrender at its fastest: nodes are moved, depth only.
+One thread. Each row is timed in rounds that go over all rows in turn, so that a busy machine slows all alike; printed
+are medians. The scene is a plane with boxes on it. "Kept scene" is pyrender at its fastest: nodes moved, depth alone.
 """
 
 import argparse
@@ -248,7 +248,8 @@ def main() -> None:
         width, height = map(int, size.split("x"))
         rows, baseline = make_rows(width, height)
         medians = time_rows(rows, arguments.rounds, arguments.seconds)
-        print(f"\n{size}, log likelihoods a second, one thread" + (", and times the speed of the first row" * bool(baseline)))
+        print(f"\n{size}, log likelihoods a second, one thread"
+              + (", and times the speed of the first row" if baseline else ""))
         for name, seconds in medians.items():
             speed = f"{medians[baseline] / seconds:8.1f} x" if baseline else ""
             print(f"  {name:54s} {1.0 / seconds:12,.0f} {speed}")

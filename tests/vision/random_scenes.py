@@ -39,7 +39,7 @@ def random_solids(rng, count, kinds=(PLANE, BOX, SPHERE, CYLINDER, MESH), neares
 
 
 def cast_rays(solids: Solids, camera, columns, rows):
-    """Return (nearest depth or inf, index or -1) of rays through image points, each solid by its own textbook formula."""
+    """Return (nearest depth or inf, index or -1) of rays through image points, by textbook formulas."""
     rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(np.shape(rows))], -1)
     rays = rays.reshape(-1, 3).astype(float)
     depth, label = np.full(len(rays), np.inf), np.full(len(rays), -1)

@@ -14,8 +14,9 @@ from derender.vision.raycast.evaluator import DepthEvaluator
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD, SCORE
 
 CAMERAS = [Camera(61, 61, 31.5, 31.5, 64, 64), Camera(152, 152, 79.5, 59.5, 160, 120), Camera(40, 42, 17, 12, 37, 29)]
-CASES = [("gaussian", {"blur": 1.0}), ("gaussian", {"blur": 0.0}), ("gaussian", {"blur": 1.3, "effective_pixels": 400.0}),
-         ("gaussian", {"blur": 3.0}), ("robust", {"blur": 0.6}), ("robust", {"blur": 2.0, "sigma_growth": 0.002}),
+CASES = [("gaussian", {"blur": 1.0}), ("gaussian", {"blur": 0.0}), ("gaussian", {"blur": 3.0}),
+         ("gaussian", {"blur": 1.3, "effective_pixels": 400.0}), ("robust", {"blur": 0.6}),
+         ("robust", {"blur": 2.0, "sigma_growth": 0.002}),
          ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0})]
 
 
@@ -202,4 +203,5 @@ def test_a_scene_with_other_solids_gets_a_new_state():
         assert evaluator.load(solids) == DepthEvaluator(CAMERAS[0], np.ones((64, 64))).load(solids)
     empty = Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32))
     depth = np.full((64, 64), np.nan)
-    assert evaluator.load(empty) == pytest.approx(likelihoods["gaussian"].log_density(np.ones((64, 64)), depth), rel=1e-6)
+    expected = likelihoods["gaussian"].log_density(np.ones((64, 64)), depth)
+    assert evaluator.load(empty) == pytest.approx(expected, rel=1e-6)

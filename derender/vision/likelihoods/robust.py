@@ -1,5 +1,6 @@
 """A mixture in every pixel: the surface, an outlier anywhere in range, or no return, which is likelier at edges."""
 
+import functools
 import math
 
 import numpy as np
@@ -20,6 +21,12 @@ from derender.vision.likelihoods.base import (
 )
 
 DEGREE = 7  # of the polynomial in depth for the log normaliser of a tempered pixel
+
+
+@functools.cache
+def _quadrature() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on [-1, 1]."""
+    return np.polynomial.legendre.leggauss(200)
 
 
 @likelihoods.register("robust")
@@ -88,7 +95,7 @@ class Robust(Likelihood):
         height = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
         # In z = |x - m| / spread the integrand is smooth; beyond `reach` the normal is below the floor's last digit.
         reach = math.sqrt(2.0 * max(math.log(height / floor) + 40.0, 1.0))
-        nodes, weights = np.polynomial.legendre.leggauss(200)
+        nodes, weights = _quadrature()
         z = 0.5 * reach * (nodes + 1.0)
         excess = (height * np.exp(-0.5 * z * z) + floor) ** exponent - floor**exponent
         integral = extent * floor**exponent + reach * spread * float(weights @ excess)

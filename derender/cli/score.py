@@ -1,0 +1,81 @@
+"""derender score: how well a scene explains a depth image."""
+
+import json
+import math
+
+import click
+
+from derender.cli import options
+
+
+@click.command()
+@click.argument("scene", metavar="SCENE-or-DIR")
+@click.argument("image")
+@options.camera
+@options.depth_scale
+@click.option("--prior", default="tabletop", show_default=True, metavar="PRIOR",
+              help="Prior whose log density is printed: a file, or the name of a built-in one.")
+@options.as_json
+@options.verbosity
+def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
+    """Print a scene's log prior, its log likelihood of a depth image, and each object's share of it.
+
+    `pixels` are those in which an object is seen, `log likelihood` the sum over them (all rows sum to the whole),
+    `gain` what the scene would lose without this object alone, `residual` the median distance between image and scene.
+    The likelihood is the one in the scene file, else a normal with a standard deviation of 5 mm. A log prior of -inf:
+    the prior cannot make such a scene.
+
+    \b
+    Examples:
+        derender score scene_000.yaml scene_000.npz
+        derender score results/ frame.png --camera camera.json --json | python -m json.tool
+    """
+    from derender.document import read_prior_document
+    from derender.report.scores import score_scene
+    from derender.vision.depth_file import read_depth
+
+    document = _document(scene)
+    graph = document.graph
+    found = read_depth(image, camera, depth_scale)
+    if found.camera_is_guess and document.camera is not None and document.camera.shape == found.depth.shape:
+        found = read_depth(image, document.camera, depth_scale)
+    elif found.camera_is_guess:
+        talk.warn("there is no camera with this image: taking a field of view of 60 degrees")
+    name, values = _likelihood(document)
+    score = score_scene(graph, found.depth, found.camera, read_prior_document(prior).prior, name, values)
+    if as_json:
+        click.echo(json.dumps(score.to_data()))
+        return
+    click.echo(f"log prior       {_number(score.log_prior)}  ({prior})")
+    click.echo(f"log likelihood  {_number(score.log_likelihood)}  ({name})")
+    click.echo(_table(score.shares))
+
+
+def _document(scene: str):
+    """Read a scene file, or the best scene of a folder."""
+    from pathlib import Path
+
+    from derender.document import read_document
+
+    path = Path(scene)
+    return read_document(path / "scene.yaml" if scene != "-" and path.is_dir() else scene)
+
+
+def _likelihood(document):
+    """Return the type and the numbers of a scene's likelihood; numbers that are open take their prior's mean."""
+    if document.likelihood is None:
+        return "gaussian", {}
+    values = document.likelihood.values
+    return document.likelihood.type, {k: v if isinstance(v, float | int) else v.mean() for k, v in values.items()}
+
+
+def _number(value: float) -> str:
+    return "-inf" if value == -math.inf else f"{value:.2f}"
+
+
+def _table(shares) -> str:
+    from derender.report.tables import number_or_dash, text_table
+
+    rows = [[s.name, str(s.pixels), f"{s.log_likelihood:.2f}", number_or_dash(s.gain, ".2f"),
+             number_or_dash(s.residual * 1000.0, ".2f")] for s in shares]
+    return text_table(rows, ["object", "pixels", "log likelihood", "gain", "residual mm"])

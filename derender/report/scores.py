@@ -1,0 +1,85 @@
+"""How well a scene explains an image: log prior, log likelihood, and what each object contributes."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.model.scene import SceneGraph
+from derender.model.solids import PLANE
+from derender.vision.camera import Camera
+from derender.vision.raycast.depth import render_depth
+from derender.vision.raycast.evaluator import DepthEvaluator
+
+BACKGROUND = "(background)"
+
+
+class Share(NamedTuple):
+    """What one object contributes to the log likelihood.
+
+    Attributes
+    ----------
+    name : of the object; "(background)" for pixels in which the scene has none.
+    pixels : in which it is seen.
+    log_likelihood : the sum over these pixels; all shares sum to the whole.
+    gain : log likelihood of the scene less that of the scene without this object alone; NaN for the background.
+    residual : median of |observed - model| in metres over its pixels with a return, NaN where there are none.
+    """
+
+    name: str
+    pixels: int
+    log_likelihood: float
+    gain: float
+    residual: float
+
+
+class Score(NamedTuple):
+    """log_prior and log_likelihood of a scene, and the `Share` of each object."""
+
+    log_prior: float
+    log_likelihood: float
+    shares: tuple[Share, ...]
+
+    def to_data(self) -> dict[str, Any]:
+        """Return plain numbers for JSON; what is not finite becomes None."""
+
+        def plain(value):
+            return value if not isinstance(value, float) or np.isfinite(value) else None
+
+        return {"log_prior": plain(self.log_prior), "log_likelihood": plain(self.log_likelihood),
+                "objects": [{key: plain(value) for key, value in share._asdict().items()} for share in self.shares]}
+
+
+def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, prior=None, likelihood: str = "gaussian",
+                values: Mapping[str, float] | None = None) -> Score:
+    """Score a scene against an image.
+
+    Parameters
+    ----------
+    graph : the scene. observed : (height, width) metres, NaN where nothing returned.
+    prior : its log density becomes log_prior; None: NaN.
+    likelihood, values : the type of likelihood and its numbers, see `vision.likelihoods`.
+    """
+    solids = graph.solids()
+    evaluator = DepthEvaluator(camera, observed, likelihood, values)
+    total = evaluator.load(solids)
+    per_pixel, model = evaluator.per_pixel(), evaluator.model_depth()
+    _, label = render_depth(solids, camera)
+    residual = np.where(np.isfinite(observed) & (observed > 0), np.abs(observed - model), np.nan)
+    away = np.array([0.0, 0.0, -1e3])  # behind the camera an object does not show
+    shares = []
+    for k, name in [*enumerate(graph.solid_names), (-1, BACKGROUND)]:
+        seen = label == k
+        gain = np.nan
+        if k >= 0:
+            pose = solids.pose[k:k + 1].copy()
+            pose[0, :3, 3] = away
+            if solids.kind[k] == PLANE:  # a plane is never behind the camera: move it out to the side, upright
+                pose[0, :3, :3], pose[0, :3, 3] = np.roll(np.eye(3), 1, axis=0), 0.0
+                pose[0, :3, 3] = 1e9 * pose[0, :3, 2]
+            gain = total - evaluator.propose([k], pose, solids.size[k:k + 1])
+            evaluator.reject()
+        values_seen = residual[seen][np.isfinite(residual[seen])]
+        shares.append(Share(name, int(seen.sum()), float(per_pixel[seen].sum()), float(gain),
+                            float(np.median(values_seen)) if len(values_seen) else np.nan))
+    return Score(float(prior.log_density(graph)) if prior is not None else np.nan, float(total), tuple(shares))
