@@ -1,113 +1,12 @@
-"""From a bare depth image to solids on a floor: floor, patches, hypotheses, search."""
-
-from typing import NamedTuple
+"""From a bare depth image to a posterior over scene graphs: observe, propose, search, sample."""
 
 import numpy as np
 
-from derender.inference.bottom_up.floor import Floor, back_project, find_floor
-from derender.inference.bottom_up.patches import Patches, find_patches
-from derender.inference.bottom_up.pyramid import reduce
-from derender.inference.structure.image import Image, make_image
+from derender.inference.structure.image import make_image
+from derender.inference.structure.observation import observe, patches_of
 from derender.inference.structure.proposals import all_hypotheses, make_surface
 from derender.inference.structure.search import Settings, search, total_energy
 from derender.inference.structure.support import final_parents
-
-# Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its solids
-# differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
-CORRELATED = 0.3
-REAL_DISCREPANCY = 0.003
-
-
-class Observation(NamedTuple):
-    """A depth image made ready for the search.
-
-    Attributes
-    ----------
-    image : Image in the floor frame, at working resolution.
-    floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
-    footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
-    correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real sensors.
-    """
-
-    image: Image
-    floor: Floor
-    points: np.ndarray
-    mask: np.ndarray
-    footprint: np.ndarray
-    sigma: np.ndarray
-    camera: dict
-    factor: int
-    correlation: float
-
-
-def observe(rng, depth, camera, widest=160):
-    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor."""
-    depth, camera, factor = reduce(depth, camera, widest)
-    floor = find_floor(rng, depth, camera)
-    sigma = noise_map(depth, floor, camera)
-    correlation = neighbour_correlation(depth, floor, camera)
-    if correlation > CORRELATED:
-        sigma = np.hypot(sigma, REAL_DISCREPANCY)
-    image = make_image(depth, sigma, camera, floor.pose)
-    points = back_project(depth, camera) - floor.pose[:3, 3]
-    points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
-    good = image.weight > 0
-    inside = inside_hull(points, floor.inliers, good)
-    mask = good & inside & (points[..., 2] > np.maximum(0.004, 4 * sigma))
-    # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
-    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
-    image.floor[background] = image.depth[background] + 1e-9
-
-    footprint = np.nan_to_num(depth) / camera["fx"]
-    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
-
-
-def noise_map(depth, floor, camera):
-    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor."""
-    points = back_project(depth, camera)[floor.inliers]
-    normal = floor.pose[:3, 2]
-    z = points[:, 2]
-    slope = np.maximum(np.abs((points / z[:, None]) @ normal), 0.05)
-    residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
-    order = np.argsort(z)
-    thirds = np.array_split(order, 3)
-    near, far = (1.4826 * np.median(residual[k]) + 5e-5 for k in (thirds[0], thirds[2]))
-    ratio = np.median(z[thirds[2]]) / np.median(z[thirds[0]])
-    power = np.clip(np.log(far / near) / np.log(ratio), 0.0, 2.0) if ratio > 1.05 else 0.0
-    middle = np.exp(0.5 * (np.log(np.median(z[thirds[0]])) + np.log(np.median(z[thirds[2]]))))
-    scale = max(np.sqrt(near * far), 5e-4)
-    return scale * (np.nan_to_num(depth, nan=middle) / middle) ** power
-
-
-def neighbour_correlation(depth, floor, camera):
-    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only."""
-    points = back_project(depth, camera) - floor.pose[:3, 3]
-    height = points @ floor.pose[:3, 2]
-    near = floor.inliers & (depth <= np.median(depth[floor.inliers]))
-    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
-    height = np.where(near & (np.abs(height) < limit), height, np.nan)
-    a, b = height[:, :-1], height[:, 1:]
-    both = np.isfinite(a) & np.isfinite(b)
-    return float(np.mean(a[both] * b[both]) / np.nanvar(height)) if both.sum() > 100 else 0.0
-
-
-def inside_hull(points, inliers, good, margin=0.01):
-    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    flat = points[inliers][:, :2]
-    try:
-        planes = ConvexHull(flat[:: max(1, len(flat) // 3000)]).equations
-    except (QhullError, ValueError):
-        return good.copy()
-    inside = good.copy()
-    inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
-    return inside
-
-
-def patches_of(seen: Observation) -> Patches:
-    """Return the planar patches of what stands on the floor."""
-    return find_patches(seen.points, seen.mask, seen.image.origin, seen.sigma, seen.footprint)
 
 
 def point_estimate(rng, depth, camera, settings=None, widest=160):

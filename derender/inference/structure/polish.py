@@ -34,7 +34,8 @@ def size_energy(row, cube):
 def contact_energy(row, others, skip, bottom, carried, slack):
     """Return the energy of standing off its support, of sinking into the floor or others, of those it carries.
 
-    bottom : height of what it stands on, NaN for none.  carried : (K,) heights of the lowest points of what stands on it.
+    bottom : height of what it stands on, NaN for none.
+    carried : (K,) heights of the lowest points of what stands on it.
     """
     total = 0.0
     low = lowest(row)
@@ -161,8 +162,9 @@ def polish(
     start : (ROW,) the solid; form : UPRIGHT or FREE; cube : keep its edges equal.
     others : (N, ROW) solids in the scene, `skip` the one among them that is this one (or -1).
     depth, misfit : (H, W) of the scene without this solid.
-    bottom : height of what it stands on, NaN for unknown; carried : (K,) lowest heights of what stands on it; slack : metres; tilt : radians off the
-        vertical that an upright solid may have (0: none).
+    bottom : height of what it stands on, NaN for unknown.
+    carried : (K,) lowest heights of what stands on it.
+    slack : metres; tilt : radians off the vertical that an upright solid may have (0: none).
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
     row = start.copy()
@@ -200,7 +202,8 @@ def polish(
 
 @njit(cache=True, nogil=True)
 def walk(
-    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, scale, steps, temper, adapt
+    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, scale, steps, temper,
+    adapt,
 ):
     """Return the solid after `steps` Metropolis steps on its density given all others.
 
