@@ -145,7 +145,7 @@ class MixtureSampler:
 
 
 def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:
-    """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (the paper's section 3)."""
+    """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (section 3)."""
     drawn = [space.sample(rng) for _ in range(particles)]
     logs = np.array([backend.evaluate(values)[1] for values in drawn])
     weights = np.exp(logs - np.max(logs))

@@ -98,7 +98,7 @@ def infer_scene(
     document: Document,
     image: np.ndarray,
     camera,
-    settings: Settings = Settings(),
+    settings: Settings | None = None,
     method: str = "auto",
     seed: int = 0,
     jobs: int = 1,
@@ -122,6 +122,7 @@ def infer_scene(
     ------
     DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
     """
+    settings = settings or Settings()
     if not has_fixed_objects(document):
         raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
     found = targets(document, image, camera, seed)

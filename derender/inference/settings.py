@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-
 KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws", "warmup")
 
 

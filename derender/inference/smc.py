@@ -1,8 +1,8 @@
 """Sequential Monte Carlo over temperatures: a population that follows posterior_b = prior x likelihood^b from 0 to 1.
 
-Del Moral, Doucet, Jasra, "Sequential Monte Carlo samplers" (2006). Particles start from the prior; each stage raises the
-exponent as far as half of the population's weight can bear, resamples, and moves every particle by a mixture of kernels
-that leaves the new stage invariant. It finds the one mode that matters among many, and estimates the evidence.
+Del Moral, Doucet, Jasra, "Sequential Monte Carlo samplers" (2006). Particles start from the prior; each stage raises
+the exponent as far as half of the population's weight can bear, resamples, and moves every particle by a mixture of
+kernels that leaves the new stage invariant. It finds the one mode that matters among many, and estimates the evidence.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,9 @@
 """The unknowns of a fixed structure: which numbers they are, their prior, and how to take a step among them.
 
 The values of all unknowns are one flat (P,) float64 vector. An unknown lives on a line, on a circle (an angle with a
-period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go); a discrete unknown holds the
-number of its choice and has no direction. A *tangent* vector has one number for each direction; `move` takes a step by it, `difference` finds the step from one place to another.
+period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go); a discrete unknown
+holds the number of its choice and has no direction. A *tangent* vector has one number for each direction; `move` takes
+a step by it, `difference` finds the step from one place to another.
 """
 
 import math

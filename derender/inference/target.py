@@ -15,7 +15,7 @@ from derender.model.distributions import Distribution
 from derender.model.polygon import area_element
 from derender.model.pose import inverse
 from derender.model.scene import SceneGraph
-from derender.model.shapes import Body, shapes
+from derender.model.shapes import shapes
 
 NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
@@ -167,8 +167,8 @@ class SceneTarget:
         """Return `moved` with contacts of the block's object's descendants such that all of them stay in the world.
 
         Also the log of the product of |d phi' / d phi| over them. In metres and radians they move rigidly, which has
-        Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). An angle is folded into its
-        period, which turns the child's own axes by a symmetry of the child, so that its children get new contacts too.
+        Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). An angle is folded into
+        its period, which turns the child's axes by a symmetry of the child, so that its children get new contacts too.
         None where a child would leave its contact.
         """
         name = block.name.removesuffix(".contact")
@@ -211,7 +211,7 @@ def fold(angle: float, centre: float, period: float) -> float:
 
 
 def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
-    """Return (centre, period) by which an unknown theta is folded: into its prior's support where that is an interval."""
+    """Return (centre, period) by which an unknown theta is folded: into its prior's support where it is an interval."""
     name = unknown.address.partition(".")[0]
     vertex = graph.vertex(name)
     faces = vertex.contact.parent_face, vertex.contact.child_face
@@ -224,7 +224,7 @@ def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
 
 
 def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
-    """Return whether the block is the contact of an object with descendants whose free contact numbers are all unknown.
+    """Return whether the block is the contact of an object whose descendants' free contact numbers are all unknown.
 
     Without a theta of its own (a disc's is slack) a descendant could not stay as its parent turns.
     """

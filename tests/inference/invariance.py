@@ -1,10 +1,10 @@
 """The test that every kernel has to pass: started from the posterior, it must stay there.
 
-Draw values from the prior and data given them: the values are then one exact draw from their posterior given these data.
-After some steps of the kernel *on that posterior* they must still be one. So for any function f of values and data,
-f(after) - f(before) has expectation zero; its replicates are independent, their mean divided by their own standard error
-is nearly a standard normal, and no tolerance has to be guessed. (Geweke 2004; here in the paired form, in which most of
-the noise of prior and data cancels, so that small faults show.)
+Draw values from the prior and data given them: the values are then one exact draw from their posterior given these
+data. After some steps of the kernel *on that posterior* they must still be one. So for any function f of values and
+data, f(after) - f(before) has expectation zero; its replicates are independent, their mean divided by their own
+standard error is nearly a standard normal, and no tolerance has to be guessed. (Geweke 2004; here in the paired
+form, in which most of the noise of prior and data cancels, so that small faults show.)
 """
 
 from collections.abc import Callable

@@ -200,7 +200,7 @@ CASES = {
     "langevin": ("angle", LangevinUncorrected),
 }
 OPTIONS = {"langevin": {"scale": 0.6}, "slide": {"scale": 2.0}}
-MORE = {"langevin": 6, "independence": 4, "slide": 2, "slide-window": 2}  # times as many replicates, where the fault is small
+MORE = {"langevin": 6, "independence": 4, "slide": 2, "slide-window": 2}  # replicates, where the fault is small
 
 
 def test_every_kernel_is_here():

@@ -30,9 +30,10 @@ class Model(NamedTuple):
     ----------
     unknowns : (3, U + 1) int64: code of the prior, first value, first direction; the last column ends the latter two.
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
-    places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it belongs to.
-    vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place among
-        the solids or -1. The last column is the root's; its contact code says how its numbers give its pose (poses.py).
+    places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
+    vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place
+        among the solids or -1. The last column is the root's; its contact code says how its numbers give its pose
+        (poses.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
     """
 

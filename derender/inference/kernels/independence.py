@@ -12,11 +12,11 @@ DEGREES = 5  # of freedom of the t distribution: heavier tails than any posterio
 class Independence:
     """Propose new = mean moved by tangent t, t from a multivariate t distribution with 5 degrees of freedom.
 
-    With r2 = |factor^-1 t|^2 and D directions its density is q(t) = c (1 + r2 / 5)^(-(5 + D) / 2). On a circle a tangent
-    beyond half a period would come back on the other side, where `difference` does not find it again: such proposals
-    are refused, which only changes c. A rotation's tangent w has density q(w) per volume of w; per Haar measure it is
-    q(w) / sinc(|w| / 2)^2, because Haar measure in these coordinates is sinc(|w| / 2)^2 dw up to a constant.
-    The proposal does not look at the old state:
+    With r2 = |factor^-1 t|^2 and D directions its density is q(t) = c (1 + r2 / 5)^(-(5 + D) / 2). On a circle a
+    tangent beyond half a period would come back on the other side, where `difference` does not find it again: such
+    proposals are refused, which only changes c. A rotation's tangent w has density q(w) per volume of w; per Haar
+    measure it is q(w) / sinc(|w| / 2)^2, because Haar measure in these coordinates is sinc(|w| / 2)^2 dw up to a
+    constant. The proposal does not look at the old state:
     log ratio = log posterior(new) - log posterior(old) + log q(old) - log q(new).
     """
 

@@ -1,4 +1,4 @@
-"""Langevin: a step along the gradient of the log posterior, corrected (MALA), preconditioned by what warm-up has seen."""
+"""Langevin: a step along the gradient of the log posterior, corrected (MALA), preconditioned by warm-up."""
 
 import numpy as np
 

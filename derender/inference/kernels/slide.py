@@ -3,16 +3,16 @@
 import numpy as np
 
 from derender.inference.kernels.base import KernelType, decide, evaluate_kept, kernels
-from derender.inference.kernels.drift import directions_of, factor_of
+from derender.inference.kernels.drift import directions_of
 
 
 class Slide:
     """Random-walk step of an edge, after which its object's children get the contacts that keep their poses.
 
-    The edge's new phi' = phi + even noise, as in `drift`. Each child's contact becomes phi_c' = invert(pose of the child
-    in the new frame of its parent), a function of (phi_c, phi, phi'), undone by the step back. For fixed (phi, phi') it
-    is a bijection of phi_c; the change of (phi, phi_c) at given noise is triangular, so its Jacobian is the product of
-    |d phi_c' / d phi_c| over the children:
+    The edge's new phi' = phi + even noise, as in `drift`. Each child's contact becomes phi_c' = invert(pose of the
+    child in the new frame of its parent), a function of (phi_c, phi, phi'), undone by the step back. For fixed (phi,
+    phi') it is a bijection of phi_c; the change of (phi, phi_c) at given noise is triangular, so its Jacobian is the
+    product of |d phi_c' / d phi_c| over the children:
     log ratio = log posterior(new) - log posterior(old) + sum of log |d phi_c' / d phi_c|.
     The target knows the inverse and its Jacobian (`keep_children`); where a child would lose its contact there is none,
     and the step is refused (as is the way back to there).
@@ -30,6 +30,11 @@ class Slide:
         return decide(rng, state, new, log_jacobian, self.temperature, self.name)
 
 
+def marginal_factor(covariance: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return the lower Cholesky factor of the spread of some directions, whatever the others do: here they give way."""
+    return np.linalg.cholesky(covariance[np.ix_(directions, directions)])
+
+
 @kernels.register("slide")
 class SlideType(KernelType):
     """Move an object and leave what stands on it where it is."""
@@ -43,6 +48,6 @@ class SlideType(KernelType):
         return block.name in getattr(space, "slides", ())
 
     def build(self, target, block, tuning, options):
-        factor = factor_of(tuning.covariance, directions_of(target.space, block))
+        factor = marginal_factor(tuning.covariance, directions_of(target.space, block))
         scale = options["scale"] * tuning.scale.get(f"slide {block.name}", 1.0) * 2.4 / np.sqrt(len(factor))
         return Slide(target, block, factor, scale, tuning.temperature)

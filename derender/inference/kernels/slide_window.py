@@ -7,10 +7,10 @@ from derender.inference.kernels.window import Window
 class SlideWindow(Window):
     """The row of `window`, each place with the children's contacts that keep their poses, as in `slide`.
 
-    With T_s the map that moves the edge by s and keeps the children, T_s T_t = T_(s + t): the row is a piece of the orbit
-    of a group. Choosing its k-th place with probability proportional to posterior(T_s x) |dT_s / dx|, s = (k - j) spacing,
-    is a Gibbs draw along the orbit: from the chosen place the same row arises with all its weights divided by the same
-    Jacobian. Nothing is left to accept, log ratio = 0.
+    With T_s the map that moves the edge by s and keeps the children, T_s T_t = T_(s + t): the row is a piece of the
+    orbit of a group. Choosing its k-th place with probability proportional to posterior(T_s x) |dT_s / dx|, where
+    s = (k - j) spacing, is a Gibbs draw along the orbit: from the chosen place the same row arises with all its
+    weights divided by the same Jacobian. Nothing is left to accept, log ratio = 0.
     """
 
     def place(self, state, tangent):

@@ -75,7 +75,7 @@ class Window:
 
 @kernels.register("window")
 class WindowType(KernelType):
-    """Choose among a row of places by their posterior, at a spacing from the prior's width to a ten-thousandth of it."""
+    """Choose among a row of places by their posterior, spaced from the prior's width to a ten-thousandth of it."""
 
     options = {"count": 8, "reach": 0.5}
     code = 3
