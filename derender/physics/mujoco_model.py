@@ -35,8 +35,18 @@ ENGAGED = 2e-5
 WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
 # Sliding is the body's own; resistance to spinning and rolling in units of s: enough that a ball on a table stays.
 SPINNING, ROLLING = 0.05, 0.01
+# MuJoCo now and then reports a cylinder that stands exactly flat on a plane as sunk in by its radius (the direction
+# to its deepest point is then a difference of equal numbers), and throw it into the air. Upright ones are prisms.
+PRISM_SIDES = 32
 # Without bodies there is nothing to scale by.
 DEFAULT_LENGTH = 0.1
+
+
+def prism(size: np.ndarray) -> np.ndarray:
+    """Return the corners (2 * PRISM_SIDES, 3) of the prism that stands for an upright cylinder."""
+    angle = 2 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
+    ring = np.column_stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)])
+    return np.vstack([np.column_stack([ring, np.full(PRISM_SIDES, z)]) for z in (-0.5, 0.5)]) * size
 
 
 class World:
@@ -144,22 +154,23 @@ class World:
                 )
                 holder.add_freejoint()
                 place = {}
-            self._add_geom(spec, holder, index, body, place)
+            self._add_geom(spec, holder, body, place)
         return spec
 
-    def _add_geom(self, spec: Any, holder: Any, index: int, body: Body, place: dict[str, Any]) -> None:
+    def _add_geom(self, spec: Any, holder: Any, body: Body, place: dict[str, Any]) -> None:
         half = 0.5 * np.asarray(body.size)
         if body.kind == "plane":
             shape = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.01]}
         elif body.kind == "sphere":
             shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [half[0], 0, 0]}
-        elif body.kind == "cylinder":
+        elif body.kind == "cylinder" and not self._stands(body):
             shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [half[0], half[2], 0]}
-        elif body.kind == "mesh":
-            mesh = spec.add_mesh(name=f"mesh_{index}")
-            mesh.uservert = np.asarray(body.vertices, float).ravel().tolist()
+        elif body.kind in ("cylinder", "mesh"):
+            mesh = spec.add_mesh(name=f"{body.name}_mesh")
+            vertices = body.vertices if body.kind == "mesh" else prism(body.size)
+            mesh.uservert = np.asarray(vertices, float).ravel().tolist()
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": f"mesh_{index}"}
+            shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
         else:
             shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}
         geom = holder.add_geom(name=body.name, **shape, **place)
@@ -171,6 +182,10 @@ class World:
             geom.mass = body.mass
         else:
             geom.density = body.density
+
+    def _stands(self, cylinder: Body) -> bool:
+        """Return whether a cylinder is upright rather than lying on its side."""
+        return abs(float(cylinder.pose[:3, 2] @ self.matter.gravity)) > 0.7 * float(np.linalg.norm(self.matter.gravity))
 
     def _add_resting_pairs(self, spec: Any) -> None:
         """Give each pair that touches by the graph, or overlaps, a contact whose rest distance is the present one."""
