@@ -1,7 +1,9 @@
-"""Say once, on stderr, that compiled kernels are being compiled: the first call would otherwise seem to hang."""
+"""The cache of compiled kernels: announced when it has to be filled, emptied when the sources are others."""
 
+import hashlib
 import sys
 from functools import cache
+from pathlib import Path
 
 from numba.core.dispatcher import Dispatcher
 
@@ -32,3 +34,29 @@ def _cached(kernel: Dispatcher) -> bool:
         return bool(file is not None and file._load_index())
     except Exception:  # numba's cache internals changed: a wrong guess costs one line of text
         return False
+
+
+def forget_stale_kernels() -> bool:
+    """Delete cached kernels that were compiled from other sources than the present ones; return whether any were.
+
+    numba recompiles a function when its own file changes, but not when a file changes whose functions it calls: after
+    an upgrade it would go on running the old ones in silence.
+    """
+    package = Path(__file__).parents[2]
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        text = source.read_bytes()
+        if b"njit" in text or b"@intrinsic" in text:
+            digest.update(text)
+    stamp = Path(__file__).parent / "__pycache__" / "kernels.sha256"
+    try:
+        if stamp.exists() and stamp.read_text() == digest.hexdigest():
+            return False
+        for kind in ("*.nbi", "*.nbc"):
+            for cached in package.rglob(f"__pycache__/{kind}"):
+                cached.unlink(missing_ok=True)
+        stamp.parent.mkdir(exist_ok=True)
+        stamp.write_text(digest.hexdigest())
+    except OSError:  # an installation that cannot be written to: numba caches elsewhere
+        return False
+    return True
