@@ -141,7 +141,7 @@ class MeshRow:
     def __init__(self, camera: Camera) -> None:
         import trimesh
 
-        ball = trimesh.creation.uv_sphere(radius=0.5, count=[51, 100])
+        ball = trimesh.creation.uv_sphere(radius=0.5, count=[51, 50])
         vertices = ball.vertices * (1.0 + 0.05 * np.sin(9.0 * ball.vertices[:, :1]))
         vertices -= (vertices.max(axis=0) + vertices.min(axis=0)) / 2
         self.triangles = len(ball.faces)
