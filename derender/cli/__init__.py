@@ -35,13 +35,7 @@ class LazyGroup(click.Group):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module_name = f"derender.cli.{name}"
-        try:
-            return importlib.import_module(module_name).command
-        except ModuleNotFoundError as error:
-            if error.name != module_name:
-                raise
-            return _missing(name)
+        return importlib.import_module(f"derender.cli.{name}").command
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -54,15 +48,6 @@ class LazyGroup(click.Group):
             from derender.registry import suggest
 
             raise click.UsageError(f"{error.message.rstrip('.')}: {suggest(args[0], COMMANDS)}", context) from None
-
-
-def _missing(name: str) -> click.Command:
-    """Stand in for a command that this version does not have."""
-
-    def fail() -> None:
-        raise DerenderError(f"this version has no command {name}")
-
-    return click.Command(name, callback=fail, help=COMMANDS[name] + " This version does not have the command yet.")
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
