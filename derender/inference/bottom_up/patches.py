@@ -27,7 +27,7 @@ class Patches(NamedTuple):
     touching: np.ndarray
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def separation(points, j, i, v, u):
     """Return the squared distance of two pixels' points."""
     x = points[v, u, 0] - points[j, i, 0]

@@ -73,8 +73,8 @@ def order_of(parents: list[int]) -> list[int]:
     return placed
 
 
-def scene_graph(state: State, floor_pose: np.ndarray) -> SceneGraph:
-    """Return the scene graph of a state.
+def scene_graph(state: State, floor_pose: np.ndarray, names: list[str] | None = None) -> SceneGraph:
+    """Return the scene graph of a state, its solids called `names` (default: see names_of).
 
     Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
     made exact, one that does not keeps the rest as slack; where none fits at all the solid stays on its parent with
@@ -82,7 +82,7 @@ def scene_graph(state: State, floor_pose: np.ndarray) -> SceneGraph:
     """
     parents = list(state.parents)
     order = order_of(parents)
-    names = names_of(state)
+    names = names_of(state) if names is None else names
     graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
     for k in order:
         vertex = vertex_of(state.rows[k], state.cubes[k], names[k])

@@ -5,11 +5,11 @@ import numpy as np
 from derender.inference.structure.image import make_image
 from derender.inference.structure.observation import observe, patches_of
 from derender.inference.structure.proposals import all_hypotheses, make_surface
-from derender.inference.structure.search import Settings, search, total_energy
+from derender.inference.structure.search import Settings, search
 from derender.inference.structure.support import final_parents
 
 
-def point_estimate(rng, depth, camera, settings=None, widest=160):
+def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return."""
     settings = Settings() if settings is None else settings
     seen = observe(rng, depth, camera, widest)
@@ -18,7 +18,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=160):
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
-    state = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings)
+    state = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
     state.parents = final_parents(state)
     return state, seen
 
@@ -30,13 +30,14 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     ----------
     image : (H, W) float metres, NaN or 0 = no return.
     camera : Camera, or a dict with fx, fy, cx, cy.
-    options : mapping, all optional: shapes (names), max_objects, method ("map": the best scene only).
+    options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
+        draws under the best structures), "map" (the best scene only).
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
     Returns a Posterior.
     """
-    from derender.inference.posterior import Posterior, StructurePosterior
-    from derender.inference.structure.graph import scene_graph
+    from derender.inference.posterior import Posterior
+    from derender.inference.structure.graph_posterior import part_of, posterior_parts
 
     options = dict(options or {})
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
@@ -46,20 +47,24 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if options.get("max_objects"):
         settings = settings._replace(max_objects=int(options["max_objects"]))
     if progress:
-        progress(0.0, "finding the floor and the patches")
+        progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    state, seen = point_estimate(rng, depth, camera, settings)
-    graph = scene_graph(state, seen.floor.pose)
-    numbers = graph.numbers()
-    addresses = tuple(a for a in numbers if not a.startswith("floor."))
-    energy = total_energy(seen.image, state, settings)
-    part = StructurePosterior(
-        graph, addresses, np.array([numbers[a] for a in addresses]).reshape(1, 1, -1),
-        np.zeros((1, 1)), np.full((1, 1), -energy),
-    )  # fmt: skip
+    pool: list = []
+    state, seen = point_estimate(rng, depth, camera, settings, pool=pool)
+    settings = settings.for_correlation(seen.correlation)
+    if progress:
+        progress(0.6, f"{len(state)} solids; sampling")
+    if options.get("method") == "map":
+        from derender.inference.structure.graph import names_of
+
+        parts = [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]
+    else:
+        chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
+        parts = posterior_parts(rng, seen.image, state, pool, settings, seen.floor.pose, chains, draws)
     if progress:
         progress(1.0, f"{len(state)} solids")
-    return Posterior((part,), seed=options.get("seed"), meta={"reduced_by": seen.factor, "noise": seen.floor.sigma})
+    meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation}
+    return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
 
 
 def draw_graph(graph, shape, camera):

@@ -55,7 +55,7 @@ def contact_energy(row, others, skip, bottom, carried, slack):
 
 @njit(cache=True, nogil=True)
 def tilt_energy(row, form, tilt):
-    """Return minus the log prior density of an upright solid's tilt off the vertical (normal of scale `tilt` radians)."""
+    """Return minus the log prior density of an upright solid's tilt off the vertical (normal, scale `tilt`)."""
     if form == FREE or int(row[0]) == SPHERE or tilt <= 0.0:
         return 0.0
     return max(1.0 - abs(row[9]), 0.0) / tilt**2

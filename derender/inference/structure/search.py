@@ -27,6 +27,7 @@ class Settings(NamedTuple):
     cube_bonus : log prior odds of a cube against the box that nearly is one: P(cube) over P(box) times the prior
         density of two sizes within the accuracy of the image.
     free_price : nats that a tilted pose costs more than an upright one.
+    temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
     repairs : most moves between structures; quiet, clean: it ends after `quiet` moves in vain when less than
         `clean` badly explained pixels are left.
@@ -43,6 +44,7 @@ class Settings(NamedTuple):
     quiet: int = 30
     clean: float = 4.0
     floating_price: float = 30.0
+    temper: float = 1.0
 
     def for_correlation(self, correlation):
         """Return the settings for an image whose neighbouring residuals have this correlation.
@@ -57,7 +59,7 @@ class Settings(NamedTuple):
         factor = ((1 + correlation) / (1 - correlation)) ** 1.5
         return self._replace(price=self.price * factor, cube_bonus=self.cube_bonus * factor,
                              free_price=self.free_price * factor, floating_price=self.floating_price * factor,
-                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK)  # fmt: skip
+                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK, temper=factor)  # fmt: skip
 
 
 def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
@@ -117,6 +119,18 @@ def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0, only=None):
     return state
 
 
+def try_cube(rng, image, state, index, view, settings, rounds):
+    """Return (row, energy, misfit change) of the best cube in place of a box."""
+    row, form, bottom = state.rows[index], state.forms[index], state.bottoms[index]
+    best = None
+    for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
+        trial = cube_of(row, side, image.origin, form)
+        result = run_polish(rng, image, state, index, trial, form, True, view, bottom, settings, rounds)
+        if best is None or result[1] < best[1]:
+            best = result
+    return best
+
+
 def try_cubes(rng, image, state, settings, rounds=200, only=None):
     """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
     state = state.copy()
@@ -125,15 +139,9 @@ def try_cubes(rng, image, state, settings, rounds=200, only=None):
         if int(row[0]) != BOX or state.cubes[i] or (only is not None and i not in only):
             continue
         view = held_out(image, state, i)
-        form, bottom = state.forms[i], state.bottoms[i]
-        _, box_energy, _ = run_polish(rng, image, state, i, row, form, False, view, bottom, settings, 1)
-        sides = row[13:16]
-        best = None
-        for side in spaced([*sides, sides.mean()], 0.002):
-            trial = cube_of(row, side, image.origin, form)
-            result = run_polish(rng, image, state, i, trial, form, True, view, bottom, settings, rounds)
-            if best is None or result[1] < best[1]:
-                best = result
+        _, box_energy, _ = run_polish(rng, image, state, i, row, state.forms[i], False, view, state.bottoms[i],
+                                      settings, 1)  # fmt: skip
+        best = try_cube(rng, image, state, i, view, settings, rounds)
         if best[1] < box_energy + settings.cube_bonus:
             state.rows[i], state.cubes[i] = best[0], True
     return state
@@ -183,10 +191,10 @@ def settle(rng, image, state, settings, rounds=200, only=None):
     return assign_supports(image, state, settings.slack)
 
 
-def search(rng, image, hypotheses, settings):
-    """Return the best State found."""
+def search(rng, image, hypotheses, settings, pool=None):
+    """Return the best State found; (state, energy) of all that were tried are appended to the list `pool`."""
     state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
-    state = repair(rng, image, state, hypotheses, settings)
+    state = repair(rng, image, state, hypotheses, settings, pool)
     again = settle(rng, image, state, settings, 300)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
@@ -194,7 +202,7 @@ def search(rng, image, hypotheses, settings):
     return prune(image, state, settings)
 
 
-def repair(rng, image, state, hypotheses, settings):
+def repair(rng, image, state, hypotheses, settings, pool=None):
     """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success when hardly any misfit is left
@@ -213,6 +221,8 @@ def repair(rng, image, state, hypotheses, settings):
         _, new, changed = proposed
         new = settle(rng, image, new, settings, 150, changed)
         value = total_energy(image, new, settings)
+        if pool is not None:
+            pool.append((new, value))
         if value < best:
             state, best, quiet = new, value, 0
             places = find_places(image, state)

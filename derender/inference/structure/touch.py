@@ -11,7 +11,7 @@ from numba import njit
 from derender.model.solids import BOX, SPHERE
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def reach(row, x, y, z):
     """Return how far the solid reaches from its centre along the unit vector (x, y, z)."""
     kind = int(row[0])
@@ -25,7 +25,7 @@ def reach(row, x, y, z):
     return 0.5 * (np.sqrt(a * a + b * b) * row[13] + abs(c) * row[15])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def overlap_along(p, q, x, y, z):
     """Return the overlap of two solids' shadows on an axis of any length (a great number for a zero axis)."""
     length = np.sqrt(x * x + y * y + z * z)
