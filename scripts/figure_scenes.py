@@ -13,24 +13,19 @@ from derender.model.contacts import contacts
 from derender.model.overlap import separation
 from derender.model.scene import SceneGraph
 from derender.model.shapes import Body, shapes
+from derender.report.pictures import shade
 from derender.vision.camera import Camera
-from derender.vision.raycast.depth import render_depth
-from derender.vision.renderers.preview import default_colours, draw_preview, enlarged
+from derender.vision.renderers.preview import enlarged
 
 Rows = list[tuple[str, str, str]]
 SCENES = 4000
-COLOURS = {"red": (214, 80, 70), "green": (110, 175, 85), "yellow": (240, 195, 70), "blue": (70, 145, 200)}
 FLUSH = 1e-6
 """Metres: two solids touch where they are nearer than this, and interpenetrate where they overlap by more."""
 
 
 def picture(graph: SceneGraph, camera: Camera) -> np.ndarray:
     """Return a shaded picture of a scene, about 480 pixels wide; cubes have the colours of their names."""
-    solids = graph.solids()
-    colours = default_colours(solids)
-    for index, name in enumerate(graph.solid_names):
-        colours[index] = COLOURS.get(name, colours[index])
-    return draw_preview(render_depth, solids, enlarged(camera, max(1, round(480 / camera.width))), colours)
+    return shade(graph.solids(), enlarged(camera, max(1, round(480 / camera.width))), graph.solid_names)
 
 
 def show(axes, image: np.ndarray, title: str = "", colour: str = "#999999") -> None:
@@ -125,8 +120,8 @@ def figure_2(path: Path, seed: int) -> Rows:
 def offset(parent: float, child: float, theta: float, u: float, v: float) -> np.ndarray:
     """Return the (4, 4) pose of the child cube in the parent's axes, face to face on top."""
     cube = shapes["cube"]
-    bodies = [Body(cube, np.array([side])) for side in (parent, child)]
-    return contacts["face-to-face"].relative_pose({"theta": theta, "u": u, "v": v}, *bodies, "+z", "-z")
+    below, above = Body(cube, np.array([parent])), Body(cube, np.array([child]))
+    return contacts["face-to-face"].relative_pose({"theta": theta, "u": u, "v": v}, below, above, "+z", "-z")
 
 
 def shared_area(parent: float, child: float, theta: float, u: float, v: float, push: float = 1.0) -> float:

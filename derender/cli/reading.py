@@ -1,7 +1,8 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from derender.errors import DerenderError
 
@@ -21,12 +22,14 @@ class Found(NamedTuple):
     name : of the scene, for titles and files.
     graph : the scene; of a posterior, its most probable one.
     posterior, camera : or None.
+    likelihood : its numbers by name, {} where there is none.
     """
 
     name: str
     graph: "SceneGraph"
     posterior: "Posterior | None"
     camera: "Camera | None"
+    likelihood: Mapping[str, Any] = {}
 
 
 def read_scene(path: str) -> Found:
@@ -37,11 +40,18 @@ def read_scene(path: str) -> Found:
     DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
     from derender.document import read_document
+    from derender.report.html import likelihood_numbers
 
     folder = Path(path)
     if path == "-" or not folder.is_dir():
         document = read_document(path)
-        return Found("scene" if path == "-" else folder.stem, document.graph, None, document.camera)
+        return Found(
+            "scene" if path == "-" else folder.stem,
+            document.graph,
+            None,
+            document.camera,
+            likelihood_numbers(document.likelihood),
+        )
     name = folder.resolve().name
     written = folder / "scene.yaml"
     best = read_document(written) if written.exists() else None
@@ -49,10 +59,16 @@ def read_scene(path: str) -> Found:
         from derender.inference.posterior import load
 
         posterior = load(folder)
-        return Found(name, posterior.best_graph(), posterior, best.camera if best else None)
+        return Found(
+            name,
+            posterior.best_graph(),
+            posterior,
+            best.camera if best else None,
+            likelihood_numbers(best.likelihood if best else None),
+        )
     if best is None:
         raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
-    return Found(name, best.graph, None, best.camera)
+    return Found(name, best.graph, None, best.camera, likelihood_numbers(best.likelihood))
 
 
 def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":

@@ -46,7 +46,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
-    report = report_of(graph, camera, observed, posterior, names, title_facts(len(found)))
+    report = report_of(graph, camera, observed, posterior, names, title_facts(len(found)), first.likelihood)
     if output is None:
         place = Path(folders[0])
         output = str(place / "report.html") if place.is_dir() else f"{first.name}.html"

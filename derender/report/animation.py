@@ -6,6 +6,7 @@ import numpy as np
 
 from derender.model.solids import Solids
 from derender.physics.simulate import Trajectory
+from derender.report.pictures import colours_of
 from derender.vision.camera import Camera
 
 FRAMES_PER_SECOND = 20
@@ -26,11 +27,12 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     index = [names.index(name) for name in trajectory.names]
     duration = float(trajectory.times[-1])
     wanted = np.arange(0, duration + 0.5 / FRAMES_PER_SECOND, 1 / FRAMES_PER_SECOND)
+    colours = colours_of(solids, names)
     pictures = []
     for step in np.searchsorted(trajectory.times, wanted).clip(max=len(trajectory.times) - 1):
         pose = solids.pose.copy()
         pose[index] = trajectory.poses[step]
-        pictures.append(draw_preview(render_depth, solids._replace(pose=pose), eye))
+        pictures.append(draw_preview(render_depth, solids._replace(pose=pose), eye, colours))
     return pictures
 
 

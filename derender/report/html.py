@@ -13,6 +13,7 @@ from derender.report import pictures, svg, tables, viewer
 from derender.vision.camera import Camera
 
 if TYPE_CHECKING:
+    from derender.document import LikelihoodPrior
     from derender.inference.posterior import Posterior
     from derender.model.scene import SceneGraph
 
@@ -36,6 +37,8 @@ class Report(NamedTuple):
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
     structures : (weight, words) of each structure found, most probable first.
     facts : what else is known, shown in the head: seed, version, command, times, verdicts.
+    likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
+        what Eq. 6 compares with the observed one.
     """
 
     title: str
@@ -48,6 +51,7 @@ class Report(NamedTuple):
     parameters: Sequence[Mapping[str, Any]] = ()
     structures: Sequence[tuple[float, str]] = ()
     facts: Mapping[str, Any] = {}
+    likelihood: Mapping[str, Any] = {}
 
 
 def report_of(
@@ -57,6 +61,7 @@ def report_of(
     posterior: "Posterior | None" = None,
     title: str = "derender",
     facts: Mapping[str, Any] | None = None,
+    likelihood: Mapping[str, Any] | None = None,
 ) -> Report:
     """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
 
@@ -64,6 +69,7 @@ def report_of(
     ----------
     observed : (height, width) float64, metres, NaN without return.
     facts : further entries for the head, such as seconds and verdicts.
+    likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
     """
     from derender.report.scene_json import scene_json
 
@@ -89,7 +95,18 @@ def report_of(
         rows,
         structures,
         {key: value for key, value in (known | dict(facts or {})).items() if value not in (None, "")},
+        dict(likelihood or {}),
     )
+
+
+def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]:
+    """Return the numbers of a file's likelihood by name, with defaults for what it leaves out or open; {} for none."""
+    from derender.vision.likelihoods import likelihoods
+
+    if likelihood is None:
+        return {}
+    given = {key: value for key, value in likelihood.values.items() if isinstance(value, int | float)}
+    return likelihoods[likelihood.type].complete(given)
 
 
 def write_report(path: str | Path, report: Report) -> None:
@@ -112,7 +129,7 @@ def structure_words(graph: "SceneGraph") -> str:
 
 def page(report: Report) -> str:
     """Return the whole page as text."""
-    colours = pictures.colours_of(report.solids)
+    colours = pictures.colours_of(report.solids, report.solid_names)
     named = {name: _hex(colours[i]) for i, name in enumerate(report.solid_names)}
     sections = [
         _head(report),
@@ -144,6 +161,7 @@ def _depth_pictures(report: Report) -> str:
     from derender.vision.raycast.depth import render_depth
 
     explained, label = render_depth(report.solids, report.camera)
+    explained = _as_compared(explained, report.likelihood)
     shown = []
     if report.observed is not None:
         low, high = pictures.depth_limits(report.observed, _near_objects(report.solids, label))
@@ -162,10 +180,18 @@ def _depth_pictures(report: Report) -> str:
         )
         shown.append(_picture(words, 1000 * residual, -1000 * scale, 1000 * scale, "mm", pictures.RESIDUAL_ANCHORS))
     else:
-        shown.append(
-            f'<figure><img src="{pictures.png_uri(pictures.shade(report.solids, report.camera))}" alt=""></figure>'
-        )
+        still = pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        shown.append(f'<figure><img src="{still}" alt="the scene"></figure>')
     return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>"
+
+
+def _as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
+    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
+    from derender.vision.blur import blur
+
+    background, sigma = likelihood.get("background"), likelihood.get("blur")
+    filled = depth if not isinstance(background, float) else np.where(np.isfinite(depth), depth, background)
+    return blur(filled, sigma) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
 
 
 def _near_objects(solids: Solids, label: np.ndarray) -> np.ndarray:

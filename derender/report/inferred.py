@@ -194,7 +194,7 @@ def doubts_of(posterior: Posterior, rows, lost) -> tuple[str, ...]:
 
 def _write(folder: Path, posterior: Posterior, seen, likelihood, lost, interrupted, seconds: float) -> Outcome:
     from derender.inference.netcdf import write_netcdf
-    from derender.report.html import report_of, write_report
+    from derender.report.html import likelihood_numbers, report_of, write_report
     from derender.report.scene_json import scene_json
 
     graph = posterior.best_graph()
@@ -211,7 +211,9 @@ def _write(folder: Path, posterior: Posterior, seen, likelihood, lost, interrupt
     posterior.save(folder / "posterior.npz")
     write_netcdf(folder / "posterior.nc", posterior)
     write_depth(folder / "observation.npz", seen.depth, seen.camera, made)
-    report = report_of(graph, seen.camera, seen.depth, posterior, Path(str(posterior.meta["image"])).name)
+    numbers = likelihood_numbers(likelihood.with_values(drawn))
+    name = Path(str(posterior.meta["image"])).name
+    report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers)
     write_report(folder / "report.html", report)
     doubts = doubts_of(posterior, report.parameters, lost)
     rows = {

@@ -3,6 +3,7 @@
 import base64
 import struct
 import zlib
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +16,19 @@ MISSING = np.array([58, 58, 64], dtype=np.uint8)
 # Anchors of two maps, evenly spaced: viridis (perceptually even, for depth) and red - white - blue (for residuals).
 DEPTH_ANCHORS = ("fde725", "90d743", "35b779", "21918c", "31688e", "443983", "440154")
 RESIDUAL_ANCHORS = ("2166ac", "67a9cf", "d1e5f0", "f7f7f7", "fddbc7", "ef8a62", "b2182b")
+
+NAMED_COLOURS = {
+    "red": (214, 80, 70),
+    "green": (110, 175, 85),
+    "blue": (70, 145, 200),
+    "yellow": (240, 195, 70),
+    "orange": (235, 150, 60),
+    "purple": (146, 104, 172),
+    "brown": (160, 120, 90),
+    "black": (60, 60, 62),
+    "white": (238, 238, 235),
+    "grey": (150, 150, 150),
+}
 
 
 def encode_png(pixels: np.ndarray) -> bytes:
@@ -76,16 +90,21 @@ def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[
     return low, max(high, low + 1e-3)
 
 
-def colours_of(solids: Solids) -> np.ndarray:
-    """Return (N, 3) uint8, the colour of each solid in every picture of a report."""
+def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
+    """Return (N, 3) uint8, the colour of each solid in all pictures: the one that its name says, or one of its own."""
     from derender.vision.renderers.preview import default_colours
 
-    return default_colours(solids)
+    colours = default_colours(solids)
+    for index, name in enumerate(names):
+        for word in name.lower().replace("-", "_").replace(" ", "_").split("_"):
+            if word in NAMED_COLOURS:
+                colours[index] = NAMED_COLOURS[word]
+    return colours
 
 
-def shade(solids: Solids, camera: Camera) -> np.ndarray:
+def shade(solids: Solids, camera: Camera, names: Sequence[str] = ()) -> np.ndarray:
     """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting."""
     from derender.vision.raycast.depth import render_depth
     from derender.vision.renderers.preview import draw_preview
 
-    return draw_preview(render_depth, solids, camera)
+    return draw_preview(render_depth, solids, camera, colours_of(solids, names))

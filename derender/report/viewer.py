@@ -55,7 +55,11 @@ def viewer_html(report: "Report", colours: np.ndarray) -> str:
             "colours": _base64(np.full(lines.shape, 40, dtype=np.uint8)),
         }
     text = json.dumps(data).replace("</", "<\\/")
-    still = pictures.png_uri(pictures.shade(report.solids, report.camera)) if report.camera is not None else "data:,"
+    still = (
+        pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        if report.camera is not None
+        else "data:,"
+    )
     return f"""<canvas id="scene" aria-label="The scene in three dimensions"></canvas>
 <img id="still" alt="The scene" src="{still}" style="display:none;width:100%">
 <p><label><input type="checkbox" id="show-solids" checked> solids</label>

@@ -28,7 +28,7 @@ VERTICES, TRIANGLES = 34962, 34963
 def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:
     """Return the file's bytes by its name."""
     solids, names = graph.solids(), graph.solid_names
-    colours = colours_of(solids) / 255
+    colours = colours_of(solids, graph.solid_names) / 255
     tree: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"derender {__version__}"},
         "scene": 0,

@@ -20,7 +20,7 @@ def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> d
     up = upright_pose(graph)
     bodies = tuple(body._replace(pose=up @ body.pose) for body in matter.bodies)
     world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports))
-    colours = dict(zip(graph.solid_names, colours_of(graph.solids()) / 255, strict=True))
+    colours = dict(zip(graph.solid_names, colours_of(graph.solids(), graph.solid_names) / 255, strict=True))
     for geom in world.spec.geoms:
         geom.rgba = [*colours[geom.name], 1.0]
     world.spec.worldbody.add_light(pos=[0.5, -1, 2], dir=[-0.25, 0.5, -1])

@@ -20,7 +20,9 @@ def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> d
     up = upright_pose(graph)
     library = path.with_suffix(".mtl").name
     lines, materials, count = [f"# derender {__version__}: metres, z up", f"mtllib {library}"], [], 1
-    for index, (name, colour) in enumerate(zip(graph.solid_names, colours_of(solids) / 255, strict=True)):
+    for index, (name, colour) in enumerate(
+        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
+    ):
         pose, extent = solids.pose[index], 1.0
         if solids.kind[index] == kinds.PLANE:
             pose, extent = plane_patch(solids, index)

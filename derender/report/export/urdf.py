@@ -29,7 +29,9 @@ def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> d
     robot = ElementTree.Element("robot", name=path.stem)
     ElementTree.SubElement(robot, "link", name="world")
     files: dict[str, bytes] = {path.name: b""}
-    for index, (name, colour) in enumerate(zip(graph.solid_names, colours_of(solids) / 255, strict=True)):
+    for index, (name, colour) in enumerate(
+        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
+    ):
         kind, size, pose = int(solids.kind[index]), solids.size[index], up @ solids.pose[index]
         fixed = kind == kinds.PLANE
         if fixed:
