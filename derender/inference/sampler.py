@@ -3,6 +3,8 @@
 import json
 import math
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -13,6 +15,7 @@ from derender.inference.kernels.base import Part, Target, Tuning, evaluate, kern
 from derender.inference.smc import tempered
 
 LOCAL = ("drift", "slide", "window", "slide-window", "choose")  # kernels that move particles of a starting population
+GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
 
 
@@ -74,7 +77,8 @@ class MixtureSampler:
     parts : the mixture.
     thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
     particles : draws from the prior of which importance resampling takes the start.
-    population : particles of the tempered SMC that then finds the mode; 1: none, the start is the resampled draw.
+    population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, the start
+        is the resampled draw.
     """
 
     segment = 100
@@ -90,26 +94,49 @@ class MixtureSampler:
     ) -> None:
         self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
         self.particles, self.population = particles, population
+        self.places: np.ndarray | None = None
+        self.scale: dict[str, float] = {}
 
-    def backend(self) -> Backend:
-        """Return what runs the kernels."""
+    def backend(self, parts: list[Part] | None = None) -> Any:
+        """Return what runs the kernels (of the mixture, or these): compiled where the target has that."""
+        parts = self.parts if parts is None else parts
         make = getattr(self.target, "backend", None)
-        return make(self.parts, self.cycle) if make else ReadableBackend(self.target, self.parts, self.cycle)
+        return make(parts, self.cycle) if make else ReadableBackend(self.target, parts, self.cycle)
+
+    def explore(self, rng):
+        """Return the values (n, P), log posterior densities (n,) and step scales of a tempered population."""
+        parts = [part for part in self.parts if part.type in LOCAL] or self.parts
+        total = sum(part.weight for part in parts)
+        movers = self.backend([part._replace(weight=part.weight / total) for part in parts])
+        found = tempered(rng, self.target.space, movers, movers.parts, self.population, START_STEPS, self.particles)
+        return found.values, found.densities.sum(axis=1), dict(found.tuning.scale)
+
+    def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
+        """Return the sampler with the places that `chains` populations have found together.
+
+        What one population misses another finds: every chain starts at one of the good places, chosen by its own
+        generator. The populations depend on the seed alone.
+        """
+        if self.population <= 1:
+            return self
+        rngs = [np.random.default_rng([seed, 3, number]) for number in range(chains)]
+        with ThreadPoolExecutor(jobs) as pool:
+            explored = list(pool.map(self.explore, rngs))
+        values = np.concatenate([found[0] for found in explored])
+        densities = np.concatenate([found[1] for found in explored])
+        good = densities > np.max(densities) - GOOD
+        best = int(np.argmax([np.max(found[1]) for found in explored]))
+        sampler = copy(self)
+        sampler.places, sampler.scale = values[good], explored[best][2]
+        return sampler
 
     def start(self, rng):
-        space, backend = self.target.space, self.backend()
-        if self.population > 1:
-            parts = [part for part in self.parts if part.type in LOCAL] or self.parts
-            total = sum(part.weight for part in parts)
-            parts = [part._replace(weight=part.weight / total) for part in parts]
-            moving = getattr(self.target, "backend", None)
-            movers = moving(parts, False) if moving else ReadableBackend(self.target, parts)
-            found = tempered(rng, space, movers, parts, self.population, START_STEPS, max(self.particles, 1))
-            best = int(np.argmax(found.densities.sum(axis=1)))
-            values, scale = found.values[best], dict(found.tuning.scale)
+        space = self.target.space
+        if self.places is not None:
+            values = self.places[int(rng.random() * len(self.places))]
         else:
-            values, scale = importance_resampling(rng, space, backend, self.particles), {}
-        tuning = first_tuning(space, values)._replace(scale=scale)
+            values = importance_resampling(rng, space, self.backend(), self.particles)
+        tuning = first_tuning(space, values)._replace(scale=self.scale)
         return _pack(values, tuning, np.empty((0, len(values))), self.parts)
 
     def warm_up(self, rng, state, done, rounds, total):

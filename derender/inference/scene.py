@@ -151,6 +151,9 @@ def infer_scene(
         if folder is not None and method != "map":
             place = folder / "checkpoint" / str(number)
             place.mkdir(parents=True, exist_ok=True)
+        if not (resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
+            tell(0.0, "searching")
+            sampler = sampler.prepared(seed + number, chains, jobs)
         plan = Plan(sampler, seed + number, chains, warmup, draws, place, run, resume)
         total = chains * (warmup + draws)
         done = dict.fromkeys(range(chains), 0)

@@ -249,14 +249,14 @@ def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
     Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
     """
     return [
-        {"drift": {"weight": 0.30}},
-        {"slide": {"weight": 0.30}},
-        {"drift-all": {"weight": 0.20}},
-        {"window": {"weight": 0.05}},
-        {"slide-window": {"weight": 0.05}},
-        {"independence": {"weight": 0.04}},
-        {"choose": {"weight": 0.03}},
-        {"jump": {"weight": 0.02}},
+        {"drift": {"weight": 0.28}},
+        {"slide": {"weight": 0.36}},
+        {"drift-all": {"weight": 0.24}},
+        {"window": {"weight": 0.02}},
+        {"slide-window": {"weight": 0.03}},
+        {"independence": {"weight": 0.01}},
+        {"choose": {"weight": 0.02}},
+        {"jump": {"weight": 0.01}},
         {"flip": {"weight": 0.01}},
         {"resimulate": {"weight": 0.02}},
     ]

@@ -116,7 +116,7 @@ def local_planes(points, mask, origin, jump, radius):
 def sharpen(points, mask, normal, offset, error, radius, tolerance):
     """Give each pixel the plane of the best window that holds it, so that normals stay sharp at edges."""
     height, width = mask.shape
-    out = np.zeros_like(normal)
+    out = np.zeros((height, width, 3))
     quality = np.full((height, width), 1e9)
     for j in range(height):
         for i in range(width):
@@ -135,7 +135,8 @@ def sharpen(points, mask, normal, offset, error, radius, tolerance):
                     if e < best:
                         best, bu, bv = e, u, v
             if bu >= 0:
-                out[j, i] = normal[bv, bu]
+                for axis in range(3):
+                    out[j, i, axis] = normal[bv, bu, axis]
                 quality[j, i] = best
     return out, quality
 
@@ -210,8 +211,7 @@ def grow(points, mask, normal, quality, order, tolerance, jump, cosine, smallest
             regions += 1
     for j in range(height):
         for i in range(width):
-            if label[j, i] == -2:
-                label[j, i] = -1
+            label[j, i] = max(label[j, i], -1)
     return label, regions
 
 
@@ -257,8 +257,9 @@ def fit_regions(points, label, regions, origin):
     offset = np.zeros(regions)
     residual = np.zeros(regions)
     for k in range(regions):
-        s = scatter[k] / max(count[k], 1)
-        a, b, c, value = smallest_eigenvector(s[0], s[1], s[2], s[3], s[4], s[5])
+        n = max(count[k], 1)
+        a, b, c, value = smallest_eigenvector(scatter[k, 0] / n, scatter[k, 1] / n, scatter[k, 2] / n,
+                                              scatter[k, 3] / n, scatter[k, 4] / n, scatter[k, 5] / n)  # fmt: skip
         if (a * (origin[0] - centre[k, 0]) + b * (origin[1] - centre[k, 1]) + c * (origin[2] - centre[k, 2])) < 0:
             a, b, c = -a, -b, -c
         normal[k, 0], normal[k, 1], normal[k, 2] = a, b, c

@@ -173,11 +173,12 @@ def polish(
     energy += tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
     scale = np.full(14, first_step)
-    trial = row.copy()
+    trial = np.empty(row.size)
     for k in range(rounds):
-        move = rng.integers(0, 14)
+        move = int(14 * rng.random())
         step = scale[move] * rng.standard_normal()
-        trial[:] = row
+        for n in range(row.size):
+            trial[n] = row[n]
         if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
             continue
         rest = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
@@ -189,11 +190,13 @@ def polish(
         new = new_change + rest
         temperature = heat * (1.0 - k / rounds)
         if new < energy or (temperature > 0 and rng.random() < np.exp((energy - new) / temperature)):
-            row[:] = trial
+            for n in range(row.size):
+                row[n] = trial[n]
             energy, change = new, new_change
             scale[move] = min(scale[move] * 1.25, 0.02)
             if energy < best_energy:
-                best[:] = row
+                for n in range(row.size):
+                    best[n] = row[n]
                 best_energy, best_change = energy, change
         else:
             scale[move] = max(scale[move] * 0.93, 5e-5)
@@ -219,18 +222,20 @@ def walk(
     row = start.copy()
     energy = added_misfit(image, row, depth, misfit) / temper + size_energy(row, cube)
     energy += contact_energy(row, others, skip, bottom, carried, slack) + tilt_energy(row, form, tilt)
-    trial = row.copy()
+    trial = np.empty(row.size)
     for _ in range(steps):
-        move = rng.integers(0, 14)
+        move = int(14 * rng.random())
         step = scale[move] * rng.standard_normal()
-        trial[:] = row
+        for n in range(row.size):
+            trial[n] = row[n]
         if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
             continue
         new = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
         new += tilt_energy(trial, form, tilt) + added_misfit(image, trial, depth, misfit) / temper
         accepted = new < energy or rng.random() < np.exp(energy - new)
         if accepted:
-            row[:] = trial
+            for n in range(row.size):
+                row[n] = trial[n]
             energy = new
         if adapt:
             scale[move] = min(max(scale[move] * (1.2 if accepted else 0.92), 2e-5), 0.03)

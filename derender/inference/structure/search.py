@@ -29,7 +29,8 @@ class Settings(NamedTuple):
     free_price : nats that a tilted pose costs more than an upright one.
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
-    repairs : most moves between structures; quiet, clean: it ends after `quiet` moves in vain when less than
+    repairs : most moves between structures; quiet, clean: it ends after `quiet` moves, and three for each solid, that gained
+        less than `worthwhile` nats, when less than
         `clean` badly explained pixels are left.
     """
 
@@ -41,7 +42,8 @@ class Settings(NamedTuple):
     cube_bonus: float = 7.0
     free_price: float = 8.0
     repairs: int = 120
-    quiet: int = 30
+    quiet: int = 10
+    worthwhile: float = 3.0
     clean: float = 4.0
     floating_price: float = 30.0
     temper: float = 1.0
@@ -212,7 +214,7 @@ def repair(rng, image, state, hypotheses, settings, pool=None):
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
-        if quiet >= settings.quiet and places.blame.sum() < settings.clean:
+        if quiet >= settings.quiet + 3 * len(state) and places.blame.sum() < settings.clean:
             break
         quiet += 1
         proposed = propose(rng, image, state, hypotheses, settings, places)
@@ -224,7 +226,8 @@ def repair(rng, image, state, hypotheses, settings, pool=None):
         if pool is not None:
             pool.append((new, value))
         if value < best:
-            state, best, quiet = new, value, 0
+            quiet = quiet if value > best - settings.worthwhile else 0
+            state, best = new, value
             places = find_places(image, state)
     return state
 
