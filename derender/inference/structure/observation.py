@@ -13,6 +13,7 @@ from derender.inference.structure.image import Image, make_image
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
 REAL_DISCREPANCY = 0.003
+GRAZING = 0.15  # sine of the angle at which rays meet the floor
 
 
 class Observation(NamedTuple):
@@ -56,6 +57,10 @@ def observe(rng, depth, camera, widest=160):
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
     image.floor[background] = image.depth[background] + 1e-9
 
+    # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
+    slope = -image.direction[..., 2]
+    grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
+    image.floor[grazing] = image.depth[grazing]
     footprint = np.nan_to_num(depth) / camera["fx"]
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
 

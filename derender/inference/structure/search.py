@@ -29,9 +29,9 @@ class Settings(NamedTuple):
     free_price : nats that a tilted pose costs more than an upright one.
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
-    repairs : most moves between structures; quiet, clean: it ends after `quiet` moves, and three for each solid, that gained
-        less than `worthwhile` nats, when less than
-        `clean` badly explained pixels are left.
+    repairs : most moves between structures.
+    quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than `worthwhile`
+        nats, when less than `clean` badly explained pixels are left.
     """
 
     shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
