@@ -1,13 +1,15 @@
-"""Scenes with known truth for scripts/evaluate.py: settled, noisy, mixed, tower, groups.
+"""Scenes with known truth for scripts/evaluate.py: settled, noisy, mixed, tower, groups, cubes, bridge.
 
 A scene is a dict: depth (H, W) float64 metres with NaN where nothing returned, camera (fx, fy, cx, cy, width, height),
 label (H, W) int32 (index of the object, -1 floor, -2 nothing), and objects: list of dicts with type, size (3,),
-pose (4, 4) object to camera, parent ("floor" or an index) and pixels (how many are visible).
+pose (4, 4) object to camera, parent ("floor" or an index), pixels (how many are visible), and in the set `bridge`
+supports (indices of what else carries it).
 """
 
 import numpy as np
+from bridge_scenes import settled_bridge
 
-SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes")
+SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes", "bridge")
 
 
 FIELD_OF_VIEW = np.radians(60.0)
@@ -180,12 +182,12 @@ def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, nois
 def make_scene(rng, name):
     """Return one scene of the set `name` (one of SETS)."""
     while True:
-        if name in ("settled", "noisy", "mixed"):
-            count = int(rng.integers(1, 7))
+        if name in ("settled", "noisy", "mixed", "pile"):
+            count = int(rng.integers(1, 7)) if name != "pile" else int(rng.integers(4, 7))
             choices = ["box", "cube"] if name != "mixed" else ["box", "cube", "cylinder", "sphere"]
             kinds = [str(rng.choice(choices)) for _ in range(count)]
             sizes = np.array([random_size(rng, kind) for kind in kinds])
-            settled = settle(rng, kinds, sizes, spread=0.1)
+            settled = settle(rng, kinds, sizes, *((0.03, 0.2) if name == "pile" else (0.1, 0.5)))
             if settled is None:
                 continue
             poses, parents = settled
@@ -199,9 +201,14 @@ def make_scene(rng, name):
             poses[:, 2, 3] = [0.05, 0.15, 0.25]
         elif name == "groups":
             return make_groups(rng)
+        elif name == "bridge":
+            kinds, sizes, poses, parents, supports = settled_bridge(rng)
         else:
             raise ValueError(f"unknown set {name!r}; choose from {', '.join(SETS)}")
         scene = photograph(rng, kinds, sizes, poses, parents, noise="kinect" if name == "noisy" else "millimetre")
+        if name == "bridge":
+            for item, others in zip(scene["objects"], supports, strict=True):
+                item["supports"] = others
         if all(o["pixels"] >= 1 for o in scene["objects"]):
             return scene
 
