@@ -4,7 +4,7 @@ import numpy as np
 
 from derender.inference.compiled.evaluate import load
 from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS
-from derender.inference.compiled.program import chain_of, kernels_of, model_of
+from derender.inference.compiled.program import NotCompiled, chain_of, kernels_of, model_of
 from derender.inference.compiled.steps import WINDOW, sweep
 from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
@@ -21,6 +21,9 @@ class CompiledBackend:
 
     def __init__(self, target, parts: list[Part], cycle: bool = False) -> None:
         self.target, self.parts, self.cycle = target, parts, cycle
+        for part in parts:
+            if kernels[part.type].code is None:
+                raise NotCompiled(f"the kernel {part.type}")
         self.model = model_of(target)
         counts = [int(part.options["count"]) for part in parts if kernels[part.type].code == WINDOW]
         self.chain = chain_of(target, self.model, max(counts, default=1), cycle)

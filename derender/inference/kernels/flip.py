@@ -45,6 +45,7 @@ class FlipType(KernelType):
     """Turn a box by a quarter and exchange its length and width."""
 
     per_block = False
+    code = 5
 
     def applies(self, space, block):
         return bool(flips_of(space))

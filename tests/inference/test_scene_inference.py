@@ -1,0 +1,159 @@
+"""Inference with a given structure, as a whole."""
+
+import numpy as np
+import pytest
+from invariance import bound
+from small_scenes import CAMERA, LOOKED_AT, TOWER, SceneWorld, read
+
+from derender.errors import DerenderError
+from derender.inference import diagnostics
+from derender.inference.kernels import mixture
+from derender.inference.scene import infer_scene
+from derender.inference.settings import Settings, read_settings
+
+TWO_NUMBERS = (
+    "derender: 1\n"
+    + CAMERA
+    + """
+root: {distance: 0.7, elevation: 30 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
+  box:
+    shape: {type: box, length: 0.2, width: 0.12, height: 0.1}
+    parent: floor
+    contact: {type: face-to-face, theta: {uniform: [0, 180 deg]}, x: {normal: [0, 0.05]}, y: 0.0}
+likelihood: {type: gaussian, sigma: 0.4, blur: 0.7, background: 1.5}
+"""
+)
+FEW = Settings(draws=300, warmup=100, chains=2)
+
+
+def image_of(text, seed=4):
+    world = SceneWorld(text)
+    rng = np.random.default_rng(seed)
+    truth = world.space.sample(rng)
+    return world, truth, world.target(rng, truth).images.observed
+
+
+@pytest.mark.parametrize("method", ["mcmc", "smc"])
+def test_posterior_of_two_numbers_by_quadrature(method):
+    """Means, spreads and correlation against a sum over a 160 x 160 grid; errors judged by their own MCSE."""
+    world, _, image = image_of(TWO_NUMBERS)
+    target = world._target(image)
+    thetas = (np.arange(160) + 0.5) * np.pi / 160
+    places = np.linspace(-0.2, 0.2, 160)
+    logs = np.empty((160, 160))
+    backend = target.backend(mixture(world.space, [{"resimulate": {}}]))
+    for i, theta in enumerate(thetas):
+        for j, x in enumerate(places):
+            logs[i, j] = sum(backend.evaluate(np.array([theta, x])))
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    theta, x = np.meshgrid(thetas, places, indexing="ij")
+    result = infer_scene(world.document, image, world.document.camera, Settings(draws=1500), method, seed=5)
+    values = result.posterior.parts[0].values
+    tests = {
+        "cos": (np.cos(2 * theta), np.cos(2 * values[..., 0])),
+        "sin": (np.sin(2 * theta), np.sin(2 * values[..., 0])),
+        "x": (x, values[..., 1]),
+        "x2": (x**2, values[..., 1] ** 2),
+        "x cos": (x * np.cos(2 * theta), values[..., 1] * np.cos(2 * values[..., 0])),
+    }
+    for name, (exact, drawn) in tests.items():
+        expected = float(np.sum(weight * exact))
+        if method == "smc":  # particles of one population share ancestors: judged between the populations
+            error = np.std(drawn.mean(axis=1), ddof=1) / np.sqrt(len(drawn))
+            assert abs(drawn.mean() - expected) < 13 * error, name  # Student's t with 3 degrees of freedom
+        else:
+            assert abs(drawn.mean() - expected) < bound(len(tests)) * diagnostics.mean_mcse(drawn), name
+
+
+def test_a_wrong_posterior_is_seen():
+    """The quadrature test's twin: chains on another image disagree with this one's grid by many standard errors."""
+    world, _, image = image_of(TWO_NUMBERS)
+    _, _, other = image_of(TWO_NUMBERS, seed=11)
+    means = [
+        infer_scene(world.document, picture, world.document.camera, Settings(draws=500), seed=5)
+        .posterior.parts[0]
+        .values[..., 1]
+        for picture in (image, other)
+    ]
+    error = np.hypot(*(diagnostics.mean_mcse(values) for values in means))
+    assert abs(means[0].mean() - means[1].mean()) > bound(5) * error
+
+
+@pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
+def test_same_bytes_for_any_jobs(text):
+    world, _, image = image_of(text)
+    one, two = (infer_scene(world.document, image, world.document.camera, FEW, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(one.posterior.parts[0].values, two.posterior.parts[0].values)
+    np.testing.assert_array_equal(one.posterior.parts[0].log_likelihood, two.posterior.parts[0].log_likelihood)
+
+
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
+    from derender.inference import chains
+
+    world, _, image = image_of(TOWER)
+    whole = infer_scene(world.document, image, world.document.camera, FEW)
+    calls = iter(range(10_000))
+    genuine = chains.run_chain
+    monkeypatch.setattr(
+        "derender.inference.workers.run_chain",
+        lambda plan, number, stop, progress: genuine(plan, number, lambda: next(calls) >= 3, progress),
+    )
+    infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path)
+    monkeypatch.undo()
+    again = infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path, resume=True)
+    np.testing.assert_array_equal(again.posterior.parts[0].values, whole.posterior.parts[0].values)
+
+
+def test_map_is_one_scene_no_worse_than_the_truth():
+    world, truth, image = image_of(TOWER)
+    result = infer_scene(world.document, image, world.document.camera, FEW, "map")
+    part = result.posterior.parts[0]
+    assert part.values.shape[:2] == (1, 1)
+    target = world._target(image)
+    assert part.log_density[0, 0] > target.log_prior(truth) + target.log_likelihood(truth)
+
+
+def test_open_faces_become_weighted_structures():
+    """A box that lies on one of two faces with unlike heights: the image says which."""
+    text = TWO_NUMBERS.replace("type: face-to-face, ", "type: face-to-face, child_face: {categorical: {-z: 1, -x: 1}}, ")
+    text = text.replace("sigma: 0.4", "sigma: 0.05")
+    document = read(text)
+    world = SceneWorld(text)
+    rng = np.random.default_rng(2)
+    truth = world.space.sample(rng)
+    image = world.target(rng, truth).images.observed
+    result = infer_scene(document, image, document.camera, FEW)
+    best = result.posterior.best_part
+    assert best.weight > 0.95
+    assert best.graph.structure() == world.template.structure()
+
+
+def test_settings_are_data():
+    text = TOWER + "inference: {kernels: [{resimulate: {weight: 1}}, drift], order: cycle, thin: 3, draws: 7}\n"
+    settings = read_settings(read(text).inference)
+    assert settings.kernels == [{"resimulate": {"weight": 1}}, {"drift": None}]
+    assert settings.cycle and settings.thin == 3 and settings.draws == 7
+    assert read_settings(None) == Settings()
+
+
+@pytest.mark.parametrize(
+    "section, what",
+    [
+        ("{kernel: []}", "kernels"),
+        ("{order: circle}", "choose mixture or cycle"),
+        ("{thin: 0}", "thin"),
+        ("{kernels: [3]}", "not a name with options"),
+    ],
+)
+def test_faults_in_settings_are_told(section, what):
+    with pytest.raises(DerenderError, match=what):
+        read_settings(read(TOWER + f"inference: {section}\n").inference)
+
+
+def test_nothing_unknown_is_told():
+    document = read(TWO_NUMBERS.replace("{uniform: [0, 180 deg]}", "0.3").replace("{normal: [0, 0.05]}", "0.0"))
+    with pytest.raises(DerenderError, match="nothing is unknown"):
+        infer_scene(document, np.ones((18, 24)), document.camera)
