@@ -37,6 +37,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     Returns a Posterior.
     """
     from derender.inference.posterior import Posterior
+    from derender.inference.structure.bridges import with_bridges
     from derender.inference.structure.graph_posterior import part_of, posterior_parts
 
     options = dict(options or {})
@@ -61,6 +62,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     else:
         chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
         parts = posterior_parts(rng, seen.image, state, pool, settings, seen.floor.pose, chains, draws)
+    parts = with_bridges(parts, settings.slack)
     if progress:
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation}
