@@ -15,10 +15,13 @@ from numba import njit
 
 from derender.inference.bottom_up.pyramid import intrinsics
 from derender.model.solids import BOX, CYLINDER, SPHERE
+from derender.vision.blur import blur_taps
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 LIMIT = 8.0
 FAR = 1e9
+LEAST_TAP = 1e-3  # what the blur brings over from further away is left out of the search
+WALL = 10.0  # metres: what lies beyond counts as this deep where the blur mixes it with what is nearer
 
 
 class Image(NamedTuple):
@@ -32,6 +35,7 @@ class Image(NamedTuple):
     origin : (3,) float64, the camera's centre in the floor frame.
     floor : (H, W) float64, depth at which the ray meets the floor, FAR where it does not.
     projection : (3, 4) float64, floor frame to homogeneous pixel (i, j, 1) times depth.
+    taps : (R + 1,) float64, the blur's weights from the centre outwards (R = 0: a sharp image).
     """
 
     depth: np.ndarray
@@ -40,9 +44,10 @@ class Image(NamedTuple):
     origin: np.ndarray
     floor: np.ndarray
     projection: np.ndarray
+    taps: np.ndarray
 
 
-def make_image(depth, sigma, camera, floor_pose):
+def make_image(depth, sigma, camera, floor_pose, blur=0.0):
     """Return the Image of an observation.
 
     Parameters
@@ -51,6 +56,7 @@ def make_image(depth, sigma, camera, floor_pose):
     sigma : (H, W) float or float, standard deviation of the noise in metres.
     camera : anything with fx, fy, cx, cy as attributes or a dict of them.
     floor_pose : (4, 4) floor frame (z up) to camera.
+    blur : standard deviation in pixels of the Gaussian blur of Eq. 6.
     """
     fx, fy, cx, cy = intrinsics(camera)
     height, width = depth.shape
@@ -65,8 +71,11 @@ def make_image(depth, sigma, camera, floor_pose):
     weight = np.where(good, 0.5 / np.broadcast_to(sigma, depth.shape) ** 2, 0.0)
     projection = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]) @ np.column_stack([rotation, shift])
     filled = np.where(good, depth, 0.0)
+    taps = blur_taps(blur)
+    taps = taps[taps > LEAST_TAP]
+    taps /= taps[0] + 2.0 * taps[1:].sum()
     return Image(*(np.ascontiguousarray(a, dtype=np.float64)
-                   for a in (filled, weight, direction, origin, floor, projection)))  # fmt: skip
+                   for a in (filled, weight, direction, origin, floor, projection, taps)))  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
@@ -195,12 +204,16 @@ def draw_one(image, row, index, depth, label):
 
 @njit(cache=True, nogil=True)
 def misfit_map(image, depth, out):
-    """Fill out (H, W) with each pixel's misfit against the model depth and return the sum."""
-    total = 0.0
+    """Fill out (H, W) with each pixel's misfit against the model depth, blurred, and return the sum."""
     height, width = depth.shape
+    blurred = depth
+    if image.taps.size > 1:
+        blurred = np.empty((height, width))
+        blur_into(image.taps, np.minimum(depth, WALL), 0, width, 0, height, blurred)
+    total = 0.0
     for j in range(height):
         for i in range(width):
-            r = image.depth[j, i] - depth[j, i]
+            r = image.depth[j, i] - blurred[j, i]
             m = min(r * r * image.weight[j, i], LIMIT)
             out[j, i] = m
             total += m
@@ -208,8 +221,31 @@ def misfit_map(image, depth, out):
 
 
 @njit(cache=True, nogil=True)
+def blur_into(taps, depth, i0, i1, j0, j1, out):
+    """Blur pixels i0..i1 of rows j0..j1 (ends excluded) of `depth`, its edges replicated, into out (j1 - j0, i1 - i0)."""
+    height, width = depth.shape
+    radius = taps.size - 1
+    top, bottom = max(j0 - radius, 0), min(j1 + radius, height)
+    rows = np.empty((bottom - top, i1 - i0))
+    for j in range(top, bottom):
+        for i in range(i0, i1):
+            value = taps[0] * depth[j, i]
+            for k in range(1, radius + 1):
+                value += taps[k] * (depth[j, max(i - k, 0)] + depth[j, min(i + k, width - 1)])
+            rows[j - top, i - i0] = value
+    for j in range(j0, j1):
+        for i in range(i1 - i0):
+            value = taps[0] * rows[j - top, i]
+            for k in range(1, radius + 1):
+                value += taps[k] * (rows[max(j - k, 0) - top, i] + rows[min(j + k, height - 1) - top, i])
+            out[j - j0, i] = value
+
+
+@njit(cache=True, nogil=True)
 def added_misfit(image, row, depth, misfit):
     """Return how the misfit changes when the solid `row` is added to a scene with this depth and misfit map."""
+    if image.taps.size > 1:
+        return added_misfit_blurred(image, row, depth, misfit)
     height, width = image.depth.shape
     kind = int(row[KIND])
     i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
@@ -230,6 +266,47 @@ def added_misfit(image, row, depth, misfit):
                     row[3] * ax + row[6] * ay + row[9] * az)  # fmt: skip
             if t < depth[j, i]:
                 r = image.depth[j, i] - t
+                total += min(r * r * weight, LIMIT) - misfit[j, i]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def added_misfit_blurred(image, row, depth, misfit):
+    """The same for a blurred image: the solid changes the pixels that it covers and those within the blur's reach."""
+    height, width = image.depth.shape
+    radius = image.taps.size - 1
+    kind = int(row[KIND])
+    i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
+    if i0 >= i1 or j0 >= j1:
+        return 0.0
+    # the window: what the rectangle's neighbourhood is blurred from
+    left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
+    top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
+    window = np.empty((bottom - top, right - left))
+    ex, ey, ez = image.origin[0] - row[10], image.origin[1] - row[11], image.origin[2] - row[12]
+    ox = row[1] * ex + row[4] * ey + row[7] * ez
+    oy = row[2] * ex + row[5] * ey + row[8] * ez
+    oz = row[3] * ex + row[6] * ey + row[9] * ez
+    for j in range(top, bottom):
+        for i in range(left, right):
+            z = depth[j, i]
+            if i0 <= i < i1 and j0 <= j < j1:
+                ax, ay, az = image.direction[j, i, 0], image.direction[j, i, 1], image.direction[j, i, 2]
+                z = min(z, hit(kind, row, ox, oy, oz,
+                               row[1] * ax + row[4] * ay + row[7] * az,
+                               row[2] * ax + row[5] * ay + row[8] * az,
+                               row[3] * ax + row[6] * ay + row[9] * az))  # fmt: skip
+            window[j - top, i - left] = min(z, WALL)
+    # the pixels that may change
+    i0, i1, j0, j1 = max(i0 - radius, 0), min(i1 + radius, width), max(j0 - radius, 0), min(j1 + radius, height)
+    blurred = np.empty((j1 - j0, i1 - i0))
+    blur_into(image.taps, window, i0 - left, i1 - left, j0 - top, j1 - top, blurred)
+    total = 0.0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            weight = image.weight[j, i]
+            if weight > 0.0:
+                r = image.depth[j, i] - blurred[j - j0, i - i0]
                 total += min(r * r * weight, LIMIT) - misfit[j, i]
     return total
 

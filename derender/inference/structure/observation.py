@@ -7,7 +7,8 @@ import numpy as np
 from derender.inference.bottom_up.floor import Floor, back_project, find_floor
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
-from derender.inference.structure.image import Image, make_image
+from derender.inference.bottom_up.sharpness import estimate_blur
+from derender.inference.structure.image import FAR, Image, make_image
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
@@ -47,7 +48,9 @@ def observe(rng, depth, camera, widest=160):
     correlation = neighbour_correlation(depth, floor, camera)
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, REAL_DISCREPANCY)
-    image = make_image(depth, sigma, camera, floor.pose)
+    blur = estimate_blur(depth, sigma)
+    image = make_image(depth, sigma, camera, floor.pose, blur)
+    wall = raise_wall(image)
     points = back_project(depth, camera) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
@@ -55,6 +58,7 @@ def observe(rng, depth, camera, widest=160):
     mask = good & inside & (points[..., 2] > np.maximum(0.004, 4 * sigma))
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
+    background &= ~wall
     image.floor[background] = image.depth[background] + 1e-9
 
     # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
@@ -63,6 +67,24 @@ def observe(rng, depth, camera, widest=160):
     image.floor[grazing] = image.depth[grazing]
     footprint = np.nan_to_num(depth) / camera["fx"]
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
+
+
+def raise_wall(image):
+    """Where what lies beyond the floor is one depth (the wall of Eq. 6), put it behind the floor, in place.
+
+    Returns (H, W) bool: the pixels of the wall.
+    """
+    sky = (image.floor >= FAR) & (image.weight > 0)
+    none = np.zeros(sky.shape, bool)
+    if sky.sum() < 50:
+        return none
+    seen = image.depth[sky]
+    wall = float(np.median(seen))
+    if np.median(np.abs(seen - wall)) > 0.01 * wall:
+        return none
+    beyond = image.floor > wall
+    image.floor[beyond] = wall
+    return beyond
 
 
 def noise_map(depth, floor, camera):
