@@ -222,7 +222,7 @@ def misfit_map(image, depth, out):
 
 @njit(cache=True, nogil=True)
 def blur_into(taps, depth, i0, i1, j0, j1, out):
-    """Blur pixels i0..i1 of rows j0..j1 (ends excluded) of `depth`, its edges replicated, into out (j1 - j0, i1 - i0)."""
+    """Blur pixels i0..i1 of rows j0..j1 (ends excluded), the edges of `depth` replicated, into out (j1-j0, i1-i0)."""
     height, width = depth.shape
     radius = taps.size - 1
     top, bottom = max(j0 - radius, 0), min(j1 + radius, height)
