@@ -123,6 +123,17 @@ class Posterior:
         total = sum(found.values())
         return {parent: p / total for parent, p in sorted(found.items(), key=lambda item: -item[1])} if total else {}
 
+    def support_probability(self, name: str) -> dict[str, float]:
+        """Return the probability of each second support of an object, given that it is there; the likeliest first."""
+        found: dict[str, float] = {}
+        present = 0.0
+        for part in self.parts:
+            if name in part.graph.names:
+                present += part.weight
+                for other in part.graph.vertex(name).supports:
+                    found[other] = found.get(other, 0.0) + part.weight
+        return {other: p / present for other, p in sorted(found.items(), key=lambda item: -item[1])}
+
     def shape_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each shape type of an object, given that it is there; the likeliest first."""
         found: dict[str, float] = {}

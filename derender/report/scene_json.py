@@ -15,13 +15,15 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     Parameters
     ----------
     graph : the scene; with a posterior, its most probable one.
-    posterior : adds `probability` and `parent_probability` to each object; it answers object_probability(name) and
-        parent_probability(name) -> {parent: probability}.
+    posterior : adds `probability` and `parent_probability` to each object, and `support_probability` to what may have
+        a second support; it answers object_probability(name), parent_probability(name) and support_probability(name)
+        -> {other: probability}.
 
     Returns
     -------
     {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}; of an object, `size` is the three full
-    extents along its own axes in metres, None for what has none; `pose` is 4x4 row-major, object to camera.
+    extents along its own axes in metres, None for what has none; `pose` is 4x4 row-major, object to camera; `supports`,
+    where there, names what it rests on besides its parent.
     """
     poses = graph.poses()
     objects = []
@@ -47,5 +49,7 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
             entry["probability"] = float(posterior.object_probability(vertex.name))
             parents = posterior.parent_probability(vertex.name)
             entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
+            if supports := posterior.support_probability(vertex.name):
+                entry["support_probability"] = {name: float(share) for name, share in supports.items()}
         objects.append(entry)
     return {"frame": "camera", "gravity": (GRAVITY * graph.down()).tolist(), "objects": objects}

@@ -88,7 +88,9 @@ def _probabilities(vertex: Vertex, posterior: Any) -> str:
     parents = posterior.parent_probability(vertex.name)
     likely = {name: share for name, share in parents.items() if share >= ALTERNATIVE or name == vertex.parent}
     shares = ", ".join(f"{name} {share:.2f}" for name, share in sorted(likely.items(), key=lambda item: -item[1]))
-    return f"p {posterior.object_probability(vertex.name):.2f} (on {shares})"
+    others = posterior.support_probability(vertex.name)
+    also = "".join(f", also {name} {share:.2f}" for name, share in others.items() if share >= ALTERNATIVE)
+    return f"p {posterior.object_probability(vertex.name):.2f} (on {shares}{also})"
 
 
 def prior_lines(prior: Any) -> list[str]:

@@ -118,12 +118,18 @@ class TwoParents:
     def parent_probability(self, name):
         return {"floor": 0.9, "green": 0.1}
 
+    def support_probability(self, name):
+        return {"green": 0.3} if name == "yellow" else {}
+
 
 def test_a_posterior_adds_its_probabilities():
     assert run("sample", "stack", "--no-images", "-q") == 0
     graph = read_document("sample_000.yaml").graph
     entry = scene_json(graph, TwoParents())["objects"][1]
     assert entry["probability"] == 0.75 and entry["parent_probability"] == {"floor": 0.9, "green": 0.1}
+    assert "support_probability" not in entry
+    assert scene_json(graph, TwoParents())["objects"][3]["support_probability"] == {"green": 0.3}
+    assert "p 0.75 (on floor 0.90, green 0.10, also green 0.30)" in "\n".join(scene_lines(graph, TwoParents()))
     assert "p 0.75 (on floor 0.90, green 0.10)" in "\n".join(scene_lines(graph, TwoParents()))
 
 

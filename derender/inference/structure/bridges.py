@@ -29,7 +29,7 @@ CERTAIN = 100.0
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
 RESTING = ("face-to-face", "side-on-face")
 EXTENTS = {"x": "length", "y": "width", "z": "height"}
-SMALLEST_WEIGHT = 1e-3
+SMALLEST_WEIGHT = 1e-3  # a half that is less likely is not kept
 GAPS = 60  # draws looked at
 
 
@@ -144,9 +144,12 @@ def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePost
     """Return a structure with the second support and without it."""
     vertex = part.graph.vertex(candidate.name)
     graph = part.graph.replace(vertex.name, supports=(*vertex.supports, candidate.other))
-    joined = replace(closed(part, candidate), graph=graph, weight=part.weight * candidate.probability)
-    apart = replace(part, weight=part.weight * (1 - candidate.probability))
-    return [piece for piece in (joined, apart) if piece.weight >= SMALLEST_WEIGHT * part.weight]
+    probability = candidate.probability
+    if min(probability, 1 - probability) < SMALLEST_WEIGHT:
+        probability = round(probability)
+    joined = replace(closed(part, candidate), graph=graph, weight=part.weight * probability)
+    apart = replace(part, weight=part.weight * (1 - probability))
+    return [piece for piece in (joined, apart) if piece.weight > 0]
 
 
 def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior:
