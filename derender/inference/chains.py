@@ -119,6 +119,9 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
     A short chain that runs to its end writes no checkpoint: to repeat it costs less.
     """
     path = plan.checkpoint_path(number)
+    if path is not None:  # what a kill left behind in the midst of writing
+        for torn in path.parent.glob(f".{path.stem}-*"):
+            torn.unlink(missing_ok=True)
     rng = chain_generator(plan.seed, number)
     record = former = checkpoint.load(path, plan.run) if plan.resume and path is not None else None
     saved_at = time.monotonic()

@@ -123,16 +123,24 @@ def settle(model, chain, engine, accepted):
 
 
 @njit(cache=True, nogil=True)
-def load(model, chain, engine, start):
-    """Make `start` (P,) the current values, in full; they must lie in the prior's support."""
+def _place_all(model, chain, parameters, start):
     values, marks = chain.values, chain.marks
     for p in range(len(start)):
         values[NEXT, p] = start[p]
     chain.flags[PENDING] = 0
-    fill(model.places, values, chain.numbers, marks, engine.parameters, True)
+    fill(model.places, values, chain.numbers, marks, parameters, True)
     marks[DIRTY, :] = 1
     arrange(model.vertices, model.extents, chain.numbers, chain.pose, marks, chain.relative, chain.moved_pose,
             chain.moved_size)  # fmt: skip
     values[NEXT, PRIOR] = log_prior(model.unknowns, model.laws, start)
-    values[NEXT, DENSITY] = load_state(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
-    settle(model, chain, engine, True)
+    copy_marked(chain.numbers, chain.pose, marks, NEXT)
+
+
+def load(model, chain, engine, start):
+    """Make `start` (P,) the current values, in full; they must lie in the prior's support.
+
+    Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.
+    """
+    _place_all(model, chain, engine.parameters, start)
+    chain.values[NEXT, DENSITY] = load_state(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
+    chain.values[NOW] = chain.values[NEXT]
