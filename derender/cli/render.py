@@ -154,10 +154,10 @@ def _picture(engine, solids, camera) -> np.ndarray:
 
 
 def _write_picture(target: str, picture: np.ndarray) -> None:
-    from PIL import Image
+    import imageio.v3 as imageio
 
     from derender.atomic import atomic_path, make_folder
 
     make_folder(Path(target).parent)
     with atomic_path(target) as temporary:
-        Image.fromarray(picture).save(temporary)
+        imageio.imwrite(temporary, picture)

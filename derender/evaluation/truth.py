@@ -151,9 +151,9 @@ def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
         elif path.suffix == ".npz":
             labels = np.load(path, allow_pickle=False)["label"]
         else:
-            from PIL import Image
+            import imageio.v3 as imageio
 
-            labels = np.asarray(Image.open(path))
+            labels = imageio.imread(path, plugin="pillow")
     except FileNotFoundError:
         raise DerenderError("there is no such file", path) from None
     except (OSError, ValueError, KeyError, EOFError) as fault:

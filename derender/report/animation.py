@@ -38,14 +38,13 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
 
 def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
     """Write a GIF, or WebP by the suffix, that repeats after a pause at its end."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     from derender.atomic import atomic_path
 
-    images = [Image.fromarray(picture) for picture in pictures]
-    pause = [1000 // FRAMES_PER_SECOND] * (len(images) - 1) + [1200]
+    pause = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
     with atomic_path(path) as temporary:
-        images[0].save(temporary, save_all=True, append_images=images[1:], duration=pause, loop=0)
+        imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
 
 
 def _reduced(camera: Camera) -> Camera:

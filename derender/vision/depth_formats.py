@@ -139,24 +139,20 @@ def _decode_picture(data: bytes) -> Decoded:
 
 def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:
     """Return the bytes of a 16-bit .png in units of `depth_scale` mm; DerenderError where a depth does not fit."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     units = np.round(depth.astype(np.float64) * (1000 / depth_scale))
     if units.max(initial=0) > 65535:
         what = f"{depth.max():.4g} m does not fit into 16 bits of {depth_scale:g} mm"
         raise DerenderError(what, path, "write .npz, .npy, .tiff or .exr, or a camera with a larger depth_scale")
-    stream = io.BytesIO()
-    Image.fromarray(units.astype(np.uint16)).save(stream, "PNG")
-    return stream.getvalue()
+    return imageio.imwrite("<bytes>", units.astype(np.uint16), extension=".png", plugin="pillow")
 
 
 def encode_tiff(depth: np.ndarray) -> bytes:
     """Return the bytes of a float32 .tiff."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
-    stream = io.BytesIO()
-    Image.fromarray(depth).save(stream, "TIFF")
-    return stream.getvalue()
+    return imageio.imwrite("<bytes>", depth, extension=".tiff", plugin="pillow")
 
 
 def _decode_exr(data: bytes) -> Decoded:
