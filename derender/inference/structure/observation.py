@@ -80,7 +80,9 @@ def raise_wall(image):
         return none
     seen = image.depth[sky]
     wall = float(np.median(seen))
-    if np.median(np.abs(seen - wall)) > 0.01 * wall:
+    nearer = image.depth[(image.weight > 0) & ~sky]
+    # a tall solid before the horizon is of one depth too, but not behind nearly all else
+    if np.median(np.abs(seen - wall)) > 0.01 * wall or (len(nearer) and wall < np.quantile(nearer, 0.9)):
         return none
     beyond = image.floor > wall
     image.floor[beyond] = wall
@@ -88,20 +90,23 @@ def raise_wall(image):
 
 
 def noise_map(depth, floor, camera):
-    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor."""
+    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor.
+
+    Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
+    """
     points = back_project(depth, camera)[floor.inliers]
     normal = floor.pose[:3, 2]
+    slope = np.abs((points / points[:, 2:3]) @ normal)
+    steep = slope > max(GRAZING, np.quantile(slope, 0.3))
+    points, slope = points[steep], slope[steep]
     z = points[:, 2]
-    slope = np.maximum(np.abs((points / z[:, None]) @ normal), 0.05)
     residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
-    order = np.argsort(z)
-    thirds = np.array_split(order, 3)
+    thirds = np.array_split(np.argsort(z), 3)
     near, far = (1.4826 * np.median(residual[k]) + 5e-5 for k in (thirds[0], thirds[2]))
-    ratio = np.median(z[thirds[2]]) / np.median(z[thirds[0]])
-    power = np.clip(np.log(far / near) / np.log(ratio), 0.0, 2.0) if ratio > 1.05 else 0.0
-    middle = np.exp(0.5 * (np.log(np.median(z[thirds[0]])) + np.log(np.median(z[thirds[2]]))))
-    scale = max(np.sqrt(near * far), 5e-4)
-    return scale * (np.nan_to_num(depth, nan=middle) / middle) ** power
+    close, distant = np.median(z[thirds[0]]), np.median(z[thirds[2]])
+    power = np.clip(np.log(far / near) / np.log(distant / close), 0.0, 2.0) if distant > 1.05 * close else 0.0
+    ratio = np.clip(np.nan_to_num(depth, nan=close) / close, 0.3, 4.0)
+    return np.maximum(near, 5e-4) * ratio**power
 
 
 def neighbour_correlation(depth, floor, camera):
