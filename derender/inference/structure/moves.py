@@ -118,19 +118,35 @@ def corners_of(row):
 
 def merge(rng, image, state, hypotheses, settings, places):
     """Put one box in place of two near and aligned ones, spanning both along the axes of one."""
-    from derender.inference.structure.search import run_polish
-
-    boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    pairs = [(i, j) for i in boxes for j in boxes if i != j]
-    near = [(i, j) for i, j in pairs if penetration(grown(state.rows[i], 0.06), state.rows[j]) > 0]
-    near = [(i, j) for i, j in near if alignment(state.rows[i], state.rows[j]) > 0.98]
+    near = aligned_pairs(state, 0.06)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
+    return merge_pair(rng, image, state, settings, i, j, rng.random(3) < 0.3)
+
+
+def aligned_pairs(state, gap):
+    """Return the ordered pairs of boxes whose axes agree and whose distance is at most about 2 * gap metres."""
+    boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
+    pairs = [(i, j) for i in boxes for j in boxes if i != j]
+    return [
+        (i, j)
+        for i, j in pairs
+        if alignment(state.rows[i], state.rows[j]) > 0.98 and penetration(grown(state.rows[i], gap), state.rows[j]) > 0
+    ]
+
+
+def merge_pair(rng, image, state, settings, i, j, spread):
+    """Return (state, changed) with box i grown over box j, which is taken out.
+
+    spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
+    """
+    from derender.inference.structure.search import run_polish
+
     row = state.rows[i]
     along = (np.vstack([corners_of(row), corners_of(state.rows[j])]) - row[10:13]) @ rotation_of(row)
     low, high = along.min(axis=0), along.max(axis=0)
-    spread = rng.random(3) < 0.3  # span the other one along some axes only: the rest is what it leaned over by
+    spread = np.array(spread)
     spread[np.argmax(np.maximum(high, -low) - 0.5 * row[13:16])] = True
     low = np.where(spread, low, np.maximum(low, -0.5 * row[13:16]))
     high = np.where(spread, high, np.minimum(high, 0.5 * row[13:16]))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.image import added_misfit
-from derender.inference.structure.moves import find_places, propose
+from derender.inference.structure.moves import aligned_pairs, find_places, merge_pair, propose
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
 from derender.inference.structure.state import State, carried_by, energy, held_out
 from derender.inference.structure.support import assign_supports
@@ -30,8 +30,8 @@ class Settings(NamedTuple):
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
     repairs : most moves between structures.
-    quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than `worthwhile`
-        nats, when less than `clean` badly explained pixels are left.
+    quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
+        `worthwhile` nats, when less than `clean` badly explained pixels are left.
     """
 
     shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
@@ -197,6 +197,7 @@ def search(rng, image, hypotheses, settings, pool=None):
     """Return the best State found; (state, energy) of all that were tried are appended to the list `pool`."""
     state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
     state = repair(rng, image, state, hypotheses, settings, pool)
+    state = merge_all(rng, image, state, settings)
     again = settle(rng, image, state, settings, 300)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
@@ -229,6 +230,25 @@ def repair(rng, image, state, hypotheses, settings, pool=None):
             quiet = quiet if value > best - settings.worthwhile else 0
             state, best = new, value
             places = find_places(image, state)
+    return state
+
+
+def merge_all(rng, image, state, settings):
+    """Try to make one box of each two that touch and are aligned, as long as that lowers the energy."""
+    best = total_energy(image, state, settings)
+    merged = True
+    while merged:
+        merged = False
+        for i, j in aligned_pairs(state, 0.004):
+            for spread in ((False, False, False), (True, True, True)):
+                new, changed = merge_pair(rng, image, state, settings, i, j, spread)
+                new = settle(rng, image, new, settings, 200, changed)
+                value = total_energy(image, new, settings)
+                if value < best:
+                    state, best, merged = new, value, True
+                    break
+            if merged:
+                break
     return state
 
 
