@@ -26,6 +26,7 @@ TYPICAL, SPREAD = 0.085, 0.45  # median and log spread of an edge: 90 % of them 
 CUBE_SHARE = 0.5  # of boxes
 FLOOR_RATE, STACKED_RATE = 12.0, 0.2  # solids for each square metre of floor; for each top of another
 OVERLAP = 3e-4  # metres by which solids may interpenetrate
+LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
@@ -57,6 +58,7 @@ def make_chart(state, floor_pose, slack):
     count = len(state)
     parents = list(state.parents)
     order = order_of(parents)
+    rows = np.array(state.rows, float)
     flags, slots = np.zeros((count, 4), np.int64), np.full((count, SLOTS), -1, np.int64)
     values: list[float] = []
 
@@ -66,10 +68,12 @@ def make_chart(state, floor_pose, slack):
 
     for k in range(count):
         row, kind = state.rows[k], int(state.rows[k][0])
-        bottom_known = not np.isnan(state.bottoms[k])
-        held = bottom_known and (state.forms[k] != FREE or kind == SPHERE)
-        vertical = state.forms[k] != FREE
-        flags[k] = kind, vertical, parents[k], held
+        support = support_of(state, k, parents[k])
+        vertical = state.forms[k] != FREE and kind != SPHERE
+        held = support is not None and (vertical or kind == SPHERE)
+        flags[k] = kind, vertical, parents[k] if support is None else support, held
+        if kind == SPHERE:  # a sphere may be turned as one likes: so that its contact needs no turn
+            rows[k, 1:10] = np.diag([1.0, -1.0, -1.0]).ravel()
         free(k, X, row[10])
         free(k, Y, row[11])
         if not held:
@@ -89,9 +93,19 @@ def make_chart(state, floor_pose, slack):
             free(k, SIZE + 2, row[15])
         else:
             slots[k, SIZE + 1 :] = slots[k, SIZE]
-    chart = Chart(flags, slots, np.ascontiguousarray(state.rows), np.array(order, np.int64),
+    chart = Chart(flags, slots, rows, np.array(order, np.int64),
                   np.ascontiguousarray(floor_pose, dtype=float), float(slack))  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
+
+
+def support_of(state, k, parent):
+    """Return what solid k is level with the top of: its parent or the floor; None for neither."""
+    low = lowest(state.rows[k])
+    if np.isnan(state.bottoms[k]):
+        return None
+    if parent != FLOOR and abs(low - highest(state.rows[parent])) < LEVEL_WITHIN:
+        return parent
+    return FLOOR if abs(low) < LEVEL_WITHIN else None
 
 
 @njit(cache=True, nogil=True)
@@ -229,9 +243,6 @@ def directions(chart, count):
     for k in range(len(chart.flags)):
         slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
         rotation = base[1:10].reshape(3, 3)
-
-        def step(slot=slot):
-            return np.zeros(count), slot
 
         def shifted(vector, move, slot=slot):
             for i in range(3):

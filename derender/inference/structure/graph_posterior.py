@@ -1,7 +1,11 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
-Under one structure the solids take turns in compiled Metropolis walks (`polish.walk`).  Structures compete by their
-polished energies: the price of each number in `Settings` stands for the Occam factor that its integral would give.
+Where the noise of neighbouring pixels is independent, the likelihood is the engine's, with the blur and the noise that
+the image shows (`refined.py`), and structures are weighed by integrals (`alternatives.py`).
+
+On a real sensor's image solids take turns in compiled Metropolis walks (`polish.walk`) under the search's own tempered
+score.  There structures compete by their polished energies: the price of each number in `Settings` stands for the Occam
+factor that its integral would give.
 """
 
 from dataclasses import replace
@@ -9,8 +13,18 @@ from dataclasses import replace
 import numpy as np
 
 from derender.inference.posterior import StructurePosterior
+from derender.inference.structure.alternatives import from_search, of_one_solid, supports_within
 from derender.inference.structure.graph import names_of, pose_of, scene_graph
+from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.polish import walk
+from derender.inference.structure.refined import (
+    at_mode,
+    chains_of,
+    floor_pose_of,
+    only_draw,
+    refine,
+    structure_posterior,
+)
 from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
 from derender.inference.structure.state import FLOOR, State, carried_by, held_out
 from derender.inference.structure.support import with_bottom
@@ -22,6 +36,9 @@ from derender.model.solids import BOX, SPHERE
 
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
+MOST_PARTS = 12
+WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
+INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
 
 
 def refresh_bottom(state, index):
@@ -122,50 +139,6 @@ def alternatives(rng, image, state, settings):
         yield new, total_energy(image, new, settings)
 
 
-def supports_within(state, i):
-    """Return the other supports on which solid `i` might stand: those under it, and the floor."""
-    from derender.inference.structure.support import flat_top, shadows_overlap
-
-    row = state.rows[i]
-    found = [FLOOR]
-    for j in range(len(state)):
-        if j != i and flat_top(state.rows[j]) and shadows_overlap(row, state.rows[j]) and state.parents[j] != i:
-            if highest(state.rows[j]) < highest(row) - 0.01:
-                found.append(j)
-    return [j for j in found if j != state.parents[i]]
-
-
-def matched_names(state, reference, names):
-    """Return names for a state's solids: those of the reference solids that they are, new ones for the others."""
-    result, used = [""] * len(state), set()
-    for k in range(len(state)):
-        best, found = 0.5 * float(np.min(state.rows[k][13:16])), None
-        for j, name in enumerate(names):
-            distance = float(np.linalg.norm(state.rows[k][10:13] - reference.rows[j][10:13]))
-            if name not in used and distance < best:
-                best, found = distance, name
-        if found is not None:
-            result[k] = found
-            used.add(found)
-    fresh = 1
-    for k in range(len(state)):
-        if not result[k]:
-            while f"solid_{fresh}" in names or f"solid_{fresh}" in used:
-                fresh += 1
-            result[k] = f"solid_{fresh}"
-            used.add(result[k])
-    return result
-
-
-def structure_key(state, names):
-    """Return what tells two structures apart: each solid's name, kind, cube or not, form, and its support's name."""
-    return tuple(sorted(
-        (names[k], int(state.rows[k][0]), state.cubes[k], state.forms[k],
-         "floor" if state.parents[k] == FLOOR else names[state.parents[k]])
-        for k in range(len(state))
-    ))  # fmt: skip
-
-
 def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draws):
     """Return the StructurePosterior of one structure."""
     graph = scene_graph(state, floor_pose, names)
@@ -182,6 +155,53 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
     return StructurePosterior(
         graph, addresses, values, np.zeros(energies.shape), -energies / settings.temper, weight
     )
+
+
+def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False):
+    """Return the parts of the posterior about the search's best state.
+
+    seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
+    """
+    if len(state) and seen.correlation < INDEPENDENT:
+        return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
+    if only_best:
+        return [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]
+    return posterior_parts(rng, seen.image, state, pool, settings, seen.floor.pose, chains, draws)
+
+
+def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
+    """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
+    best = refine(rng, seen, state, settings.slack)
+    if only_best:
+        return [structure_posterior(best, names_of(best.state), 1.0, [only_draw(best)])]
+    others = from_search(rng, best, pool, total_energy(seen.image, state, settings), settings.slack)
+    better = max(others, key=lambda pair: pair[1], default=(None, 0.0))
+    if better[1] > 0.0:
+        others = [(t, odds - better[1]) for t, odds in [*others, (best, 0.0)] if t is not better[0]]
+        best = better[0]
+    names = names_of(best.state)
+    found = {structure_key(best.state, names): (best, 0.0)}
+    for trial, odds in [*others, *(pair for k in range(len(best.state))
+                                   for pair in of_one_solid(rng, best, k, settings.slack))]:  # fmt: skip
+        key = structure_key(trial.state, matched_names(trial.state, best.state, names))
+        if odds > -NEGLIGIBLE and (key not in found or odds > found[key][1]):
+            found[key] = (trial, odds)
+    kept = sorted(found.values(), key=lambda pair: -pair[1])[:MOST_PARTS]
+    weights = np.exp([odds - kept[0][1] for _, odds in kept])
+    weights /= weights.sum()
+    parts = []
+    for place, ((trial, _), weight) in enumerate(zip(kept, weights, strict=True)):
+        own = names if trial is best else matched_names(trial.state, best.state, names)
+        if place == 0:
+            drawn = chains_of(rng, trial, chains, draws)
+        elif weight > WORTH_DRAWING and len(trial.state):
+            trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.slack, 100,
+                            temperatures=(0.3, 1.0))  # fmt: skip
+            drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
+        else:
+            drawn = [only_draw(trial)]
+        parts.append(structure_posterior(trial, own, float(weight), drawn))
+    return parts
 
 
 def posterior_parts(rng, image, state, pool, settings, floor_pose, chains=2, draws=100):

@@ -1,0 +1,144 @@
+"""Structures besides the best one, and how probable each is: integrals of prior times likelihood, from draws.
+
+A change of one solid is weighed with the others held at the mode: the two integrals are over that solid's coordinates
+alone (`refined.local_evidence`). Structures that differ in more, as the search met them, are weighed by the integral
+over everything. What a solid's coordinates cost (its sizes' and places' densities) is in the prior (`chart.log_prior`),
+so the ratio of integrals holds the Occam factor, and no price has to be set.
+"""
+
+import numpy as np
+
+from derender.inference.structure.chart import make_chart
+from derender.inference.structure.continuous import engine_of, load, log_evidence, sample
+from derender.inference.structure.graph import names_of
+from derender.inference.structure.naming import matched_names, structure_key
+from derender.inference.structure.polish import FREE
+from derender.inference.structure.refined import (
+    Refined,
+    at_mode,
+    floor_pose_of,
+    local_evidence,
+    refined_at,
+)
+from derender.inference.structure.search import cube_of, spaced
+from derender.inference.structure.state import FLOOR
+from derender.inference.structure.support import flat_top, shadows_overlap, with_bottom
+from derender.inference.structure.touch import highest
+from derender.model.solids import BOX, SPHERE
+
+HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
+FROM_SEARCH = 4  # structures that the search met, at most
+WITHIN = 30.0  # nats of the search's own energy within which they are looked at
+QUICK = 100  # steps of each temperature for one changed solid
+
+
+def supports_within(state, i):
+    """Return the other supports on which solid `i` might stand: those under it, and the floor."""
+    row = state.rows[i]
+    found = [FLOOR]
+    for j in range(len(state)):
+        if j != i and flat_top(state.rows[j]) and shadows_overlap(row, state.rows[j]) and state.parents[j] != i:
+            if highest(state.rows[j]) < highest(row) - 0.01:
+                found.append(j)
+    return [j for j in found if j != state.parents[i]]
+
+
+def changes(best, i):
+    """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else."""
+    state = best.state
+    row, form = state.rows[i], state.forms[i]
+    found = []
+    if int(row[0]) == BOX and state.cubes[i]:
+        found.append(changed(state, i, row, cube=False))
+    elif int(row[0]) == BOX:
+        origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
+        for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
+            if np.abs(row[13:16] - side).max() < 0.6 * side:
+                found.append(changed(state, i, cube_of(row, side, origin, form), cube=True))
+    if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
+        for parent in supports_within(state, i):
+            height = 0.0 if parent == FLOOR else highest(state.rows[parent])
+            new = changed(state, i, with_bottom(row, height), state.cubes[i])
+            new.parents[i], new.bottoms[i] = parent, height
+            found.append(new)
+    return found
+
+
+def changed(state, i, row, cube):
+    """Return a state with another solid `i`."""
+    new = state.copy()
+    new.rows[i], new.cubes[i] = row, cube
+    return new
+
+
+def of_one_solid(rng, best, i, slack):
+    """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless."""
+    floor = floor_pose_of(best)
+    height = best.log_prior + best.log_likelihood
+    found: list[Refined] = []
+    for state in changes(best, i):
+        trial = at_mode(rng, state, floor, best.sensor, slack, QUICK, i)
+        if trial.log_prior + trial.log_likelihood > height - HOPELESS:
+            found.append(trial)
+    removed = without(best, i, floor, slack)
+    keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
+    if not found and not keep_removed:
+        return []
+    own = local_evidence(rng, best, i)
+    weighed = [(trial, local_evidence(rng, trial, i) - own) for trial in found]
+    weighed = best_of_each(weighed)
+    if keep_removed:
+        weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
+    return weighed
+
+
+def best_of_each(weighed):
+    """Return the likeliest of those with the same structure (cubes that hold different corners at the start)."""
+    found: dict[tuple, tuple] = {}
+    for trial, odds in weighed:
+        key = (tuple(trial.state.cubes), tuple(trial.state.parents))
+        if key not in found or odds > found[key][1]:
+            found[key] = (trial, odds)
+    return list(found.values())
+
+
+def without(best, i, floor, slack):
+    """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
+    state = best.state.without(i)
+    chart, values = make_chart(state, floor, slack)
+    engine = engine_of(chart, best.sensor)
+    return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
+
+
+def whole_evidence(rng, refined, draws=200, steps=40):
+    """Return the log of the density's integral over all coordinates."""
+    engine = engine_of(refined.chart, refined.sensor)
+    found = sample(rng, engine, refined.chart, refined.values, draws, steps)
+    return log_evidence(found, list(range(len(refined.values))))
+
+
+def from_search(rng, best, pool, energy, slack):
+    """Return (Refined, log odds against the best) of structures that the search met on its way.
+
+    pool : (state, energy) of them. energy : the best one's.
+    """
+    names = names_of(best.state)
+    seen = {structure_key(best.state, names)}
+    near: list = []
+    for state, value in sorted(pool, key=lambda pair: pair[1]):
+        if value > energy + WITHIN or len(near) >= FROM_SEARCH:
+            break
+        key = structure_key(state, matched_names(state, best.state, names))
+        if key not in seen:
+            seen.add(key)
+            near.append(state)
+    if not near:
+        return []
+    height = best.log_prior + best.log_likelihood
+    floor = floor_pose_of(best)
+    trials = [at_mode(rng, state, floor, best.sensor, slack, 200) for state in near]
+    trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
+    if not trials:
+        return []
+    own = whole_evidence(rng, best)
+    return [(trial, whole_evidence(rng, trial) - own) for trial in trials]

@@ -1,0 +1,152 @@
+"""From the search's best state to draws under the likelihood that the image itself suggests.
+
+The search scores edges pixel by pixel without blur and cuts misfits off; here the sensor's noise, blur and outliers
+are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (continuous.py).
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.inference.posterior import StructurePosterior
+from derender.inference.structure.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
+from derender.inference.structure.continuous import (
+    Draws,
+    anneal,
+    engine_of,
+    load,
+    log_evidence,
+    make_proposals,
+    own_members,
+    sample,
+)
+from derender.inference.structure.graph import scene_graph
+from derender.inference.structure.image import ROW
+from derender.inference.structure.numbers import numbers_of_draws
+from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor
+from derender.vision.camera import Camera
+
+ANNEALING = 400  # steps of each temperature for each solid
+STEPS = 60  # between two draws: at least so many, and so many for each solid
+MOST_STEPS = 400
+LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
+
+
+class Refined(NamedTuple):
+    """A state at its mode under a sensor model.
+
+    Attributes
+    ----------
+    state : State with its rows there; chart : Chart; values : (D,) its coordinates; sensor : Sensor.
+    log_prior, log_likelihood : there.
+    """
+
+    state: Any
+    chart: Chart
+    values: np.ndarray
+    sensor: Sensor
+    log_prior: float
+    log_likelihood: float
+
+
+def at_mode(rng, state, floor_pose, sensor, slack, steps=ANNEALING, only=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
+    """Return the Refined of a state, annealed under a sensor model.
+
+    only : index of the one solid that may move (and the coordinates given by its own), None for all.
+    """
+    chart, values = make_chart(state, floor_pose, slack)
+    return climb(rng, state, chart, values, sensor, steps, None if only is None else own_members(chart, only),
+                 temperatures)  # fmt: skip
+
+
+def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
+    """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
+    engine = engine_of(chart, sensor)
+    proposals = make_proposals(chart, len(values), members)
+    count = len(state) if members is None else 1
+    draws = anneal(rng, engine, chart, values, proposals, steps * max(count, 1), temperatures)
+    best = int(np.argmax(draws.densities.sum(axis=1)))
+    values[:] = draws.values[best]
+    return refined_at(state, chart, values, sensor, *draws.densities[best])
+
+
+def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
+    """Return the Refined whose state's rows are those of the coordinates."""
+    rows = np.empty((len(state), ROW))
+    place_rows(chart, values, rows)
+    state = state.copy()
+    state.rows = rows
+    return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
+
+
+def refine(rng, seen, state, slack):
+    """Return the Refined of the search's best state, the sensor fitted on the way."""
+    camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
+    observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
+    chart, values = make_chart(state, seen.floor.pose, slack)
+    sensor = first_sensor(camera, observed, chart, values)
+    first = climb(rng, state, chart, values, sensor, ANNEALING)
+    sensor = final_sensor(sensor, chart, first.values)
+    return climb(rng, first.state, chart, first.values.copy(), sensor, ANNEALING, temperatures=(0.2, 1.0))
+
+
+def chains_of(rng, refined, chains, draws, only=None):
+    """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it.
+
+    The chains run in two threads; their random numbers do not depend on it.
+    """
+    steps = min(max(STEPS, STEPS * len(refined.state)), MOST_STEPS)
+
+    def chain(stream):
+        engine = engine_of(refined.chart, refined.sensor)
+        values = refined.values.copy()
+        proposals = make_proposals(refined.chart, len(values), only)
+        anneal(stream, engine, refined.chart, values, proposals, ANNEALING, (0.05, 0.3, 1.0))
+        return sample(stream, engine, refined.chart, values, draws, steps, only)
+
+    streams = rng.spawn(chains)
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(chain, streams))
+
+
+def floor_pose_of(refined):
+    """Return the (4, 4) pose, floor frame to camera, of a Refined."""
+    count = len(refined.state)
+    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    place_rows(refined.chart, refined.values, rows)
+    camera_poses(refined.chart, refined.values, rows, poses, sizes)
+    return poses[0].copy()
+
+
+def structure_posterior(refined, names, weight, chains: list[Draws]):
+    """Return the StructurePosterior of a Refined and its chains' draws; its first draw is the mode."""
+    graph = scene_graph(refined.state, floor_pose_of(refined), names)
+    values = np.stack([chain.values for chain in chains])
+    densities = np.stack([chain.densities for chain in chains])
+    values[0, 0] = refined.values
+    densities[0, 0] = refined.log_prior, refined.log_likelihood
+    size = values.shape[-1]
+    addresses, numbers, periods, root = numbers_of_draws(refined.chart, values.reshape(-1, size), graph, names)
+    shape = values.shape[:2]
+    return StructurePosterior(
+        graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,
+        root.reshape(*shape, 4, 4), {"accepted": [chain.accepted for chain in chains]},
+    )  # fmt: skip
+
+
+def only_draw(refined):
+    """Return Draws that hold the mode alone."""
+    return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
+
+
+def local_evidence(rng, refined, k):
+    """Return the log of the density's integral over the coordinates of solid k, all others held at the mode."""
+    members = own_members(refined.chart, k)
+    engine = engine_of(refined.chart, refined.sensor)
+    draws = sample(rng, engine, refined.chart, refined.values, LOCAL_DRAWS, LOCAL_STEPS, members, 400)
+    return log_evidence(draws, members)
+
+
+__all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
+           "structure_posterior"]  # fmt: skip
