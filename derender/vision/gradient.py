@@ -16,7 +16,7 @@ def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sig
     """Return the (height, width) mean depth over the area of each pixel, blurred by `blur_sigma` pixels."""
     canvas = new_canvas(camera, len(solids.kind))
     window = np.array([0, camera.width, 0, camera.height], np.int64)
-    draw_antialiased(canvas, *_arrays(solids), float(background), window)
+    draw_antialiased(canvas, *_arrays(solids), float(background), window)  # type: ignore[call-arg]
     return blur(canvas.depth, blur_sigma)
 
 
@@ -34,8 +34,19 @@ class SmoothLikelihood:
     edges : False leaves out the occlusion edges, which makes the derivative wrong: for comparison only.
     """
 
-    def __init__(self, camera, observed, kinds, sigma=0.005, blur_sigma=1.0, background=10.0, extra_blur=0.0,
-                 limit=math.inf, parameters=1, edges=True) -> None:
+    def __init__(
+        self,
+        camera,
+        observed,
+        kinds,
+        sigma=0.005,
+        blur_sigma=1.0,
+        background=10.0,
+        extra_blur=0.0,
+        limit=math.inf,
+        parameters=1,
+        edges=True,
+    ) -> None:
         announce_compilation(normal_equations)
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
@@ -61,7 +72,8 @@ class SmoothLikelihood:
     def gradient(self, solids: Solids, active=None) -> tuple[float, np.ndarray]:
         """Return (log likelihood, its derivative (N, 9) by every solid's motion), in one pass.
 
-        A motion is a twist (v, w) about the camera's centre, in metres and radians, and the growth of the three extents.
+        A motion is a twist (v, w) about the camera's centre, in metres and radians, and the growth of the three
+        extents.
         A parameter that moves several solids rigidly collects the sum of their twists' rows (Eqs. 7-9).
         """
         _, poses, sizes = _arrays(solids)
@@ -100,5 +112,8 @@ def motions_between(poses, sizes, poses_after, sizes_after, poses_before, sizes_
 
 
 def _arrays(solids: Solids):
-    return (np.ascontiguousarray(solids.kind, np.int32), np.ascontiguousarray(solids.pose, np.float64),
-            np.ascontiguousarray(solids.size, np.float64))
+    return (
+        np.ascontiguousarray(solids.kind, np.int32),
+        np.ascontiguousarray(solids.pose, np.float64),
+        np.ascontiguousarray(solids.size, np.float64),
+    )

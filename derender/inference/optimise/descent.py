@@ -1,4 +1,5 @@
-"""Ascent of the posterior of one structure, compiled from end to end: Levenberg-Marquardt and the paper's fixed steps."""
+"""Ascent of the posterior of one structure, compiled from end to end: Levenberg-Marquardt and the paper's fixed
+steps."""
 
 import math
 
@@ -93,12 +94,29 @@ def differences_at(misfit, placement, values, mean, precision, poses, sizes, sca
 
 
 @njit(cache=True, nogil=True)
-def levenberg(misfit, placement, values, lower, upper, period, mean, precision, iterations, tolerance, edges,
-              margin, path, costs, gradient, hessian):
+def levenberg(
+    misfit,
+    placement,
+    values,
+    lower,
+    upper,
+    period,
+    mean,
+    precision,
+    iterations,
+    tolerance,
+    edges,
+    margin,
+    path,
+    costs,
+    gradient,
+    hessian,
+):
     """Minimise by Levenberg-Marquardt, in place, and return (cost, accepted states, tried steps).
 
     values : (P,) float64, start and end. lower, upper, period : the domain. mean, precision : normal priors.
-    iterations : most steps to try. tolerance : nats; a smaller gain ends it. margin : compare only pixels so near to the
+    iterations : most steps to try. tolerance : nats; a smaller gain ends it. margin : compare only pixels so near to
+        the
     moving solids' first place (the cost then lacks a constant), 0 for the whole image. path : (iterations + 1, P) and
     costs : (iterations + 1,), written: the accepted states. gradient, hessian : those of the last state.
     """
@@ -124,8 +142,9 @@ def levenberg(misfit, placement, values, lower, upper, period, mean, precision, 
     while tried < iterations:
         largest = 1e-12
         for p in range(count):
-            held[p] = period[p] == 0.0 and ((values[p] <= lower[p] and gradient[p] > 0.0)
-                                            or (values[p] >= upper[p] and gradient[p] < 0.0))
+            held[p] = period[p] == 0.0 and (
+                (values[p] <= lower[p] and gradient[p] > 0.0) or (values[p] >= upper[p] and gradient[p] < 0.0)
+            )
             largest = max(largest, hessian[p, p])
         damped[:] = hessian
         for p in range(count):
@@ -150,8 +169,9 @@ def levenberg(misfit, placement, values, lower, upper, period, mean, precision, 
             values[:] = trial
             accepted += 1
             damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), 1e-7)
-            value = equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient,
-                                 hessian)
+            value = equations_at(
+                misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian
+            )
             path[accepted], costs[accepted] = values, value
             if gained < tolerance:
                 break
@@ -163,8 +183,9 @@ def levenberg(misfit, placement, values, lower, upper, period, mean, precision, 
 
 
 @njit(cache=True, nogil=True)
-def fixed_step(misfit, placement, values, lower, upper, period, mean, precision, iterations, step, edges,
-               difference, path, costs):
+def fixed_step(
+    misfit, placement, values, lower, upper, period, mean, precision, iterations, step, edges, difference, path, costs
+):
     """Ascend the log density by steps of fixed length along its gradient in unit coordinates, as in Figure 5.
 
     Each parameter is measured by its range (an angle by its period), where alpha = `step` is the paper's; the gradient
@@ -207,25 +228,53 @@ def fixed_step(misfit, placement, values, lower, upper, period, mean, precision,
 
 
 @njit(cache=True, nogil=True)
-def scan(misfit, placement, values, lower, upper, period, mean, precision, points):
-    """Replace values by the best of themselves and of a lattice of points shifted to begin at them; return its cost.
+def scan(
+    misfit,
+    placement,
+    values,
+    lower,
+    upper,
+    period,
+    mean,
+    precision,
+    points,
+    kept,
+    iterations,
+    path,
+    costs,
+    gradient,
+    hessian,
+):
+    """Replace values by the best end of descents from the `kept` best of a lattice of points that begins at them.
 
-    points : (K, P) float64 in [0, 1), shares of each parameter's range or period, added to `values` modulo the range.
-    Ranges must be finite. The cost of K small renderings: meant for a coarse misfit.
+    Returns (cost, accepted states of the winning descent). The lattice is shifted to begin at `values`, so that a
+    random
+    start makes it random. Meant for a coarse misfit, whose renderings are cheap and whose wrong basins are few.
+
+    points : (K, P) float64 in [0, 1), shares of each parameter's range or period, added modulo the range; parameters
+    without a finite range stay. iterations : of each descent. The rest as in `levenberg`.
     """
     count, solids = values.shape[0], misfit.kinds.shape[0]
     poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))
     bring(values, lower, upper, period)
     watch_all(misfit)
-    best = cost_at(misfit, placement, values, mean, precision, poses, sizes)
-    origin, trial = values.copy(), np.empty(count)
+    places, heights = np.empty((points.shape[0], count)), np.empty(points.shape[0])
     for n in range(points.shape[0]):
         for p in range(count):
             low, length = (0.0, period[p]) if period[p] > 0.0 else (lower[p], upper[p] - lower[p])
-            share = (origin[p] - low) / length + points[n, p]
-            trial[p] = low + length * (share - math.floor(share))
-        value = cost_at(misfit, placement, trial, mean, precision, poses, sizes)
+            places[n, p] = values[p]
+            if points[n, p] != 0.0 and math.isfinite(length):
+                share = (values[p] - low) / length + points[n, p]
+                places[n, p] = low + length * (share - math.floor(share))
+        heights[n] = cost_at(misfit, placement, places[n], mean, precision, poses, sizes)
+    order = np.argsort(heights)
+    best, winner, steps = math.inf, 0, 0
+    for n in range(min(kept, len(order))):
+        value, accepted, _ = levenberg(
+            misfit, placement, places[order[n]], lower, upper, period, mean, precision, iterations, 5.0, True, 0,
+            path, costs, gradient, hessian,
+        )  # fmt: skip
         if value < best:
-            best = value
-            values[:] = trial
-    return best
+            best, winner, steps = value, order[n], accepted
+    values[:] = places[winner]
+    return best, steps

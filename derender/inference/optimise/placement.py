@@ -1,7 +1,8 @@
 """From the free numbers of a scene graph to placed solids and their motions, compiled: Eq. 1 and its derivative.
 
 Eq. 7-9: a contact's parameter moves the vertex and all that descends from it by one rigid motion. The motions are found
-by central differences of Eq. 1 itself (numbers of order one in float64: exact to 1e-9), so that every contact type, slack,
+by central differences of Eq. 1 itself (numbers of order one in float64: exact to 1e-9), so that every contact type,
+slack,
 and the way sizes enter through (u, v) need no derivative of their own. The image's derivative is exact and never
 differenced.
 """
@@ -13,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from derender.errors import DerenderError
-from derender.inference.optimise.levenberg import Domain
+from derender.inference.optimise.domain import Domain
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, compose, relative_pose
 from derender.model.scene import SceneGraph
@@ -33,7 +34,8 @@ class Placement(NamedTuple):
     root : (4, 4) float64. parent : (N,) int64, -1 for the root. kind : (N,) int64, of solids or FRAME.
     contact, parent_face, child_face : (N,) int64 codes of contacts.compiled. phi : (N, SLOTS), size : (N, 3) float64.
     solid : (N,) int64, index among the solids or -1.
-    vertex : (P,) int64. slot : (P,) int64, of phi, or -1 for a number of the shape. growth : (P, 3) float64, extents per
+    vertex : (P,) int64. slot : (P,) int64, of phi, or -1 for a number of the shape. growth : (P, 3) float64, extents
+        per
         unit of it; base : (P,) its value in `size`.
     poses : (N + 1, 4, 4), extents : (N, 3), work : (4, 4), phis : (N, SLOTS) float64, scratch.
     """
@@ -73,8 +75,9 @@ def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placemen
     for n, vertex in enumerate(graph.vertices):
         contact = contacts[vertex.contact.type]
         if contact.compiled_code is None:
-            raise DerenderError(f"{vertex.contact.type} has no compiled form", f"{vertex.name}.contact",
-                                "use --method mcmc")
+            raise DerenderError(
+                f"{vertex.contact.type} has no compiled form", f"{vertex.name}.contact", "use --method mcmc"
+            )
         shape, parent = shapes[vertex.shape], graph.body(vertex.parent).shape
         faces = vertex.contact.parent_face, vertex.contact.child_face
         parameters.append(contact.parameters(parent, shape, *faces))
@@ -83,8 +86,13 @@ def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placemen
         extents = vertex.body.size()
         size[n] = 0.0 if extents is None else extents
         kind = FRAME if shape.solid_kind is None else shape.solid_kind
-        codes[:, n] = (index.get(vertex.parent, -1), kind, contact.compiled_code,
-                       FEATURE_CODES[faces[0]], FEATURE_CODES[faces[1]])
+        codes[:, n] = (
+            index.get(vertex.parent, -1),
+            kind,
+            contact.compiled_code,
+            FEATURE_CODES[faces[0]],
+            FEATURE_CODES[faces[1]],
+        )
     for place, name in enumerate(graph.solid_names):
         solid[index[name]] = place
     vertex_of, slot, growth, base = np.zeros(free, np.int64), np.full(free, -1), np.zeros((free, 3)), np.zeros(free)
@@ -114,10 +122,21 @@ def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placemen
             body = vertex.body
             growth[p] = np.asarray(body.shape.size(more, body.options)) - size[n]
             lower[p] = max(lower[p], SMALLEST / max(growth[p].max(), 1e-9))
-    placement = Placement(
-        np.ascontiguousarray(graph.root_pose, np.float64), *(np.ascontiguousarray(row, np.int64) for row in codes),
-        phi, size, solid.astype(np.int64), vertex_of, slot.astype(np.int64), growth, base,
-        np.zeros((count + 1, 4, 4)), np.zeros((count, 3)), np.zeros((4, 4)), np.zeros((count, SLOTS)))
+    placement = Placement(  # type: ignore[call-arg]
+        np.ascontiguousarray(graph.root_pose, np.float64),
+        *(np.ascontiguousarray(row, np.int64) for row in codes),
+        phi,
+        size,
+        solid.astype(np.int64),
+        vertex_of,
+        slot.astype(np.int64),
+        growth,
+        base,
+        np.zeros((count + 1, 4, 4)),
+        np.zeros((count, 3)),
+        np.zeros((4, 4)),
+        np.zeros((count, SLOTS)),
+    )
     return placement, values, Domain(lower, upper, period)
 
 
@@ -138,9 +157,17 @@ def place(placement, values, poses, sizes):
     nothing = np.zeros(3)
     for n in range(count):
         up = placement.parent[n]
-        relative_pose(placement.contact[n], placement.kind[up] if up >= 0 else FRAME,
-                      placement.extents[up] if up >= 0 else nothing, placement.kind[n], placement.extents[n],
-                      placement.parent_face[n], placement.child_face[n], placement.phis[n], placement.work)
+        relative_pose(
+            placement.contact[n],
+            placement.kind[up] if up >= 0 else FRAME,
+            placement.extents[up] if up >= 0 else nothing,
+            placement.kind[n],
+            placement.extents[n],
+            placement.parent_face[n],
+            placement.child_face[n],
+            placement.phis[n],
+            placement.work,
+        )
         compose(placement.poses[up if up >= 0 else count], placement.work, placement.poses[n])
         s = placement.solid[n]
         if s >= 0:

@@ -1,7 +1,9 @@
-"""Refine the places and sizes of several solids jointly, each held by what it stands on: the work horse of structure moves.
+"""Refine the places and sizes of several solids jointly, each held by what it stands on: the work horse of
+structure moves.
 
 No scene graph is needed: a solid is *upright* (it slides and turns on the horizontal face of its support, its underside
-stays there, and it rises when its support grows) or *free* (six degrees of freedom), and may have fixed or free extents.
+stays there, and it rises when its support grows) or *free* (six degrees of freedom), and may have fixed or free
+extents.
 """
 
 import math
@@ -9,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.optimise.levenberg import Minimum
+from derender.inference.optimise.domain import Minimum
 from derender.model.pose import twist_exp
 from derender.model.solids import CYLINDER, PLANE, SPHERE, Solids
 from derender.vision.gradient import SmoothLikelihood
@@ -20,7 +22,8 @@ SMALLEST = 0.003  # metres: no extent shrinks below
 
 
 class Refined(NamedTuple):
-    """Attributes: solids; cost before and after (minus log likelihood up to the same constant); minimum of the last level;
+    """Attributes: solids; cost before and after (minus log likelihood up to the same constant); minimum of the last
+    level;
     covariance (P, P) of the parameters, None where the equations are singular."""
 
     solids: Solids
@@ -104,7 +107,9 @@ def move_solids(solids: Solids, motions: np.ndarray, step: np.ndarray) -> Solids
     pose = solids.pose.copy()
     for k in np.flatnonzero(np.any(total[:, :6] != 0.0, axis=1)):
         pose[k] = twist_exp(total[k, :3], total[k, 3:6]) @ pose[k]
-    return solids._replace(pose=pose, size=np.where(solids.size > 0, np.maximum(solids.size + total[:, 6:], SMALLEST), 0))
+    return solids._replace(
+        pose=pose, size=np.where(solids.size > 0, np.maximum(solids.size + total[:, 6:], SMALLEST), 0)
+    )
 
 
 def refine_solids(
@@ -123,7 +128,9 @@ def refine_solids(
     """
     motions = solid_motions(solids, form, sized, supports, up)
     if likelihoods is None:
-        likelihoods = level_likelihoods(camera, observed, solids.kind, len(motions), sigma, blur_sigma, background, limit, levels)
+        likelihoods = level_likelihoods(
+            camera, observed, solids.kind, len(motions), sigma, blur_sigma, background, limit, levels
+        )
     cost_before = likelihoods[-1].cost(solids.pose, solids.size)
     start = solids
     for likelihood in likelihoods:
@@ -138,15 +145,29 @@ def refine_solids(
     return Refined(solids, cost_before, cost, minimum, covariance)
 
 
-def level_likelihoods(camera, observed, kinds, parameters, sigma=0.005, blur_sigma=0.0, background=10.0, limit=8.0,
-                      levels=((1.5, 3.0), (0.5, 1.0))) -> list[SmoothLikelihood]:
+def level_likelihoods(
+    camera,
+    observed,
+    kinds,
+    parameters,
+    sigma=0.005,
+    blur_sigma=0.0,
+    background=10.0,
+    limit=8.0,
+    levels=((1.5, 3.0), (0.5, 1.0)),
+) -> list[SmoothLikelihood]:
     """Return the likelihoods of a coarse-to-fine schedule, to be reused for scenes with the same kinds of solids."""
-    return [SmoothLikelihood(camera, observed, kinds, np.asarray(sigma, float) * factor, blur_sigma, background,
-                             extra, limit, parameters) for extra, factor in levels]
+    return [
+        SmoothLikelihood(
+            camera, observed, kinds, np.asarray(sigma, float) * factor, blur_sigma, background, extra, limit, parameters
+        )
+        for extra, factor in levels
+    ]
 
 
 def _size_prior(solids, prior, motions):
-    """Cost, gradient and Hessian of independent normals on the logarithms of the extents of the solids that can grow."""
+    """Cost, gradient and Hessian of independent normals on the logarithms of the extents of the solids that can
+    grow."""
     mean, precision = prior
     grows = np.any(motions[:, :, 6:] != 0.0, axis=0) & (solids.size > 0)
     size = np.where(grows, solids.size, 1.0)

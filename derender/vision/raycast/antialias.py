@@ -2,10 +2,12 @@
 
 A pixel that one face fills has the depth of its centre (the mean differs in second order only). A pixel that an
 outline or a crease may cross is *mixed*. If one straight line divides it, both parts are integrated exactly (area times
-depth at the centroid); otherwise (corners, curved solids) it is sampled at SAMPLES points of a rank-1 lattice, whose projections on any
+depth at the centroid); otherwise (corners, curved solids) it is sampled at SAMPLES points of a rank-1 lattice, whose
+projections on any
 direction are nearly evenly spaced, so that an edge that sweeps over the pixel changes the image almost continuously
 (a 4 x 4 grid moves in quarters under an upright edge). Which pixels are mixed follows from the bounds of
-`convex.prepare_solid`: two of them may cross in a pixel if their difference at its centre is less than their range over it.
+`convex.prepare_solid`: two of them may cross in a pixel if their difference at its centre is less than their range
+over it.
 """
 
 import math
@@ -306,7 +308,8 @@ def _bounds_in_pixel(prepared, column, row, line):
 
 @njit(cache=True, nogil=True)
 def _half_square(line, out):
-    """Area and centroid (area, x, y) of the part of the unit square about 0 where line[0] + line[1] x + line[2] y > 0."""
+    """Area and centroid (area, x, y) of the part of the unit square about 0 where line[0] + line[1] x + line[2] y >
+    0."""
     area, sum_x, sum_y = 0.0, 0.0, 0.0
     first_x, first_y, last_x, last_y = 0.0, 0.0, 0.0, 0.0
     count = 0
@@ -340,7 +343,8 @@ def _half_square(line, out):
 
 @njit(cache=True, nogil=True)
 def _split_pixel(canvas, kinds, column, row, background, m, line, latest, candidates):
-    """Integrate a pixel that at most one straight line divides, exactly; return its mean depth, or -1 if it has more."""
+    """Integrate a pixel that at most one straight line divides, exactly; return its mean depth, or -1 if it has
+    more."""
     count, lines = 0, 0
     nearest_full = 0.0
     for k in range(kinds.shape[0]):

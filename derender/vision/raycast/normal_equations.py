@@ -2,7 +2,8 @@
 
 A pixel costs rho(r) = r^2 / (2 sigma^2) under the normal likelihood (Eq. 6), and
 -log((exp(-r^2 / (2 sigma^2)) + exp(-limit)) / (1 + exp(-limit))) under a mixture with a broad outlier whose share makes
-the two equal at r^2 / (2 sigma^2) = `limit`. Constants are left out: differences of costs are differences of log density.
+the two equal at r^2 / (2 sigma^2) = `limit`. Constants are left out: differences of costs are differences of log
+density.
 """
 
 import math
@@ -25,12 +26,15 @@ class Misfit(NamedTuple):
     Attributes
     ----------
     canvas : Canvas. records : Records. kinds : (N,) int32.
-    observed : (H, W) float64 metres, any number where missing. precision : (H, W) float64, 1 / sigma^2, 0 where missing.
+    observed : (H, W) float64 metres, any number where missing. precision : (H, W) float64, 1 / sigma^2, 0 where
+        missing.
     numbers : (2,) float64, the background depth and the limit of the robust cost (infinite: normal).
     taps : (R + 1,) float64, of the blur. window : (4,) int64, the pixels that are compared.
-    blurred, weighted, scratch, weight : (H, W) float64: blurred model; derivative of the cost by it; weight of each pixel
+    blurred, weighted, scratch, weight : (H, W) float64: blurred model; derivative of the cost by it; weight of each
+        pixel
         in the normal equations.
-    images : (P, H * W) float64, derivatives of the blurred image by the parameters. bounds : (P, 4) int64, where not zero.
+    images : (P, H * W) float64, derivatives of the blurred image by the parameters. bounds : (P, 4) int64, where not
+        zero.
     """
 
     canvas: Canvas
@@ -58,11 +62,19 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
     kinds = np.ascontiguousarray(kinds, np.int32)
     zeros = [np.zeros((height, width)) for _ in range(4)]
     return Misfit(
-        new_canvas(camera, len(kinds)), new_records(camera, len(kinds)), kinds,
-        np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64), np.ascontiguousarray(precision),
-        np.array([background, limit], np.float64), np.ascontiguousarray(taps, np.float64),
-        np.array([0, width, 0, height], np.int64), np.zeros(4, np.int64), *zeros,
-        np.zeros((parameters, height * width)), np.zeros((parameters, 4), np.int64))
+        new_canvas(camera, len(kinds)),
+        new_records(camera, len(kinds)),
+        kinds,
+        np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),
+        np.ascontiguousarray(precision),
+        np.array([background, limit], np.float64),
+        np.ascontiguousarray(taps, np.float64),
+        np.array([0, width, 0, height], np.int64),
+        np.zeros(4, np.int64),
+        *zeros,
+        np.zeros((parameters, height * width)),
+        np.zeros((parameters, 4), np.int64),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -138,8 +150,17 @@ def cost_gradient(misfit, poses, sizes, active, edges, totals):
     active : (N,) bool. edges : bool, see `sensitivity.record`. totals : (N, MOTION) float64, written.
     """
     value = cost(misfit, poses, sizes)
-    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.drawn, edges)
+    record(
+        misfit.canvas,
+        misfit.records,
+        misfit.kinds,
+        poses,
+        sizes,
+        active,
+        misfit.numbers[BACKGROUND],
+        misfit.drawn,
+        edges,
+    )
     carried = misfit.images[0].reshape(misfit.blurred.shape)
     blur_adjoint(misfit.weighted, misfit.taps, misfit.window, misfit.scratch, carried)
     totals[:] = 0.0
@@ -174,8 +195,17 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                 if motions[p, k, c] != 0.0:
                     moves[p, k] = True
                     active[k] = True
-    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.drawn, edges)
+    record(
+        misfit.canvas,
+        misfit.records,
+        misfit.kinds,
+        poses,
+        sizes,
+        active,
+        misfit.numbers[BACKGROUND],
+        misfit.drawn,
+        edges,
+    )
     spread(misfit.records, motions, moves, misfit.images)
     radius = misfit.taps.shape[0] - 1
     window, drawn = misfit.window, misfit.drawn
@@ -195,7 +225,7 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
             image = misfit.images[p].reshape(height, width)
             blur_rectangle(image, misfit.taps, bounds, misfit.scratch, blurred)
             for row in range(bounds[2], bounds[3]):
-                image[row, bounds[0]:bounds[1]] = blurred[row, bounds[0]:bounds[1]]
+                image[row, bounds[0] : bounds[1]] = blurred[row, bounds[0] : bounds[1]]
     weight, weighted = misfit.weight.reshape(height * width), misfit.weighted.reshape(height * width)
     for p in range(count):
         image = misfit.images[p]
@@ -216,5 +246,5 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
             hessian[q, p] = total
     for p in range(count):  # leave the images clean for the next call
         for row in range(drawn[2], drawn[3]):
-            misfit.images[p, row * width + drawn[0]:row * width + drawn[1]] = 0.0
+            misfit.images[p, row * width + drawn[0] : row * width + drawn[1]] = 0.0
     return value

@@ -1,10 +1,12 @@
 """What every pixel of the antialiased depth image does when a solid moves or grows: sparse, exact, one pass.
 
 A point p of a solid with pose (R, c) and size s moves by v + w x p + R (q_k / s_k) e_k ds_k, q = R'(p - c), under the
-twist (v, w) about the camera's centre and the growth ds: nine numbers, its *motion*. The derivative of the area integral
+twist (v, w) about the camera's centre and the growth ds: nine numbers, its *motion*. The derivative of the area
+integral
 of depth over a pixel has two terms:
 * inside: the depth at a pixel changes by n . dp / (n . r), n the normal, r the ray with unit z;
-* at outlines: an outline element of ds pixels whose normal through the camera's centre is N (outwards) moves outwards by
+* at outlines: an outline element of ds pixels whose normal through the camera's centre is N (outwards) moves outwards
+by
   N . dp / (z |(N_x / fx, N_y / fy)|) pixels and replaces the depth behind by its own.
 Where a nearer solid hides the outline there is nothing; where the solid touches what lies behind, the step is zero and
 so is the term. Both are `weight * N . dp`, a linear form on motions (a covector): `Records` list pixel, solid and form.
@@ -26,11 +28,13 @@ BISECTIONS = 10  # an outline's hidden part is found to a thousandth of a pixel
 
 
 class Records(NamedTuple):
-    """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form . motion[solid].
+    """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form .
+    motion[solid].
 
     Attributes
     ----------
-    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `count[0]` count.
+    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `count[0]`
+        count.
     count : (1,) int64. segments : (CHORDS, 2, 3) float64, scratch.
     """
 
@@ -44,8 +48,13 @@ class Records(NamedTuple):
 def new_records(camera, solids: int) -> Records:
     """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
     size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
-    return Records(np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros((size, MOTION)), np.zeros(1, np.int64),
-                   np.zeros((CHORDS, 2, 3)))
+    return Records(
+        np.zeros(size, np.int32),
+        np.zeros(size, np.int32),
+        np.zeros((size, MOTION)),
+        np.zeros(1, np.int64),
+        np.zeros((CHORDS, 2, 3)),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -73,8 +82,18 @@ def _add_surface(form, weight, kind, pose, size, prepared, face, column, row, ca
         a, b, c = prepared[p], prepared[p + 1], prepared[p + 2]
         depth = 1.0 / (a + b * column + c * row)
         # the plane is n . p = 1 with n = (b fx, c fy, a + b cx + c cy), so n . r is the inverse depth
-        add_form(form, weight * depth, b * camera[0], c * camera[1], a + b * camera[2] + c * camera[3],
-                 depth * x, depth * y, depth, pose, size)
+        add_form(
+            form,
+            weight * depth,
+            b * camera[0],
+            c * camera[1],
+            a + b * camera[2] + c * camera[3],
+            depth * x,
+            depth * y,
+            depth,
+            pose,
+            size,
+        )
         return
     depth = 1.0 / inverse_depth(prepared, column, row)
     px, py, pz = depth * x, depth * y, depth
@@ -101,8 +120,18 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
                     records.pixel[count], records.solid[count] = row * width + column, k
                     form = records.form[count]
                     form[:] = 0.0
-                    _add_surface(form, 1.0, kinds[k], poses[k], sizes[k], canvas.prepared[k],
-                                 code[row, column] & FACE_MASK, float(column), float(row), camera)
+                    _add_surface(
+                        form,
+                        1.0,
+                        kinds[k],
+                        poses[k],
+                        sizes[k],
+                        canvas.prepared[k],
+                        code[row, column] & FACE_MASK,
+                        float(column),
+                        float(row),
+                        camera,
+                    )
                     count += 1
     weight = 1.0 / SAMPLES
     for m in range(canvas.count[0]):
@@ -121,8 +150,18 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
                     records.pixel[count], records.solid[count] = pixel, k
                     records.form[count] = 0.0
                     count += 1
-                _add_surface(records.form[count - 1], share[0], kinds[k], poses[k], sizes[k], canvas.prepared[k],
-                             here & FACE_MASK, column + share[1], row + share[2], camera)
+                _add_surface(
+                    records.form[count - 1],
+                    share[0],
+                    kinds[k],
+                    poses[k],
+                    sizes[k],
+                    canvas.prepared[k],
+                    here & FACE_MASK,
+                    column + share[1],
+                    row + share[2],
+                    camera,
+                )
             continue
         for n in range(SAMPLES):
             here = codes[n]
@@ -131,7 +170,9 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
             k, face = here >> FACE_BITS, here & FACE_MASK
             seen = 0.0
             x, y = 0.0, 0.0
-            if face != QUADRIC:  # one form for all samples of a flat face, at their mean, when the first of them comes up
+            if (
+                face != QUADRIC
+            ):  # one form for all samples of a flat face, at their mean, when the first of them comes up
                 for o in range(SAMPLES):
                     if codes[o] == here:
                         if o < n:
@@ -154,14 +195,25 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
                 records.pixel[count], records.solid[count] = pixel, k
                 records.form[count] = 0.0
                 count += 1
-            _add_surface(records.form[slot], weight * seen, kinds[k], poses[k], sizes[k], canvas.prepared[k], face,
-                         column + x, row + y, camera)
+            _add_surface(
+                records.form[slot],
+                weight * seen,
+                kinds[k],
+                poses[k],
+                sizes[k],
+                canvas.prepared[k],
+                face,
+                column + x,
+                row + y,
+                camera,
+            )
     records.count[0] = count
 
 
 @njit(cache=True, nogil=True)
 def nearest(canvas, kinds, without, column, row):
-    """Return (inverse depth, index) of the nearest of all solids but one along the ray through (column, row), or (0, -1)."""
+    """Return (inverse depth, index) of the nearest of all solids but one along the ray through (column, row), or (0,
+    -1)."""
     best, label = 0.0, -1
     i, j = math.floor(column + 0.5), math.floor(row + 0.5)
     for k in range(kinds.shape[0]):
@@ -175,7 +227,8 @@ def nearest(canvas, kinds, without, column, row):
 
 @njit(cache=True, nogil=True)
 def _behind(canvas, kinds, k, column, row, w):
-    """What lies behind an outline of solid k at inverse depth w: a solid's index, -1 for nothing, -2 if hidden itself."""
+    """What lies behind an outline of solid k at inverse depth w: a solid's index, -1 for nothing, -2 if hidden
+    itself."""
     value, label = nearest(canvas, kinds, k, column, row)
     return label if w > value else -2
 
@@ -263,9 +316,18 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
                     records.pixel[count], records.solid[count] = pixel, k
                     records.form[count] = 0.0
                     count += 1
-                add_form(records.form[count - 1], step * (following - t) * pixels * scale * w, nx, ny, nz,
-                         depth * (column - camera[2]) / camera[0], depth * (row - camera[3]) / camera[1], depth,
-                         pose, size)
+                add_form(
+                    records.form[count - 1],
+                    step * (following - t) * pixels * scale * w,
+                    nx,
+                    ny,
+                    nz,
+                    depth * (column - camera[2]) / camera[0],
+                    depth * (row - camera[3]) / camera[1],
+                    depth,
+                    pose,
+                    size,
+                )
         t, state = following, state_after
     records.count[0] = count
 
@@ -287,13 +349,30 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
     focal = max(canvas.camera[0], canvas.camera[1])
     for k in range(kinds.shape[0]):
         rectangle = canvas.rectangle[k]
-        if (not active[k] or kinds[k] == PLANE or kinds[k] == MESH or rectangle[0] >= window[1]
-                or rectangle[1] <= window[0] or rectangle[2] >= window[3] or rectangle[3] <= window[2]):
+        if (
+            not active[k]
+            or kinds[k] == PLANE
+            or kinds[k] == MESH
+            or rectangle[0] >= window[1]
+            or rectangle[1] <= window[0]
+            or rectangle[2] >= window[3]
+            or rectangle[3] <= window[2]
+        ):
             continue
         pieces = outline(kinds[k], poses[k], sizes[k], focal, records.segments)
         for n in range(pieces):
-            _walk(canvas, records, kinds, k, poses[k], sizes[k], records.segments[n, 0], records.segments[n, 1],
-                  background, window)
+            _walk(
+                canvas,
+                records,
+                kinds,
+                k,
+                poses[k],
+                sizes[k],
+                records.segments[n, 0],
+                records.segments[n, 1],
+                background,
+                window,
+            )
 
 
 @njit(cache=True, nogil=True)
