@@ -144,11 +144,12 @@ def test_forward_and_reverse_agree():
 
 
 def test_refining_solids_reaches_the_truth():
-    """From 6 mm off, a fifth of the pixels missing: 90 % of the way to the truth's density or beyond it.
+    """From 6 mm off, a fifth of the pixels missing: as likely as the truth or more so, in all scenes but one.
 
-    Not all the way in each: the robust cost has local optima where one corner is taken for outliers.
+    Not in each: the robust cost has local optima, where one corner is taken for outliers. There is none the worse for it.
     """
-    for seed in (0, 2, 4):
+    reached = 0
+    for seed in range(6):
         solids, rng = scene(seed), np.random.default_rng(seed)
         observed = render_depth(solids, CAMERA, antialias=8, background=BACKGROUND)[0] + rng.normal(0, 0.002, (64, 64))
         observed[rng.random((64, 64)) < 0.2] = np.nan
@@ -159,5 +160,7 @@ def test_refining_solids_reaches_the_truth():
         ties = dict(form=[0] + [UPRIGHT] * 4, sized=[0] + [2] * 4, supports=[-1] * 5, up=up)
         result = refine_solids(start, CAMERA, observed, **ties, sigma=0.003)
         truth = refine_solids(solids, CAMERA, observed, **ties, sigma=0.003, iterations=0)
+        assert result.cost_before - truth.cost_before > 300.0
         assert result.cost_before - result.cost > 0.9 * (result.cost_before - truth.cost_before)
-        assert result.cost_before - truth.cost_before > 500.0
+        reached += result.cost < truth.cost_before + 3.0
+    assert reached >= 5
