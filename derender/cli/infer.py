@@ -36,6 +36,13 @@ from derender.cli.options import Talk
 )
 @click.option("--shapes", metavar="NAMES", help="Without --scene: shapes to look for, such as box,cylinder.")
 @click.option("--max-objects", type=click.IntRange(1, 1000), help="Without --scene: at most so many.")
+@click.option(
+    "--floor",
+    metavar="PLANE",
+    help="Without --scene: auto (find it), none, or a,b,c,d of the plane ax + by + cz + d = 0 in camera axes.",
+)
+@click.option("--known", metavar="FILE", help="Without --scene: a library of known objects, by size or by mesh.")
+@click.option("--only-known", is_flag=True, help="There is nothing but what --known lists.")
 @click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4.")
 @click.option("--draws", type=click.IntRange(1, 10_000_000), help="Kept draws of each chain. Default 1000.")
 @click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 500.")
@@ -55,6 +62,7 @@ def command(talk: Talk, **arguments) -> int | None:
     Examples:
         derender sample && derender infer sample_000.npz
         derender infer frame.png --camera camera.json -o out && derender show out
+        derender infer frame.png --camera camera.json --known groceries.yaml
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
     """
     from derender.report.inferred import infer_to_folder

@@ -15,6 +15,7 @@ from derender.document import LikelihoodPrior, read_prior_document, write_docume
 from derender.errors import DerenderError
 from derender.inference.posterior import Posterior
 from derender.inference.settings import read_settings
+from derender.registry import suggest
 from derender.vision.depth_file import read_depth, write_depth
 
 
@@ -77,6 +78,9 @@ def infer_to_folder(
     gradient: str = "exact",
     shapes: str | None = None,
     max_objects: int | None = None,
+    floor: str | None = None,
+    known: str | None = None,
+    only_known: bool = False,
     chains: int | None = None,
     draws: int | None = None,
     warmup: int | None = None,
@@ -107,7 +111,14 @@ def infer_to_folder(
         raise DerenderError("the image has no pixel with a depth", image, "give an image that shows something")
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
     try:
-        return _infer(folder, document, seen, image, method, shapes, max_objects, chains, draws, warmup, jobs, resume,
+        found = {"shapes": shapes, "max_objects": max_objects, "floor": floor, "known": known, "only_known": only_known}
+        if document is not None and has_objects(document):
+            for key, value in found.items():
+                if value:
+                    option = "--" + key.replace("_", "-")
+                    remedy = f"leave out {option} or --scene"
+                    raise DerenderError(f"{option} is for images without a scene", prior, remedy)
+        return _infer(folder, document, seen, image, method, found, chains, draws, warmup, jobs, resume,
                       seed, command, progress, warn, started)  # fmt: skip
     except BaseException:
         with contextlib.suppress(OSError):
@@ -115,7 +126,7 @@ def infer_to_folder(
         raise
 
 
-def _infer(folder, document, seen, image, method, shapes, max_objects, chains, draws, warmup, jobs, resume, seed,
+def _infer(folder, document, seen, image, method, found, chains, draws, warmup, jobs, resume, seed,
            command, progress, warn, started) -> Outcome:  # fmt: skip
     """Infer by what is given, and write."""
     interrupted, lost = False, {}
@@ -131,7 +142,7 @@ def _infer(folder, document, seen, image, method, shapes, max_objects, chains, d
         )
         posterior, interrupted, lost = result
     else:
-        posterior = _structure(seen, document, method, shapes, max_objects, chains, draws, seed, progress)
+        posterior = _structure(seen, document, method, found, chains, draws, seed, progress)
         likelihood = LikelihoodPrior()
     seconds = time.monotonic() - started
     meta = {
@@ -156,18 +167,23 @@ def has_objects(document) -> bool:
     return isinstance(document.prior, TreePrior)
 
 
-def _structure(seen, document, method, shapes, max_objects, chains, draws, seed, progress) -> Posterior:
-    """Infer what there is from the image alone."""
+def _structure(seen, document, method, found, chains, draws, seed, progress) -> Posterior:
+    """Infer what there is from the image alone; `found` holds the options that say what is known of it."""
+    from derender.inference.structure.image import KINDS
     from derender.inference.structure.infer import infer_structure
+    from derender.inference.structure.library import read_library
 
-    chosen = {"method": method, "seed": seed}
-    if shapes:
-        chosen["shapes"] = [name.strip() for name in shapes.split(",")]
-        from derender.model.shapes import shapes as known
-
+    chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"]}
+    if found["shapes"]:
+        chosen["shapes"] = [name.strip() for name in found["shapes"].split(",")]
         for name in chosen["shapes"]:
-            known[name]
-    for key, value in (("max_objects", max_objects), ("chains", chains), ("draws", draws)):
+            if name not in KINDS:
+                raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
+    if found["known"] is not None:
+        chosen["known"] = read_library(found["known"])
+    elif found["only_known"]:
+        raise DerenderError("nothing is known", "--only-known", "give a library with --known FILE")
+    for key, value in (("max_objects", found["max_objects"]), ("chains", chains), ("draws", draws)):
         if value is not None:
             chosen[key] = value
     if document is not None:

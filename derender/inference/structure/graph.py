@@ -120,3 +120,9 @@ def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> 
             values.pop(t, None)
     return replace(contact, values=values)
 
+
+def without_floor(part):
+    """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
+    if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):
+        return part
+    return replace(part, graph=part.graph.remove(FLOOR_NAME))

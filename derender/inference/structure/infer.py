@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.structure.image import make_image
 from derender.inference.structure.observation import observe, patches_of
 from derender.inference.structure.proposals import all_hypotheses, make_surface
@@ -9,10 +10,13 @@ from derender.inference.structure.search import Settings, search
 from derender.inference.structure.support import final_parents
 
 
-def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None):
-    """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return."""
+def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, plane=None):
+    """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
+
+    plane : the floor as it is given, see bottom_up.given_floor; None: find it.
+    """
     settings = Settings() if settings is None else settings
-    seen = observe(rng, depth, camera, widest)
+    seen = observe(rng, depth, camera, widest, plane)
     settings = settings.for_correlation(seen.correlation)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
@@ -31,14 +35,17 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     image : (H, W) float metres, NaN or 0 = no return.
     camera : Camera, or a dict with fx, fy, cx, cy.
     options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
-        draws under the best structures), "map" (the best scene only).
+        draws under the best structures), "map" (the best scene only); floor ("auto", "none", or a plane in camera
+        axes), known (a library of known objects or its file), others (whether there may be solids besides them).
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
     Returns a Posterior.
     """
     from derender.inference.posterior import Posterior
     from derender.inference.structure.bridges import with_bridges
-    from derender.inference.structure.graph_posterior import part_of, posterior_parts
+    from derender.inference.structure.graph import without_floor
+    from derender.inference.structure.graph_posterior import parts_of
+    from derender.inference.structure.library import chosen_library
 
     options = dict(options or {})
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
@@ -51,18 +58,25 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     pool: list = []
-    state, seen = point_estimate(rng, depth, camera, settings, pool=pool)
+    plane = read_floor(options.get("floor"))
+    library = chosen_library(options["known"]) if options.get("known") else ()
+    state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
     settings = settings.for_correlation(seen.correlation)
     if progress:
         progress(0.6, f"{len(state)} solids; sampling")
-    if options.get("method") == "map":
-        from derender.inference.structure.graph import names_of
+    chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
+    only_best = options.get("method") == "map"
+    if library:
+        from derender.inference.structure.known_posterior import known_posterior
 
-        parts = [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]
+        many = (1, 1) if only_best else (chains, draws)
+        others = bool(options.get("others", True))
+        parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
     else:
-        chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
-        parts = posterior_parts(rng, seen.image, state, pool, settings, seen.floor.pose, chains, draws)
+        parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best)
     parts = with_bridges(parts, settings.slack)
+    if isinstance(plane, str):
+        parts = [without_floor(part) for part in parts]
     if progress:
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation}

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.bottom_up.floor import Floor, back_project, find_floor
+from derender.inference.bottom_up.given_floor import given_floor
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
 from derender.inference.bottom_up.sharpness import estimate_blur
@@ -40,10 +41,13 @@ class Observation(NamedTuple):
     correlation: float
 
 
-def observe(rng, depth, camera, widest=160):
-    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor."""
+def observe(rng, depth, camera, widest=160, plane=None):
+    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
+
+    plane : the floor as it is given, see given_floor.read_floor; None: find it.
+    """
     depth, camera, factor = reduce(depth, camera, widest)
-    floor = find_floor(rng, depth, camera)
+    floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
     sigma = noise_map(depth, floor, camera)
     correlation = neighbour_correlation(depth, floor, camera)
     if correlation > CORRELATED:
@@ -94,6 +98,8 @@ def noise_map(depth, floor, camera):
 
     Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
     """
+    if not floor.inliers.any():
+        return np.full(depth.shape, floor.sigma)
     points = back_project(depth, camera)[floor.inliers]
     normal = floor.pose[:3, 2]
     slope = np.abs((points / points[:, 2:3]) @ normal)
@@ -111,6 +117,8 @@ def noise_map(depth, floor, camera):
 
 def neighbour_correlation(depth, floor, camera):
     """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only."""
+    if not floor.inliers.any():
+        return 0.0
     points = back_project(depth, camera) - floor.pose[:3, 3]
     height = points @ floor.pose[:3, 2]
     near = floor.inliers & (depth <= np.median(depth[floor.inliers]))
