@@ -59,7 +59,41 @@ contacts:
              gap: {normal: [0, 0.005]}, tilt_x: {normal: [0, 0.05]}, tilt_y: {normal: [0, 0.05]}}
 """
 
-TEXTS = {"grammar": GRAMMAR, "algorithm-1": ALGORITHM_1, "slack": SLACK}
+# Blocks nearly alike and nearly flush, in which solids often merge and change their parents.
+BLOCKS = """
+derender: 1
+root: {position: [0, 0.05, 0.6], quat_wxyz: [0.5, -0.866025403784438647, 0, 0]}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+structure:
+  type: grammar
+  offspring: {root: {categorical: {0: 0.5, 1: 0.5}}, floor: {categorical: {0: 0.2, 1: 0.4, 2: 0.4}},
+              box: {categorical: {0: 0.5, 1: 0.5}}}
+shapes:
+  box: {length: {uniform: [0.08, 0.1]}, width: {uniform: [0.08, 0.1]}, height: {uniform: [0.005, 0.06]}}
+contacts:
+  6dof: {position: [{uniform: [-0.02, 0.02]}, {uniform: [-0.02, 0.02]}, {uniform: [0.0, 0.04]}],
+         quat_wxyz: uniform-rotation}
+  lower: {type: face-to-face, parents: [plane], parent_face: +z, child_face: -z, x: {normal: [0, 0.02]},
+          y: {normal: [0, 0.02]}, gap: {normal: [0, 0.02]}, tilt_x: {normal: [0, 0.2]}, tilt_y: {normal: [0, 0.2]}}
+  upper: {type: face-to-face, parents: [box], parent_face: top, child_face: -z, u: {beta: [20, 20]},
+          v: {beta: [20, 20]}, gap: {normal: [0, 0.03]}, theta: {uniform: [-10 deg, 10 deg]}}
+"""
+
+# Long and thin boxes that touch anywhere up to their rims: area elements differ much from face to face.
+RIMS = """
+derender: 1
+root: {position: [0, 0.05, 0.6], quat_wxyz: [0.5, -0.866025403784438647, 0, 0]}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+structure: {type: grammar, offspring: {floor: {categorical: {1: 1}}, box: {categorical: {0: 0.5, 1: 0.5}}}}
+shapes:
+  box: {length: {uniform: [0.01, 0.3]}, width: {uniform: [0.01, 0.3]}, height: {uniform: [0.01, 0.3]}}
+contacts:
+  any: {type: face-to-face, parent_face: top, x: {normal: [0, 0.1]}, y: {normal: [0, 0.1]}}
+"""
+
+TEXTS = {"rims": RIMS, "blocks": BLOCKS, "grammar": GRAMMAR, "algorithm-1": ALGORITHM_1, "slack": SLACK}
 
 
 def prior_of(name: str):

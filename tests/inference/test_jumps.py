@@ -1,15 +1,16 @@
-"""Every reversible jump: there and back, its Jacobian by differences, invariance of the prior, broken twins that fail."""
+"""Every reversible jump: there and back, invariance of the prior, broken twins that fail."""
 
 import math
 
 import numpy as np
 import pytest
-from tests.inference.jump_worlds import TEXTS, generator, prior_of
 
-from derender.inference.structure.jumps.base import Applied, log_proposal_ratio, moves
+from derender.inference.structure.jumps import mixture
+from derender.inference.structure.jumps.base import Applied, Move, Target, evaluate, log_proposal_ratio, moves, step
 from derender.inference.structure.jumps.vocabulary import Vocabulary
-from derender.model.pose import from_quaternion, from_rotation_vector, quaternion
 from derender.model.priors.values import ROTATION
+from tests.inference.invariance import bound
+from tests.inference.jump_worlds import TEXTS, generator, prior_of
 
 
 @pytest.fixture(scope="module", params=list(TEXTS))
@@ -96,61 +97,193 @@ def test_there_and_back(words, name):
         close(back.back, choice)
 
 
-# ---- Jacobians by finite differences ----
+# ---- invariance: a draw from the prior stays one ----
+
+# Where each move has the most to do, and how many replicates show its twins. A prior draw is moved a few times by one
+# move alone; the mean change of any function of the scene must be zero within its own standard error.
+ROWS = {
+    "birth-death": ("grammar", 600),
+    "change-face": ("rims", 900),
+    "change-shape": ("grammar", 500),
+    "exchange": ("algorithm-1", 900),
+    "reparent": ("blocks", 700),
+    "resimulate": ("grammar", 600),
+    "slide": ("rims", 1200),
+    "split-merge": ("blocks", 450),
+    "transplant": ("grammar", 900),
+    "wiggle": ("slack", 900),
+}
+STEPS = 3
 
 
-class Numbers:
-    """All continuous numbers of (graph, choice) as one vector that can be read, shifted, and read again.
+def features(words, graph, log_prior):
+    """Return functions of a scene as a set: counts of objects and edges, sums of sizes, offsets, angles and slack."""
+    found = dict.fromkeys(
+        ("cube", "box", "cylinder", "sphere", "edges", "floating", "first", "last", "square", "volume", "u", "v", "uu",
+         "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt", "face", "side"), 0.0)  # fmt: skip
+    for name in words.grown(graph):
+        vertex = graph.vertex(name)
+        sizes, numbers = list(vertex.parameters.values()), vertex.contact.values
+        found[vertex.shape] += 1.0
+        found["edges"] += vertex.parent not in words.base and vertex.parent != "root"
+        found["floating"] += vertex.parent == "root"
+        found["first"] += sizes[0]
+        found["last"] += sizes[-1]
+        found["square"] += sizes[-1] ** 2
+        found["volume"] += sizes[0] * sizes[len(sizes) // 2] * sizes[-1]
+        u, v, theta = (numbers.get(key, centre) for key, centre in (("u", 0.5), ("v", 0.5), ("theta", 0.0)))
+        found["u"] += u
+        found["v"] += v
+        found["uu"] += (u - 0.5) ** 2
+        found["vv"] += (v - 0.5) ** 2
+        found["uv"] += (u - 0.5) * (v - 0.5)
+        found["cosine"] += math.cos(2.0 * theta)
+        found["sine"] += math.sin(4.0 * theta)
+        x, y = numbers.get("x", 0.0), numbers.get("y", 0.0)
+        found["x"] += x
+        found["xx"] += x * x
+        found["xy"] += x * y
+        found["z"] += numbers.get("z", 0.0)
+        found["turn"] += numbers.get("qw", 0.0) ** 2
+        found["gap"] += abs(numbers.get("gap", 0.0))
+        found["tilt"] += numbers.get("tilt_x", 0.0) ** 2
+        found["face"] += (vertex.contact.child_face or "")[:1] == "-"
+        found["side"] += vertex.contact.type == "side-on-face"
+    return np.array([*found.values(), log_prior])
 
-    A number is free if the prior or the move says so: those of the vertices' free numbers and every float in the
-    choice, rotations by tangent vectors in their own axes (8 pi^2 of which make up Haar's mass of one).
-    """
 
-    def __init__(self, words, graph, choice):
-        self.words, self.graph, self.choice = words, graph, choice
-
-    def read(self):
-        """Return a list of (address, value): floats, or (4,) quaternions."""
-        found = []
-        for vertex in sorted(self.graph.vertices, key=lambda vertex: vertex.name):
-            for part, key in self.words.free_numbers(self.graph, vertex.name):
-                if key == "quat_wxyz":
-                    quat = np.array([vertex.contact.values[p] for p in ROTATION])
-                    found.append(((vertex.name, key), quat))
-                else:
-                    source = vertex.parameters if part == "shape" else vertex.contact.values
-                    found.append(((vertex.name, part, key), source.get(key, 0.0)))
-        _walk(self.choice, ("choice",), found, self.words, self.graph)
-        return found
+def verdict(words, move, replicates, seed=3):
+    """Return (largest |z| over the features, share of the steps that changed the scene, bound on |z|)."""
+    target, differences, accepted = Target(words.prior), [], 0
+    for child in np.random.SeedSequence(seed).spawn(replicates):
+        rng = np.random.default_rng(child)
+        state = evaluate(target, words.prior.sample(rng))
+        before = features(words, state.graph, state.log_prior)
+        for _ in range(STEPS):
+            state, info = step(rng, target, words, move, state)
+            accepted += info.accepted
+        differences.append(features(words, state.graph, state.log_prior) - before)
+    differences = np.array(differences)
+    spread = differences.std(axis=0, ddof=1)
+    alive = spread > 1e-9  # below, a feature changed by rounding only
+    z = np.abs(differences.mean(axis=0)[alive]) / spread[alive] * math.sqrt(replicates)
+    return float(z.max()), accepted / (STEPS * replicates), bound(len(z))
 
 
-def _walk(item, address, found, words, graph):
-    from derender.model.contacts import contacts
-    from derender.model.scene import Contact, Vertex
-    from derender.model.shapes import shapes
+def test_every_move_has_its_row():
+    assert sorted(ROWS) == sorted(moves.names())
+    assert {name for name, _ in TWINS} == set(moves.names())
 
-    if isinstance(item, Vertex):
-        entry = next(e for e in words.shapes.values() if e.matches(item))
-        for key in entry.free():
-            found.append(((*address, "shape", key), item.parameters[key]))
-        table = words.table(*words.seat(graph, item.parent), item.shape,
-                            (item.contact.type, item.contact.parent_face, item.contact.child_face))  # fmt: skip
-        _contact(item.contact, table, (*address, "contact"), found)
-    elif isinstance(item, Contact):
-        vertex = graph.vertex(address_name(address, found))
-        table = words.table(*words.seat(graph, found[-1] if False else vertex.parent), vertex.shape,
-                            (item.type, item.parent_face, item.child_face))  # fmt: skip
-        _contact(item, table, address, found)
-    elif isinstance(item, dict):
-        for key in sorted(item, key=str):
-            _walk(item[key], (*address, key), found, words, graph)
-    elif isinstance(item, float):
-        found.append((address, item))
-    elif isinstance(item, tuple | list):
-        quat = len(address) and isinstance(address[-1], tuple) and address[-1][-1] == "quat_wxyz" and len(item) == 4
-        if quat:
-            found.append((address, np.array(item)))
-        else:
-            for number, part in enumerate(item):
-                _walk(part, (*address, number), found, words, graph)
-    del contacts, shapes
+
+@pytest.mark.parametrize("name", ROWS)
+def test_leaves_the_prior_as_it_is(name):
+    world, replicates = ROWS[name]
+    worst, accepted, limit = verdict(Vocabulary(prior_of(world)), moves[name], replicates)
+    assert accepted > 0.01
+    assert worst < limit
+
+
+def test_the_mixture_leaves_the_frequencies_of_structures():
+    """A long chain over the prior visits structures as often as the prior draws them (to 4 standard errors)."""
+    words = Vocabulary(prior_of("grammar"))
+    rng, target = generator(8), Target(words.prior)
+    state = evaluate(target, words.prior.sample(rng))
+    steps, shares = [move for move, _ in mixture()], [share for _, share in mixture()]
+    chain = []
+    for number in rng.choice(len(steps), size=8_000, p=shares):
+        state, _ = step(rng, target, words, steps[number], state)
+        chain.append([len(words.grown(state.graph)), len(words.leaves(state.graph)),
+                      sum(v.shape == "box" for v in state.graph.vertices)])  # fmt: skip
+    independent = []
+    for _ in range(3000):
+        graph = words.prior.sample(rng)
+        independent.append([len(words.grown(graph)), len(words.leaves(graph)),
+                            sum(v.shape == "box" for v in graph.vertices)])  # fmt: skip
+    chain, independent = np.array(chain, float), np.array(independent, float)
+    for column in range(3):
+        for function in (lambda x: x, lambda x: x == 0.0, lambda x: x >= 3.0):
+            walked, drawn = function(chain[:, column]).astype(float), function(independent[:, column]).astype(float)
+            batches = walked.reshape(40, -1).mean(axis=1)
+            error = math.hypot(batches.std(ddof=1) / math.sqrt(40), drawn.std(ddof=1) / math.sqrt(len(drawn)))
+            assert abs(walked.mean() - drawn.mean()) <= 4.0 * error
+
+
+# ---- broken twins: each move with a fault that people make ----
+
+
+class Twin(Move):
+    """A move that does as another one but for its fault."""
+
+    def __init__(self, original):
+        self.original, self.name = original, original.name
+
+    def draw(self, rng, words, graph):
+        return self.original.draw(rng, words, graph)
+
+    def log_choice(self, words, graph, choice):
+        return self.original.log_choice(words, graph, choice)
+
+    def apply(self, words, graph, choice):
+        return self.original.apply(words, graph, choice)
+
+
+class WithoutJacobian(Twin):
+    """Forgets that the numbers before and after measure different volumes."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        return None if applied is None else applied._replace(log_jacobian=0.0)
+
+
+class WithoutChoices(Twin):
+    """Takes every choice for as likely forth as back."""
+
+    def log_choice(self, words, graph, choice):
+        return min(super().log_choice(words, graph, choice), 0.0) * 0.0
+
+
+class WrongCount(Twin):
+    """Counts all objects as if every one could die."""
+
+    def log_choice(self, words, graph, choice):
+        if hasattr(choice, "vertex"):
+            return super().log_choice(words, graph, choice)
+        return math.log(0.5 / len(words.grown(graph)))
+
+
+class Growing(Twin):
+    """Adds 4 % to a size on its way, which is no involution, with no word about it."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        if applied is None or getattr(choice, "name", None) == "root":
+            return applied
+        name = choice.name if hasattr(choice, "name") else choice.lower
+        vertex = applied.graph.vertex(name)
+        if name in words.base:
+            return applied
+        grown = {key: 1.04 * x for key, x in vertex.parameters.items()}
+        return Applied(applied.graph.replace(name, parameters=grown), applied.back, applied.log_jacobian)
+
+
+TWINS = [
+    ("birth-death", WrongCount),
+    ("birth-death", WithoutChoices),
+    ("change-face", WithoutJacobian),
+    ("change-shape", WithoutJacobian),
+    ("change-shape", WithoutChoices),
+    ("exchange", Growing),
+    ("reparent", WithoutJacobian),
+    ("resimulate", WithoutChoices),
+    ("slide", WithoutJacobian),
+    ("split-merge", WithoutJacobian),
+    ("transplant", WithoutChoices),
+    ("wiggle", Growing),
+]
+
+
+@pytest.mark.parametrize(("name", "twin"), TWINS)
+def test_broken_twin_fails(name, twin):
+    world, replicates = ROWS[name]
+    worst, _, limit = verdict(Vocabulary(prior_of(world)), twin(moves[name]), replicates)
+    assert worst > limit

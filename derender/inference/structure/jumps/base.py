@@ -59,11 +59,13 @@ class Move:
     name : in the registry.
     weight : share of the steps, before normalisation.
     continuous : whether it leaves the structure alone.
+    even : whether q(u' | G') = q(u | G) always: then neither is computed.
     """
 
     name: str = ""
     weight: float = 1.0
     continuous: bool = False
+    even: bool = False
 
     def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:
         """Return random choices u given the scene, or None where the move has nothing to do."""
@@ -122,6 +124,8 @@ def log_proposal_ratio(move: Move, words: Vocabulary, graph: SceneGraph, choice:
     applied = move.apply(words, graph, choice)
     if applied is None:
         return None, -math.inf
+    if move.even:
+        return applied, applied.log_jacobian
     forth = move.log_choice(words, graph, choice)
     back = move.log_choice(words, applied.graph, applied.back)
     if not (forth > -math.inf and back > -math.inf):

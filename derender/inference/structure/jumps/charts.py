@@ -7,8 +7,8 @@ box: three extents and a pose. The map is one to one where it is used, and its v
                  the extents e_i at s = 1. In logarithms these maps are linear, with determinants 1, 2, 3:
                  d(l, w, h) = |det| l w h prod(1 / psi_i) d(psi, rest); a size that the prior fixes at c is c e^rest.
     6dof         d(pose) = d(x, y, z) dHaar, the stock measure.
-    face to face Rz(theta) R(tilt): with a = |tilt|, the Hopf coordinates of the quaternion, (a / 2, theta / 2, direction
-                 of the tilt + theta / 2), give Haar's measure sin(a) da dtheta d(direction) / (8 pi^2), and so
+    face to face Rz(theta) R(tilt): with a = |tilt|, the Hopf coordinates of the quaternion, (a / 2, theta / 2,
+                 direction of the tilt + theta / 2), give Haar's measure sin(a) da dtheta d(direction) / (8 pi^2);
                  d(pose) = A(u, theta) sin(a) / a / (8 pi^2) d(theta, u, v, gap, tilt_x, tilt_y)
                  with A = `polygon.area_element` (1 where offsets are metres).
     side on face Rz(theta) Ry(tilt) Rx(-roll), Euler angles: A cos(tilt) / (8 pi^2).

@@ -70,7 +70,7 @@ class Hypothesis(NamedTuple):
 
 
 class Component(NamedTuple):
-    """One way in which a hypothesis can hang in the graph: parent, contact, and the centre and spread of each number."""
+    """One way in which a hypothesis can hang in the graph, with the centre and the spread of each number."""
 
     weight: float
     kind: str

@@ -12,7 +12,6 @@ from derender.inference.structure.jumps.recast import (
     Cast,
     Slot,
     allowed,
-
     in_place,
     release,
     renamed,
@@ -23,7 +22,6 @@ from derender.inference.structure.jumps.recast import (
 )
 from derender.inference.structure.jumps.reparent import _own
 from derender.inference.structure.jumps.vocabulary import log_uniform_choice
-from derender.model.contacts.base import FLIP
 from derender.model.pose import from_rotation_vector, inverse, quaternion, rotation_vector, rotation_z
 from derender.model.shapes.base import AXES, FACE_NAMES, box_face
 from derender.model.shapes.cube import ROTATIONS
@@ -90,8 +88,9 @@ class SplitMerge(Move):
             above = graph.children(lower)
             if len(above) == 1 and above[0] in words.grown(graph):
                 contact = graph.vertex(above[0]).contact
-                on_top = contact.parent_face == _opposite(graph.vertex(lower).contact.child_face)
-                if contact.type == "face-to-face" and on_top:
+                foot = graph.vertex(lower).contact.child_face
+                faces = (contact.type, contact.parent_face, contact.child_face)
+                if faces == ("face-to-face", _opposite(foot), foot):
                     found.append((lower, above[0]))
         return found
 
@@ -199,7 +198,8 @@ class SplitMerge(Move):
         if found is None:
             return None
         vertex, rest, element = found
-        return replace(graph, vertices=tuple(vertex if v.name == vertex.name else v for v in graph.vertices)), rest, element
+        vertices = tuple(vertex if other.name == vertex.name else other for other in graph.vertices)
+        return replace(graph, vertices=vertices), rest, element
 
     def _split(self, words, graph, choice):
         if choice.fresh in graph.names or abs(choice.place[3]) > ALIGNED:
@@ -241,8 +241,6 @@ class SplitMerge(Move):
         )
         turned = low.T @ high @ ROTATIONS
         k = AXES.index(graph.vertex(lower).contact.child_face[1])
-        up = np.zeros(3)
-        up[k] = 1.0
         good = np.array([_twist(rotation, k) < ALIGNED and rotation[k, k] > math.cos(ALIGNED) for rotation in turned])
         places = np.flatnonzero(good)
         if len(places) != 1:
@@ -279,8 +277,8 @@ class SplitMerge(Move):
         children = graph.children(choice.upper)
         changed = {name: replace(graph.vertex(name), parent=choice.lower) for name in children}
         changed[choice.lower] = vertex
-        rest_of = replace(graph, vertices=tuple(changed.get(v.name, v) for v in graph.vertices if v.name != choice.upper))
-        new = in_place(rest_of, {})
+        kept = tuple(changed.get(v.name, v) for v in graph.vertices if v.name != choice.upper)
+        new = in_place(replace(graph, vertices=kept), {})
         if not same_freedom(words, graph, new, children):
             return None
         undo = int(np.argmin(np.abs(ROTATIONS - rotation.T).sum(axis=(1, 2))))

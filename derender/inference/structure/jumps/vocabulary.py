@@ -10,7 +10,7 @@ from derender.model.priors.algorithm_1 import Algorithm1Prior
 from derender.model.priors.grammar import GrammarPrior
 from derender.model.priors.shapes import ShapePrior
 from derender.model.priors.tree import seat
-from derender.model.scene import ROOT, SceneGraph, Vertex
+from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
 
 Choice = tuple[str, str | None, str | None]  # contact type, parent's face, child's face
 Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack that is ideal left out
@@ -42,6 +42,7 @@ class Vocabulary:
         self.proposal = PriorProposal() if proposal is None else proposal
         self._equal = Categorical(dict.fromkeys(self.shapes, 1.0))
         self.table = lru_cache(maxsize=4096)(self._table)
+        self._free = lru_cache(maxsize=4096)(self._free_numbers)
 
     def grown(self, graph: SceneGraph) -> tuple[str, ...]:
         """Return the names of the objects that jumps may change: all but the base."""
@@ -85,16 +86,22 @@ class Vocabulary:
         choice = (contact.type, contact.parent_face, contact.child_face)
         return self.table(*self.seat(graph, vertex.parent), vertex.shape, choice)
 
-    def free_numbers(self, graph: SceneGraph, name: str) -> dict[tuple[str, str], Distribution]:
+    def free_numbers(self, graph: SceneGraph, name: str) -> Mapping[tuple[str, str], Distribution]:
         """Return the prior of each free number of an object, by ("shape" or "contact", name); the base's too."""
         vertex = graph.vertex(name)
-        seated = self.seat(graph, vertex.parent)
-        if name in self.base:
-            item = self.prior.tree.by_name[name]
-            shape, contact = item.shape.free(), item.contact.free(vertex.contact, seated[0], vertex.shape, seated[1])
+        contact = vertex.contact
+        choice = (contact.type, contact.parent_face, contact.child_face)
+        kind = name if name in self.base else self.kind_of(vertex)
+        return self._free(kind, name in self.base, *self.seat(graph, vertex.parent), choice)
+
+    def _free_numbers(self, kind: str, base: bool, parent: str, top: str | None, choice: Choice):
+        if base:
+            item = self.prior.tree.by_name[kind]
+            shape = item.shape.free()
+            contact = item.contact.free(Contact(*choice), parent, item.shape.type, top)
         else:
-            shape = self.shapes[self.kind_of(vertex)].free()
-            table = self.table_of(graph, vertex) or {}
+            entry = self.shapes[kind]
+            shape, table = entry.free(), self.table(parent, top, entry.type, choice) or {}
             contact = {key: value for key, value in table.items() if isinstance(value, Distribution)}
         return {
             **{("shape", key): value for key, value in shape.items()},

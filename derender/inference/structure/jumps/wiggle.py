@@ -39,6 +39,7 @@ class Wiggle(Move):
 
     weight = 12.0
     continuous = True
+    even = True
 
     def objects(self, words, graph):
         """Return the names of what has free numbers, the root's pose among them."""
@@ -55,12 +56,12 @@ class Wiggle(Move):
         names = self.objects(words, graph)
         if not names:
             return None
-        name = names[int(rng.random() * len(names))]
+        return self.steps_of(rng, words, graph, names[int(rng.random() * len(names))])
+
+    def steps_of(self, rng, words, graph, name) -> Shift:
+        """Return steps for the numbers of one object."""
         scale = SHORTEST * (LONGEST / SHORTEST) ** rng.random()
-        laws = self.laws(words, graph, name)
-        if not laws:
-            return None
-        keys = list(laws)
+        keys = list(self.laws(words, graph, name))
         if rng.random() < 0.5:
             keys = [keys[int(rng.random() * len(keys))]]
         steps = {}
