@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+import warnings
 from collections.abc import Sequence
 
 import click
@@ -71,7 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     130 interrupted. A command returns None, or the status as an int.
     """
     try:
-        result = group.main(args=arguments, prog_name="derender", standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            result = group.main(args=arguments, prog_name="derender", standalone_mode=False)
         status = result if isinstance(result, int) else 0
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -96,3 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _complain(line: str, status: int = 1) -> int:
     click.echo(f"derender: {line}", err=True)
     return status
+
+
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, line: int, file=None, text=None):
+    """Say in one line what is warned of: where in the code it was noticed is nothing to the user."""
+    click.echo(f"warning: {' '.join(str(message).split())}", err=True)
