@@ -23,12 +23,13 @@ from derender.inference.structure.refined import (
 from derender.inference.structure.search import cube_of, spaced
 from derender.inference.structure.state import FLOOR
 from derender.inference.structure.support import flat_top, shadows_overlap, with_bottom
-from derender.inference.structure.touch import highest
+from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, SPHERE
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
-FROM_SEARCH = 4  # structures that the search met, at most
+FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
+NEIGHBOURS = 0.004  # metres between boxes that may be one
 QUICK = 100  # steps of each temperature for one changed solid
 
 
@@ -84,8 +85,8 @@ def of_one_solid(rng, best, i, slack):
     keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
     if not found and not keep_removed:
         return []
-    own = local_evidence(rng, best, i)
-    weighed = [(trial, local_evidence(rng, trial, i) - own) for trial in found]
+    own = local_evidence(rng, best, [i])
+    weighed = [(trial, local_evidence(rng, trial, [i]) - own) for trial in found]
     weighed = best_of_each(weighed)
     if keep_removed:
         weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
@@ -110,8 +111,53 @@ def without(best, i, floor, slack):
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
 
-def whole_evidence(rng, refined, draws=200, steps=40):
+def merged_row(row, other):
+    """Return the row of the upright box about two upright boxes, along the axes of the first."""
+    rotation = row[1:10].reshape(3, 3)
+    corners = []
+    for r in (row, other):
+        turn = r[1:10].reshape(3, 3)
+        corners += [r[10:13] + turn @ (0.5 * r[13:16] * (2.0 * np.array(s) - 1.0)) for s in np.ndindex(2, 2, 2)]
+    along = np.array(corners) @ rotation
+    low, high = along.min(axis=0), along.max(axis=0)
+    new = row.copy()
+    new[10:13] = rotation @ (0.5 * (low + high))
+    new[13:16] = high - low
+    return new
+
+
+def merges(rng, best, slack):
+    """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
+    state = best.state
+    floor = floor_pose_of(best)
+    height = best.log_prior + best.log_likelihood
+    found = []
+    for i in range(len(state)):
+        for j in range(len(state)):
+            if i == j or int(state.rows[i][0]) != BOX or int(state.rows[j][0]) != BOX:
+                continue
+            if FREE in (state.forms[i], state.forms[j]) or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
+                continue
+            grown = state.rows[i].copy()
+            grown[13:16] += 2.0 * NEIGHBOURS
+            if penetration(grown, state.rows[j]) <= 0.0:
+                continue
+            new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
+            lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
+            new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
+            new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
+            new = new.without(j)
+            place = i - (j < i)
+            trial = at_mode(rng, new, floor, best.sensor, slack, QUICK, place)
+            if trial.log_prior + trial.log_likelihood > height - HOPELESS:
+                odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
+                found.append((trial, odds))
+    return found
+
+
+def whole_evidence(rng, refined, draws=150):
     """Return the log of the density's integral over all coordinates."""
+    steps = 10 + 5 * len(refined.state)
     engine = engine_of(refined.chart, refined.sensor)
     found = sample(rng, engine, refined.chart, refined.values, draws, steps)
     return log_evidence(found, list(range(len(refined.values))))
@@ -136,7 +182,7 @@ def from_search(rng, best, pool, energy, slack):
         return []
     height = best.log_prior + best.log_likelihood
     floor = floor_pose_of(best)
-    trials = [at_mode(rng, state, floor, best.sensor, slack, 200) for state in near]
+    trials = [at_mode(rng, state, floor, best.sensor, slack, QUICK) for state in near]
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
     if not trials:
         return []

@@ -198,9 +198,11 @@ def make_proposals(chart, size, only=None, covariance=None, shrink=5e-5):
         found.append((members, vector[members][:, None], 1.0 / len(ways), LATTICE, 0.4))
     if covariance is not None:
         blocks = [b for b in blocks_of(chart, size) if set(b) <= allowed]
-        for block in blocks:
+        # those that move the floor draw the whole image anew: fewer of them
+        weights = [0.4 if max(block) >= size - FLOOR_WAYS else 1.0 for block in blocks]
+        for block, share in zip(blocks, weights, strict=True):
             spread = covariance[np.ix_(block, block)] + shrink**2 * np.eye(len(block))
-            weight = 2.0 / len(blocks)
+            weight = 2.0 * share / sum(weights)
             found.append((np.array(block), np.linalg.cholesky(spread), weight, 1.5 / np.sqrt(len(block)), 0.25))
     table = np.zeros((3, len(found) + 1), np.int64)
     for p, (members, matrix, *_) in enumerate(found):

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from derender.inference.posterior import StructurePosterior
-from derender.inference.structure.alternatives import from_search, of_one_solid, supports_within
+from derender.inference.structure.alternatives import from_search, merges, of_one_solid, supports_within
 from derender.inference.structure.graph import names_of, pose_of, scene_graph
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.polish import walk
@@ -24,6 +24,7 @@ from derender.inference.structure.refined import (
     only_draw,
     refine,
     structure_posterior,
+    with_sensor_refitted,
 )
 from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
 from derender.inference.structure.state import FLOOR, State, carried_by, held_out
@@ -37,6 +38,7 @@ from derender.model.solids import BOX, SPHERE
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
 MOST_PARTS = 12
+MOST_MERGES = 4
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
 
@@ -171,18 +173,27 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
 def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
     """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
-    best = refine(rng, seen, state, settings.slack)
+    first = best = refine(rng, seen, state, settings.slack)
     if only_best:
         return [structure_posterior(best, names_of(best.state), 1.0, [only_draw(best)])]
-    others = from_search(rng, best, pool, total_energy(seen.image, state, settings), settings.slack)
-    better = max(others, key=lambda pair: pair[1], default=(None, 0.0))
-    if better[1] > 0.0:
-        others = [(t, odds - better[1]) for t, odds in [*others, (best, 0.0)] if t is not better[0]]
-        best = better[0]
+    energy = total_energy(seen.image, state, settings)
+    best, others = leading(best, from_search(rng, best, pool, energy, settings.slack))
+    for _ in range(MOST_MERGES):
+        former = best
+        best, others = leading(best, [*others, *merges(rng, best, settings.slack)])
+        if best is former:
+            break
+    for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
+        former = best
+        for k in range(len(best.state)):
+            best, others = leading(best, [*others, *of_one_solid(rng, best, k, settings.slack)])
+        if best is former:
+            break
+    if best is not first:
+        best = with_sensor_refitted(rng, best)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0)}
-    for trial, odds in [*others, *(pair for k in range(len(best.state))
-                                   for pair in of_one_solid(rng, best, k, settings.slack))]:  # fmt: skip
+    for trial, odds in others:
         key = structure_key(trial.state, matched_names(trial.state, best.state, names))
         if odds > -NEGLIGIBLE and (key not in found or odds > found[key][1]):
             found[key] = (trial, odds)
@@ -202,6 +213,14 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
             drawn = [only_draw(trial)]
         parts.append(structure_posterior(trial, own, float(weight), drawn))
     return parts
+
+
+def leading(best, others):
+    """Return the likeliest of the best and the (Refined, log odds) of others, and the rest with odds against it."""
+    better, odds = max(others, key=lambda pair: pair[1], default=(None, 0.0))
+    if odds <= 0.0:
+        return best, others
+    return better, [(t, o - odds) for t, o in [*others, (best, 0.0)] if t is not better]
 
 
 def posterior_parts(rng, image, state, pool, settings, floor_pose, chains=2, draws=100):

@@ -28,8 +28,8 @@ from derender.inference.structure.sensor import Sensor, final_sensor, first_sens
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
-STEPS = 60  # between two draws: at least so many, and so many for each solid
-MOST_STEPS = 400
+STEPS = 50  # between two draws: at least so many, and so many for each solid
+MOST_STEPS = 300
 LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
 
 
@@ -86,9 +86,13 @@ def refine(rng, seen, state, slack):
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, slack)
     sensor = first_sensor(camera, observed, chart, values)
-    first = climb(rng, state, chart, values, sensor, ANNEALING)
-    sensor = final_sensor(sensor, chart, first.values)
-    return climb(rng, first.state, chart, first.values.copy(), sensor, ANNEALING, temperatures=(0.2, 1.0))
+    return with_sensor_refitted(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+
+
+def with_sensor_refitted(rng, refined):
+    """Return the Refined at its mode under the sensor model that its present state suggests."""
+    sensor = final_sensor(refined.sensor, refined.chart, refined.values)
+    return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, temperatures=(0.2, 1.0))
 
 
 def chains_of(rng, refined, chains, draws, only=None):
@@ -140,13 +144,14 @@ def only_draw(refined):
     return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
 
 
-def local_evidence(rng, refined, k):
-    """Return the log of the density's integral over the coordinates of solid k, all others held at the mode."""
-    members = own_members(refined.chart, k)
+def local_evidence(rng, refined, solids):
+    """Return the log of the density's integral over the coordinates of some solids, all others held at the mode."""
+    members = sorted({m for k in solids for m in own_members(refined.chart, k)})
     engine = engine_of(refined.chart, refined.sensor)
-    draws = sample(rng, engine, refined.chart, refined.values, LOCAL_DRAWS, LOCAL_STEPS, members, 400)
+    steps, warm = LOCAL_STEPS * len(solids), 400 * len(solids)
+    draws = sample(rng, engine, refined.chart, refined.values, LOCAL_DRAWS, steps, members, warm)
     return log_evidence(draws, members)
 
 
 __all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
-           "structure_posterior"]  # fmt: skip
+           "structure_posterior", "with_sensor_refitted"]  # fmt: skip
