@@ -118,7 +118,7 @@ def infer_to_folder(
                     option = "--" + key.replace("_", "-")
                     remedy = f"leave out {option} or --scene"
                     raise DerenderError(f"{option} is for images without a scene", prior, remedy)
-        return _infer(folder, document, seen, image, method, found, chains, draws, warmup, jobs, resume,
+        return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
                       seed, command, progress, warn, started)  # fmt: skip
     except BaseException:
         with contextlib.suppress(OSError):
@@ -126,7 +126,7 @@ def infer_to_folder(
         raise
 
 
-def _infer(folder, document, seen, image, method, found, chains, draws, warmup, jobs, resume, seed,
+def _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume, seed,
            command, progress, warn, started) -> Outcome:  # fmt: skip
     """Infer by what is given, and write."""
     interrupted, lost = False, {}
@@ -138,7 +138,8 @@ def _infer(folder, document, seen, image, method, found, chains, draws, warmup, 
         given = {"chains": chains, "draws": draws, "warmup": warmup}
         settings = settings._replace(**{key: value for key, value in given.items() if value is not None})
         result = infer_scene(
-            document, seen.depth, seen.camera, settings, method, seed, jobs, folder, resume, progress, command
+            document, seen.depth, seen.camera, settings, method, seed, jobs, folder, resume, progress, command,
+            gradient,
         )
         posterior, interrupted, lost = result
     else:
@@ -186,6 +187,10 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
     for key, value in (("max_objects", found["max_objects"]), ("chains", chains), ("draws", draws)):
         if value is not None:
             chosen[key] = value
+    if method in ("mcmc", "smc"):
+        from derender.inference.structure.jumps.run import infer_by_jumps
+
+        return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)
     if document is not None:
         chosen["prior"] = document.prior
     return infer_structure(seen.depth, seen.camera, chosen, np.random.default_rng(seed), progress)
