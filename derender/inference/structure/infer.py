@@ -9,6 +9,8 @@ from derender.inference.structure.proposals import all_hypotheses, make_surface
 from derender.inference.structure.search import Settings, search
 from derender.inference.structure.support import final_parents
 
+FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
+
 
 def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, plane=None):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
@@ -17,6 +19,8 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     """
     settings = Settings() if settings is None else settings
     seen = observe(rng, depth, camera, widest, plane)
+    if seen.mask.mean() > FILLED and seen.camera["width"] > widest // 2:  # as sharp an image of it has fewer pixels
+        seen = observe(rng, depth, camera, widest // 2, plane)
     settings = settings.for_correlation(seen.correlation)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005

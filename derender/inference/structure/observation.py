@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.bottom_up.floor import Floor, back_project, find_floor
+from derender.inference.bottom_up.foreground import joined_to_floor
 from derender.inference.bottom_up.given_floor import given_floor
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
@@ -58,8 +59,11 @@ def observe(rng, depth, camera, widest=160, plane=None):
     points = back_project(depth, camera) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
-    inside = inside_hull(points, floor.inliers, good)
-    mask = good & inside & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    inside = inside_hull(points, floor.inliers, good, image.origin)
+    footprint = np.nan_to_num(depth) / camera["fx"]
+    above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    inside |= joined_to_floor(points, above, inside, footprint, image.origin[2])
+    mask = above & inside
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
     background &= ~wall
@@ -69,7 +73,6 @@ def observe(rng, depth, camera, widest=160, plane=None):
     slope = -image.direction[..., 2]
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
-    footprint = np.nan_to_num(depth) / camera["fx"]
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
 
 
@@ -129,13 +132,16 @@ def neighbour_correlation(depth, floor, camera):
     return float(np.mean(a[both] * b[both]) / np.nanvar(height)) if both.sum() > 100 else 0.0
 
 
-def inside_hull(points, inliers, good, margin=0.01):
-    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part."""
+def inside_hull(points, inliers, good, origin, margin=0.01):
+    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part and the camera's foot.
+
+    origin : (3,) the camera's centre: what stands before the visible floor is no background.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     flat = points[inliers][:, :2]
     try:
-        planes = ConvexHull(flat[:: max(1, len(flat) // 3000)]).equations
+        planes = ConvexHull(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]])).equations
     except (QhullError, ValueError):
         return good.copy()
     inside = good.copy()
