@@ -106,7 +106,9 @@ def noise_map(depth, floor, camera):
     points = back_project(depth, camera)[floor.inliers]
     normal = floor.pose[:3, 2]
     slope = np.abs((points / points[:, 2:3]) @ normal)
-    steep = slope > max(GRAZING, np.quantile(slope, 0.3))
+    steep = slope >= max(GRAZING, np.quantile(slope, 0.3))  # >=: a wall right before the camera has one angle
+    if steep.sum() < 3:
+        return np.full(depth.shape, floor.sigma)
     points, slope = points[steep], slope[steep]
     z = points[:, 2]
     residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
