@@ -131,7 +131,8 @@ def neighbour_correlation(depth, floor, camera):
     height = np.where(near & (np.abs(height) < limit), height, np.nan)
     a, b = height[:, :-1], height[:, 1:]
     both = np.isfinite(a) & np.isfinite(b)
-    return float(np.mean(a[both] * b[both]) / np.nanvar(height)) if both.sum() > 100 else 0.0
+    spread = np.nanvar(height)
+    return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
 
 
 def inside_hull(points, inliers, good, origin, margin=0.01):
