@@ -1,6 +1,7 @@
 """The command line: one file per command, no logic. `derender --help` imports none of them."""
 
 import importlib
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -71,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Exit status: 0 done, 1 the user's input is at fault, 2 usage, 3 done but not to be trusted,
     130 interrupted. A command returns None, or the status as an int.
     """
+    if sys.stdin is None:  # closed by whoever started us: as good as empty
+        sys.stdin = open(os.devnull)  # noqa: SIM115
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
