@@ -44,7 +44,8 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
     points = back_project(depth, camera)
     good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
     if len(good) < 50:
-        raise DerenderError(f"the image has only {len(good)} pixels with depth", remedy="at least 50 are needed")
+        what = f"the image has too few pixels with depth ({len(good)}, at least 50 are needed)"
+        raise DerenderError(what, remedy="check the export, or go nearer")
     flat = points.reshape(-1, 3)
     sample = flat[good[rng.permutation(len(good))[:1500]]]
     triples = sample[rng.integers(len(sample), size=(rounds, 3))]
