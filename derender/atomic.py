@@ -48,6 +48,18 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def all_or_none(*paths: str | Path) -> Iterator[None]:
+    """Remove those of `paths` that are new where the block fails: files that belong together come together."""
+    new = [Path(path) for path in paths if not Path(path).exists()]
+    try:
+        yield
+    except BaseException:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text atomically."""
     with atomic_path(path) as temporary:
