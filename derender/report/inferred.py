@@ -10,13 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from derender.atomic import make_folder, write_text
+from derender.atomic import all_or_none, make_folder, write_text
 from derender.document import LikelihoodPrior, read_prior_document, write_document
 from derender.errors import DerenderError
 from derender.inference.posterior import Posterior
 from derender.inference.settings import read_settings
 from derender.registry import suggest
 from derender.vision.depth_file import read_depth, write_depth
+
+
+WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,9 @@ def infer_to_folder(
                     option = "--" + key.replace("_", "-")
                     remedy = f"leave out {option} or --scene"
                     raise DerenderError(f"{option} is for images without a scene", prior, remedy)
-        return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
-                      seed, command, progress, warn, started)  # fmt: skip
+        with all_or_none(*(folder / name for name in WRITTEN)):
+            return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
+                          seed, command, progress, warn, started)  # fmt: skip
     except BaseException:
         with contextlib.suppress(OSError):
             folder.rmdir()  # nothing was written: leave nothing
