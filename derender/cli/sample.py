@@ -65,7 +65,7 @@ def _stream(draws) -> None:
 
 def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, renderer: str, talk: Talk) -> None:
     """Write each scene, and its image, into the folder."""
-    from derender.atomic import make_folder
+    from derender.atomic import all_or_none, make_folder
     from derender.vision.camera import read_camera
     from derender.vision.renderers import find_renderer
 
@@ -75,9 +75,10 @@ def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, r
     digits = max(3, len(str(count - 1)))
     for number, draw in enumerate(draws):
         path = folder / f"sample_{number:0{digits}d}.yaml"
-        draw.write(path, given)
-        if engine is not None:
-            draw.write_image(path.with_suffix(".npz"), engine, noise, given)
+        with all_or_none(path, path.with_suffix(".npz")):
+            draw.write(path, given)
+            if engine is not None:
+                draw.write_image(path.with_suffix(".npz"), engine, noise, given)
         talk.detail(f"wrote {path}")
     first = folder / f"sample_{0:0{digits}d}"
     names = f"{first}.yaml and {first.name}.npz" if images else f"{first}.yaml"
