@@ -171,6 +171,27 @@ def camera_poses(chart, values, rows, poses, sizes):
 
 
 @njit(cache=True, nogil=True)
+def touching_area(row, on):
+    """Return the area in which an upright solid's centre may lie so that it touches the top of `on`, square metres.
+
+    That of the Minkowski sum of the two outlines: both areas and twice their mixed area.
+    """
+    a, b, c, d = row[13], row[14], on[13], on[14]
+    round_one, round_other = int(row[0]) != BOX, int(on[0]) != BOX
+    if int(row[0]) == SPHERE:  # it touches in a point
+        a, b = 0.0, 0.0
+    if round_one and round_other:
+        return 0.25 * np.pi * (a + c) ** 2
+    if round_one:
+        return c * d + 0.25 * np.pi * a * a + a * (c + d)
+    if round_other:
+        return a * b + 0.25 * np.pi * c * c + c * (a + b)
+    cosine = abs(row[1] * on[1] + row[4] * on[4])
+    sine = abs(row[1] * on[2] + row[4] * on[5])
+    return a * b + c * d + sine * (a * c + b * d) + cosine * (a * d + b * c)
+
+
+@njit(cache=True, nogil=True)
 def solid_log_prior(chart, rows, k):
     """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
 
@@ -199,7 +220,7 @@ def solid_log_prior(chart, rows, k):
             lifted[12] = on[12]
             if penetration(lifted, on) <= 0.0:
                 return -np.inf
-        total += np.log(STACKED_RATE / ((row[13] + on[13]) * (row[14] + on[14])))
+        total += np.log(STACKED_RATE / touching_area(row, on))
     if kind == SPHERE or (kind == CYLINDER and flag[VERTICAL]):
         turns = 1.0
     elif flag[VERTICAL]:

@@ -192,12 +192,13 @@ def make_proposals(chart, size, only=None, covariance=None, shrink=5e-5):
     """
     found = []  # (members, matrix, weight, first scale, wanted)
     allowed = set(range(size)) if only is None else set(only)
-    ways = [v for v in directions(chart, size) if set(np.flatnonzero(v)) <= allowed]
+    free = np.isin(np.arange(size), list(allowed))
+    ways = list({v.tobytes(): v for v in directions(chart, size) * free if np.any(v)}.values())
     for vector in ways:
         members = np.flatnonzero(vector)
         found.append((members, vector[members][:, None], 1.0 / len(ways), LATTICE, 0.4))
     if covariance is not None:
-        blocks = [b for b in blocks_of(chart, size) if set(b) <= allowed]
+        blocks = [b for b in ([m for m in block if m in allowed] for block in blocks_of(chart, size)) if b]
         # those that move the floor draw the whole image anew: fewer of them
         weights = [0.4 if max(block) >= size - FLOOR_WAYS else 1.0 for block in blocks]
         for block, share in zip(blocks, weights, strict=True):

@@ -1,0 +1,240 @@
+"""Draws and weights of structures: the chart, the prior's integrals, the walk, the evidence against quadrature."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from derender.inference.structure import chart as charts
+from derender.inference.structure.chart import (
+    camera_poses,
+    log_prior,
+    make_chart,
+    place_rows,
+    solid_log_prior,
+    touching_area,
+)
+from derender.inference.structure.continuous import (
+    engine_of,
+    load,
+    log_evidence,
+    make_proposals,
+    own_members,
+    run,
+    sample,
+)
+from derender.inference.structure.graph import scene_graph
+from derender.inference.structure.image import ROW, make_row
+from derender.inference.structure.naming import matched_names, structure_key
+from derender.inference.structure.numbers import numbers_of_draws
+from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_depth
+from derender.inference.structure.state import FLOOR, State
+from derender.model.pose import rotation_x, rotation_z
+from derender.model.solids import BOX, CYLINDER, SPHERE
+from derender.vision.camera import Camera
+from derender.vision.likelihoods import likelihoods
+from derender.vision.raycast.evaluator import DepthEvaluator
+
+UPRIGHT = 0
+
+
+def floor_pose(elevation=0.7, distance=0.7):
+    """The floor frame's pose in front of a camera that looks down by `elevation` radians at its origin."""
+    pose = rotation_x(math.pi / 2 + elevation)
+    pose[:3, 3] = 0.0, 0.0, distance
+    return pose
+
+
+def row(kind, theta, x, y, bottom, size):
+    return make_row(kind, rotation_z(theta)[:3, :3], np.array([x, y, bottom + size[2] / 2]), np.array(size, float))
+
+
+def stack():
+    """A cube on the floor, a box on it, a cylinder and a sphere beside them."""
+    state = State()
+    state = state.add(row(BOX, 0.3, 0.0, 0.0, 0.0, (0.08, 0.08, 0.08)), UPRIGHT, True, FLOOR, 0.0)
+    state = state.add(row(BOX, 0.9, 0.01, -0.01, 0.08, (0.06, 0.09, 0.05)), UPRIGHT, False, 0, 0.08)
+    state = state.add(row(CYLINDER, 0.0, 0.15, 0.0, 0.0, (0.05, 0.05, 0.09)), UPRIGHT, False, FLOOR, 0.0)
+    return state.add(row(SPHERE, 0.0, -0.13, 0.05, 0.0, (0.06, 0.06, 0.06)), UPRIGHT, False, FLOOR, 0.0)
+
+
+def cube(side=0.08, theta=0.4):
+    return State().add(row(BOX, theta, 0.0, 0.0, 0.0, (side,) * 3), UPRIGHT, True, FLOOR, 0.0)
+
+
+def camera(width, height):
+    return Camera(0.9 * width, 0.9 * width, (width - 1) / 2, (height - 1) / 2, width, height)
+
+
+def observe(rng, state, values, view, name="gaussian"):
+    """Return the Sensor of an image of a state at its own coordinates."""
+    likelihood = likelihoods[name]
+    chart, start = make_chart(state, floor_pose(), 0.0015)
+    clean = model_depth(chart, start, view)
+    values = likelihood.complete(values)
+    return Sensor(view, likelihood.sample(rng, clean, values), likelihood, values), chart, start
+
+
+def rows_at(chart, values):
+    rows = np.empty((len(chart.flags), ROW))
+    place_rows(chart, values, rows)
+    return rows
+
+
+def test_chart_starts_at_the_state():
+    state = stack()
+    chart, values = make_chart(state, floor_pose(), 0.0015)
+    spun = rows_at(chart, values)
+    # all but the sphere's rotation, which says nothing, to rounding
+    np.testing.assert_allclose(spun[:3], state.rows[:3], atol=1e-12)
+    np.testing.assert_allclose(spun[3, 10:], state.rows[3, 10:], atol=1e-12)
+
+
+def test_what_stands_on_a_support_rises_with_it_and_stays_in_place():
+    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    before = rows_at(chart, values)
+    values[chart.slots[0, charts.SIZE]] += 0.01
+    values[chart.slots[0, charts.X]] += 0.02
+    after = rows_at(chart, values)
+    np.testing.assert_allclose(after[1, 12] - before[1, 12], 0.01, atol=1e-12)
+    np.testing.assert_array_equal(after[1, :12], before[1, :12])
+    np.testing.assert_array_equal(after[2:], before[2:])
+
+
+def test_numbers_of_draws_place_the_graph_where_the_chart_does():
+    rng = np.random.default_rng(1)
+    state = stack()
+    chart, values = make_chart(state, floor_pose(), 0.0015)
+    draws = values + 0.003 * rng.standard_normal((5, len(values)))
+    names = ["cube", "box", "can", "ball"]
+    graph = scene_graph(state, floor_pose(), names)
+    addresses, numbers, _, root = numbers_of_draws(chart, draws, graph, names)
+    for n, draw in enumerate(draws):
+        placed = replace(graph, root_pose=root[n]).with_numbers(dict(zip(addresses, numbers[n], strict=True)))
+        rows = rows_at(chart, draw)
+        poses, sizes = np.empty((5, 4, 4)), np.empty((5, 3))
+        camera_poses(chart, draw, rows, poses, sizes)
+        for k, name in enumerate(names):
+            np.testing.assert_allclose(placed.vertex(name).body.size(), sizes[k + 1], atol=1e-9)
+            columns = slice(3, 4) if name in ("can", "ball") else slice(0, 4)  # round ones may be turned
+            np.testing.assert_allclose(placed.poses()[name][:, columns], poses[k + 1][:, columns], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "robust"])
+def test_an_engine_begun_at_the_wall_scores_as_a_full_evaluation_does(name):
+    rng = np.random.default_rng(2)
+    sensor, chart, values = observe(rng, stack(), {"sigma": 0.004, "blur": 0.5}, camera(48, 36), name)
+    engine = engine_of(chart, sensor)
+    _, found = load(engine, chart, values)
+    graph = scene_graph(stack(), floor_pose())
+    full = DepthEvaluator(sensor.camera, sensor.observed, name, sensor.values).log_likelihood(graph.solids())
+    # single precision in the pixels, and the graph's own rounding of poses
+    assert abs(found - full) < 1e-3 * math.sqrt(48 * 36)
+    moved = values + 0.002
+    assert load(engine, chart, moved)[1] != pytest.approx(found, abs=1.0)
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, math.pi / 4])
+def test_places_on_a_top_integrate_to_their_rate(theta):
+    """The prior summed over all places where child and parent touch is the rate of stacked solids times the sizes'."""
+    state = State().add(row(BOX, 0.2, 0.0, 0.0, 0.0, (0.09, 0.05, 0.06)), UPRIGHT, False, FLOOR, 0.0)
+    state = state.add(row(BOX, 0.2 + theta, 0.0, 0.0, 0.06, (0.08, 0.04, 0.05)), UPRIGHT, False, 0, 0.06)
+    chart, values = make_chart(state, floor_pose(), 0.0015)
+    step = 0.001
+    total = 0.0
+    for x, y in itertools.product(np.arange(-0.12, 0.12, step), repeat=2):
+        values[chart.slots[1, 0]], values[chart.slots[1, 1]] = x, y
+        total += math.exp(solid_log_prior(chart, rows_at(chart, values), 1)) * step * step
+    alone = state.copy()
+    alone.rows[1, 12] -= 0.06
+    alone.parents[1], alone.bottoms[1] = FLOOR, 0.0
+    other, start = make_chart(alone, floor_pose(), 0.0015)
+    on_floor = math.exp(solid_log_prior(other, rows_at(other, start), 1)) / charts.FLOOR_RATE
+    share = total / on_floor / charts.STACKED_RATE
+    assert share == pytest.approx(1.0, rel=0.02)  # the grid's border
+    # a broken twin: the area as if the axes were parallel
+    aligned = share * touching_area(*rows_at(chart, values)[::-1]) / ((0.08 + 0.09) * (0.04 + 0.05))
+    assert (abs(aligned - 1.0) > 0.05) == (theta > 0.1)
+
+
+def test_walk_draws_sizes_from_their_prior():
+    """At temperature 0 a cube's side is log-normal; without the density's 1 / side its log would be shifted."""
+    chart, values = make_chart(cube(), floor_pose(), 0.0015)
+    sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
+    rng = np.random.default_rng(3)
+    side = int(chart.slots[0, charts.SIZE])
+    proposals = make_proposals(chart, len(values), own_members(chart, 0))
+    proposals.scale[:] = 0.05
+    draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
+    z = (np.log(draws.values[:, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
+    assert kstest(z[::2], "norm").pvalue > 1e-3
+    assert kstest(z[::2] - charts.SPREAD, "norm").pvalue < 1e-6  # the broken twin
+
+
+def quadrature(engine, chart, start, indices, half, count):
+    """Return the log integral of prior times likelihood over some coordinates, by the midpoint rule."""
+    offsets = (np.arange(count) + 0.5) / count * 2 - 1
+    logs = []
+    for shift in itertools.product(offsets, repeat=len(indices)):
+        values = start.copy()
+        values[indices] += half * np.array(shift)
+        logs.append(sum(load(engine, chart, values)))
+    logs = np.array(logs)
+    return float(logs.max() + math.log(np.exp(logs - logs.max()).sum()) + len(indices) * math.log(2 * half / count))
+
+
+def test_evidence_of_cube_against_box_is_that_of_quadrature():
+    """On a tiny image, sizes alone free: odds from draws against a sum over a grid."""
+    rng = np.random.default_rng(4)
+    sensor, chart, values = observe(rng, cube(), {"sigma": 0.02, "blur": 0.5}, camera(24, 18))
+    found, true = [], []
+    for is_cube, count in ((True, 400), (False, 28)):
+        state = cube()
+        state.cubes = [is_cube]
+        chart, values = make_chart(state, floor_pose(), 0.0015)
+        sizes = sorted({int(s) for s in chart.slots[0, charts.SIZE :]})
+        engine = engine_of(chart, sensor)
+        draws = sample(rng, engine, chart, values, 600, 12, sizes)
+        found.append(log_evidence(draws, sizes))
+        spread = draws.values[:, sizes].std(axis=0).max()
+        start = values.copy()
+        start[sizes] = draws.values[:, sizes].mean(axis=0)
+        half = min(5 * spread, 0.9 * start[sizes].min())
+        true.append(quadrature(engine, chart, start, sizes, half, count))
+    # a normal stands for a density that point-sampled edges make rugged: half a nat
+    np.testing.assert_allclose(found, true, atol=0.5)
+    assert abs((found[0] - found[1]) - (true[0] - true[1])) < 0.5
+    assert found[0] - found[1] > 1.0  # and the simpler one wins: the Occam factor is there
+
+
+@pytest.mark.parametrize("pixels", [0.0, 0.5, 1.0])
+def test_sensor_is_read_off_the_image(pixels):
+    rng = np.random.default_rng(5)
+    sensor, chart, values = observe(rng, stack(), {"sigma": 0.003, "blur": pixels}, camera(120, 90))
+    fitted = final_sensor(first_sensor(sensor.camera, sensor.observed, chart, values), chart, values)
+    assert fitted.likelihood.name == "gaussian"
+    assert fitted.values["blur"] == pytest.approx(pixels, abs=0.03)
+    # ten thousand pixels: 0.7 % is one standard deviation
+    assert fitted.values["sigma"] == pytest.approx(0.003, rel=0.03)
+
+
+def test_solids_that_overlap_are_unlikely():
+    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    free = log_prior(chart, rows_at(chart, values))
+    values[chart.slots[2, charts.X]] -= 0.10
+    assert log_prior(chart, rows_at(chart, values)) < free - 100
+
+
+def test_names_follow_solids_between_structures():
+    state = stack()
+    names = ["cube", "box", "can", "ball"]
+    fewer = state.without(2)
+    assert matched_names(fewer, state, names) == ["cube", "box", "ball"]
+    more = state.add(row(BOX, 0.0, 0.4, 0.4, 0.0, (0.05,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    assert matched_names(more, state, names) == [*names, "solid_1"]
+    moved = state.copy()
+    moved.parents[1] = FLOOR
+    assert structure_key(moved, names) != structure_key(state, names)
