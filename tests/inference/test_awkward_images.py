@@ -1,0 +1,137 @@
+"""Images that are hard to like: each is explained, or answered in one line."""
+
+import numpy as np
+import pytest
+
+from derender.errors import DerenderError
+from derender.inference.bottom_up.given_floor import read_floor
+from derender.inference.structure.image import render_floor_scene
+from derender.inference.structure.infer import infer_structure
+from derender.model.pose import rotation_x, rotation_z, translation
+from derender.vision.camera import Camera
+
+SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
+POSES = np.stack([translation(-0.06, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])
+
+
+def floor_pose(distance=0.8, elevation=35.0, roll=0.0):
+    """Return the pose (4, 4) of a floor, z up, whose origin the camera looks at from this height, rolled."""
+    pose = rotation_x(np.pi / 2 + np.radians(elevation))
+    pose[:3, 3] = [0.0, 0.0, distance]
+    return rotation_z(np.radians(roll)) @ pose
+
+
+def picture(floor, width=160, height=120, count=2, noise=0.001, factor=0.87):
+    """Return depth (H, W) of the first `count` boxes on a floor with noise, and the camera."""
+    camera = Camera(factor * width, factor * width, (width - 1) / 2, (height - 1) / 2, width, height)
+    poses = floor @ POSES[:count] if count else np.zeros((0, 4, 4))
+    depth, _ = render_floor_scene(["box"] * count, poses, SIZES[:count], floor, camera.to_dict())
+    depth = np.where(depth > 5, np.nan, depth)
+    return depth + noise * np.random.default_rng(0).normal(size=depth.shape), camera
+
+
+def answer(depth, camera, **options):
+    """Return the best graph of a quick inference."""
+    return infer_structure(depth, camera, {"method": "map", **options}, np.random.default_rng(0)).best_graph()
+
+
+def solids(graph):
+    """Return the sorted sizes of the solids, largest volume first."""
+    found = [np.sort(v.body.size()) for v in graph.vertices if v.shape != "plane"]
+    return sorted(found, key=lambda size: -np.prod(size))
+
+
+def assert_both_boxes(graph, tolerance=0.008):
+    found = solids(graph)
+    assert len(found) == 2
+    truth = sorted((np.sort(s) for s in SIZES), key=lambda size: -np.prod(size))
+    assert np.abs(np.array(found) - np.array(truth)).max() < tolerance
+
+
+def test_an_empty_table_is_a_floor_alone():
+    depth, camera = picture(floor_pose(), count=0)
+    graph = answer(depth, camera)
+    assert [v.shape for v in graph.vertices] == ["plane"]
+    assert graph.down() == pytest.approx(-floor_pose()[:3, 2], abs=0.01)
+
+
+def test_a_wall_alone_is_a_plane_before_the_camera():
+    depth = 1.5 + 0.002 * np.random.default_rng(0).normal(size=(120, 160))
+    graph = answer(depth, Camera(140.0, 140.0, 79.5, 59.5, 160, 120))
+    assert [v.shape for v in graph.vertices] == ["plane"]
+    assert graph.poses()["floor"][:3, 3] @ graph.down() == pytest.approx(1.5, abs=0.01)
+
+
+@pytest.mark.parametrize("roll", [90.0, 180.0])
+def test_a_rolled_camera_changes_nothing(roll):
+    floor = floor_pose(roll=roll)
+    depth, camera = picture(floor)
+    graph = answer(depth, camera)
+    assert_both_boxes(graph)
+    assert graph.down() == pytest.approx(-floor[:3, 2], abs=0.01)
+
+
+def test_a_floor_seen_from_straight_above():
+    depth, camera = picture(floor_pose(elevation=89.9))
+    assert_both_boxes(answer(depth, camera))
+
+
+def test_one_object_that_fills_the_image():
+    floor = floor_pose(distance=0.2) @ translation(0.06, 0.0, -0.03)  # the box's middle is looked at
+    depth, camera = picture(floor, 80, 60, count=1)
+    near = depth < np.nanquantile(depth, 0.5)
+    assert near.mean() > 0.4
+    found = solids(answer(depth, camera))
+    assert len(found) == 1 and np.abs(found[0] - np.sort(SIZES[0])).max() < 0.015
+
+
+def test_large_images_in_millimetres_with_holes():
+    depth, camera = picture(floor_pose(), 640, 480)
+    depth = np.round(depth, 3)
+    depth[np.random.default_rng(1).random(depth.shape) < 0.4] = np.nan
+    assert_both_boxes(answer(depth, camera))
+
+
+def test_a_tiny_image():
+    depth, camera = picture(floor_pose(), 32, 24)  # each box has about ten pixels: it may be missed
+    graph = answer(depth, camera)
+    assert len(solids(graph)) <= 2
+    assert graph.down() == pytest.approx(-floor_pose()[:3, 2], abs=0.02)
+
+
+def test_noise_is_one_clear_line():
+    depth = np.random.default_rng(0).uniform(0.5, 2.0, (120, 160))
+    with pytest.raises(DerenderError, match="plane"):
+        answer(depth, Camera(140.0, 140.0, 79.5, 59.5, 160, 120))
+
+
+def test_a_given_floor_is_taken_as_it_is():
+    floor = floor_pose()
+    normal = floor[:3, 2]
+    plane = [*normal, -normal @ floor[:3, 3]]
+    depth, camera = picture(floor)
+    for sign in (1, -1):  # whichever way the normal points
+        graph = answer(depth, camera, floor=",".join(str(sign * x) for x in plane))
+        assert_both_boxes(graph)
+        assert graph.down() == pytest.approx(-normal, abs=1e-3)
+
+
+def test_without_a_floor_nothing_rests():
+    depth, camera = picture(floor_pose())
+    above = picture(floor_pose(), noise=0.0)[0] < picture(floor_pose(), count=0, noise=0.0)[0] - 0.003
+    graph = answer(np.where(above, depth, np.nan), camera, floor="none")
+    assert "plane" not in {v.shape for v in graph.vertices}
+    assert len(solids(graph)) == 2
+    assert "root" in {v.parent for v in graph.vertices}
+
+
+@pytest.mark.parametrize("floor", ["flat", "1,2,3", "0,0,0,1", "nan,0,1,1"])
+def test_a_floor_that_is_none_is_one_clear_line(floor):
+    with pytest.raises(DerenderError, match="--floor.*a,b,c,d"):
+        read_floor(floor)
+
+
+def test_a_floor_far_from_every_point_is_one_clear_line():
+    depth, camera = picture(floor_pose())
+    with pytest.raises(DerenderError, match="2 cm of the floor given"):
+        answer(depth, camera, floor="0,1,0,-9")
