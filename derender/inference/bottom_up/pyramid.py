@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
+
 
 def intrinsics(camera):
     """Return fx, fy, cx, cy of a camera object or of a dict of them."""
@@ -23,7 +25,8 @@ def reduced_camera(camera, factor, shape):
 def block_median(depth, factor, enough):
     """Return the median of each block's pixels with depth (> 0), 0 where fewer than `enough` have one.
 
-    The median takes a side at a jump in depth: the mean would invent points in the air.
+    The median takes a side at a jump in depth: the mean would invent points in the air. Of an even number the middle
+    two are averaged where they are near: taking one of them would tilt the floor.
     """
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     out = np.zeros((height, width))
@@ -38,7 +41,7 @@ def block_median(depth, factor, enough):
                         n += 1
             if n >= enough:
                 values[:n].sort()
-                if n % 2 == 1 or values[n // 2] - values[n // 2 - 1] > 0.01:
+                if n % 2 == 1 or values[n // 2] - values[n // 2 - 1] > STEP * values[n // 2]:
                     out[j, i] = values[n // 2]
                 else:
                     out[j, i] = 0.5 * (values[n // 2] + values[n // 2 - 1])
