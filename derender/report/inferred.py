@@ -18,7 +18,6 @@ from derender.inference.settings import read_settings
 from derender.registry import suggest
 from derender.vision.depth_file import read_depth, write_depth
 
-
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
 
 
@@ -124,7 +123,9 @@ def infer_to_folder(
         with all_or_none(*(folder / name for name in WRITTEN)):
             return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
                           seed, command, progress, warn, started)  # fmt: skip
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
+            say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")
         with contextlib.suppress(OSError):
             folder.rmdir()  # nothing was written: leave nothing
         raise
