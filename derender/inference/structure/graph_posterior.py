@@ -23,8 +23,8 @@ from derender.inference.structure.refined import (
     floor_pose_of,
     only_draw,
     refine,
+    settled,
     structure_posterior,
-    with_sensor_refitted,
 )
 from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
 from derender.inference.structure.state import FLOOR, State, carried_by, held_out
@@ -190,7 +190,7 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         if best is former:
             break
     if best is not first:
-        best = with_sensor_refitted(rng, best)
+        best = settled(rng, best)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0)}
     for trial, odds in others:

@@ -28,6 +28,7 @@ from derender.inference.structure.sensor import Sensor, final_sensor, first_sens
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
+MORE_TRIES, HOTTER = 2, (0.01, 0.03, 0.1, 0.3, 1.0)  # of annealing, where outliers are left
 STEPS = 50  # between two draws: at least so many, and so many for each solid
 MOST_STEPS = 300
 LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
@@ -86,7 +87,33 @@ def refine(rng, seen, state, slack):
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, slack)
     sensor = first_sensor(camera, observed, chart, values)
-    return with_sensor_refitted(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+    return settled(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+
+
+def settled(rng, refined):
+    """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
+
+    Not where the noise grows with depth: such sensors have outliers at edges of their own.
+    """
+    best = with_sensor_refitted(rng, refined)
+    for _ in range(MORE_TRIES):
+        if best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
+            break
+        # pixels that no noise explains: perhaps some edge is caught a pixel away from where it belongs
+        values = best.values.copy()
+        hot = climb(rng, best.state, best.chart, values, best.sensor, 3 * ANNEALING, None, HOTTER)
+        again = with_sensor_refitted(rng, hot)
+        best = max(best, again, key=lambda each: each.log_likelihood - robust_offset(each.sensor))
+    return best
+
+
+def robust_offset(sensor):
+    """Return what a robust log likelihood has more than a gaussian one of the same image: whether pixels return."""
+    if sensor.likelihood.name == "gaussian":
+        return 0.0
+    seen = int(np.isfinite(sensor.observed).sum())
+    missing = sensor.values["missing"]
+    return seen * float(np.log1p(-missing)) + (sensor.observed.size - seen) * float(np.log(missing))
 
 
 def with_sensor_refitted(rng, refined):
@@ -154,4 +181,4 @@ def local_evidence(rng, refined, solids):
 
 
 __all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
-           "structure_posterior", "with_sensor_refitted"]  # fmt: skip
+           "settled", "structure_posterior"]  # fmt: skip
