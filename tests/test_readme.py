@@ -98,6 +98,8 @@ solids = read_document("scene.yaml").graph.solids()
 depth, label = find_renderer("raycast").render_depth(solids, Camera.from_field_of_view(80, 60))
 assert (label == 1).sum() > 100
 """
+    if "wedge" not in text:
+        more = ""
     done = subprocess.run(
         [sys.executable, "-c", text + more], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
