@@ -17,6 +17,8 @@ from derender.inference.smc import tempered
 LOCAL = ("drift", "slide", "window", "slide-window", "choose")  # kernels that move particles of a starting population
 GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
+PILOTS = (20, 40)  # rounds of each pilot chain; after each of these the archive is taken anew
+ARCHIVE = 64  # places that the archive keeps
 
 
 class Stretch(NamedTuple):
@@ -95,7 +97,7 @@ class MixtureSampler:
         self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
         self.particles, self.population = particles, population
         self.places: np.ndarray | None = None
-        self.scale: dict[str, float] = {}
+        self.learned: Tuning | None = None
 
     def backend(self, parts: list[Part] | None = None) -> Any:
         """Return what runs the kernels (of the mixture, or these): compiled where the target has that."""
@@ -127,8 +129,32 @@ class MixtureSampler:
         good = densities > np.max(densities) - GOOD
         best = int(np.argmax([np.max(found[1]) for found in explored]))
         sampler = copy(self)
-        sampler.places, sampler.scale = values[good], explored[best][2]
+        sampler.places = values[good]
+        sampler.learned = first_tuning(self.target.space, sampler.places[0])._replace(
+            scale=explored[best][2], archive=spread_out(sampler.places)
+        )
+        for stage, rounds in enumerate(PILOTS):
+            rngs = [np.random.default_rng([seed, 4, stage, number]) for number in range(chains)]
+            with ThreadPoolExecutor(jobs) as pool:
+                found = list(pool.map(lambda rng, rounds=rounds: sampler.pilot(rng, rounds), rngs))
+            sampler.places = np.concatenate([later for later, _ in found])
+            scale = {key: float(np.exp(np.mean([np.log(s.get(key, 1.0)) for _, s in found]))) for key in found[0][1]}
+            tuning = sampler.learned._replace(scale=scale, archive=spread_out(sampler.places))
+            sampler.learned = sampler._shape(tuning, sampler.places)
         return sampler
+
+    def pilot(self, rng, rounds: int) -> tuple[np.ndarray, dict[str, float]]:
+        """Return the places (n, P) of the later half of a chain that adapts, and its kernels' scales."""
+        values, tuning = self.places[int(rng.random() * len(self.places))], self.learned
+        backend, kept = self.backend(), []
+        for number in range(0, rounds, 5):
+            stretch = backend.sweep(rng, values, tuning, 5, self.thin, number * self.thin)
+            values = stretch.values[-1]
+            kept.append(stretch.values)
+            gain = 3.0 / math.sqrt(1.0 + number / 5)
+            tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
+        history = np.concatenate(kept)
+        return history[len(history) // 2 :], dict(tuning.scale)
 
     def start(self, rng):
         space = self.target.space
@@ -136,7 +162,7 @@ class MixtureSampler:
             values = self.places[int(rng.random() * len(self.places))]
         else:
             values = importance_resampling(rng, space, self.backend(), self.particles)
-        tuning = first_tuning(space, values)._replace(scale=self.scale)
+        tuning = self.learned or first_tuning(space, values)
         return _pack(values, tuning, np.empty((0, len(values))), self.parts)
 
     def warm_up(self, rng, state, done, rounds, total):
@@ -152,12 +178,11 @@ class MixtureSampler:
             gain = 3.0 / math.sqrt(1.0 + 10.0 * done / total)
             tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
             history = np.concatenate([history, stretch.values])
-            tuning = self._shape(tuning, history)
+            tuning = self._shape(tuning, history[len(history) // 2 :])
         return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
 
-    def _shape(self, tuning: Tuning, history: np.ndarray) -> Tuning:
-        """Fit centre and covariance to the later half of where the chain has been."""
-        recent = history[len(history) // 2 :]
+    def _shape(self, tuning: Tuning, recent: np.ndarray) -> Tuning:
+        """Fit centre and covariance to where chains have been of late."""
         if len(recent) < 20:
             return tuning
         centre = centre_of(self.target.space, recent)
@@ -169,6 +194,11 @@ class MixtureSampler:
         taken += draws * self.thin
         state = _pack(stretch.values[-1], tuning, history, self.parts, counts + stretch.counts, taken)
         return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
+
+
+def spread_out(places: np.ndarray) -> np.ndarray:
+    """Return at most ARCHIVE of the places, evenly spaced."""
+    return places[np.linspace(0, len(places) - 1, min(ARCHIVE, len(places))).round().astype(int)]
 
 
 def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:
@@ -188,6 +218,7 @@ def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -
         "covariance": tuning.covariance,
         "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
         "temperature": np.array(tuning.temperature),
+        "archive": tuning.places,
         "history": history,
         "counts": np.zeros((len(parts), 2), np.int64) if counts is None else counts,
         "taken": np.array(taken),
@@ -196,5 +227,5 @@ def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -
 
 def _unpack(state: Mapping[str, np.ndarray]):
     scale = json.loads(bytes(state["scale"]))
-    tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]))
+    tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]), state["archive"])
     return state["values"], tuning, state["history"], state["counts"], int(state["taken"])

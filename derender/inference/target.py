@@ -13,10 +13,11 @@ from derender.inference.space import Block, Space, Unknown, wrap
 from derender.model.contacts import contacts
 from derender.model.distributions import Distribution
 from derender.model.polygon import area_element
-from derender.model.pose import inverse
+from derender.model.pose import inverse, rotation_z, translation
 from derender.model.scene import SceneGraph
 from derender.model.shapes import shapes
 
+TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
 NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
 
@@ -48,7 +49,9 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
     for i, unknown in enumerate(unknowns):
         members.setdefault(block_name(unknown.address), []).append(i)
     space = Space(unknowns, [Block(name, tuple(indices)) for name, indices in members.items()])
-    space.slides = tuple(name for name in members if _can_slide(graph, name, {u.address for u in unknowns}))
+    known = {unknown.address for unknown in unknowns}
+    space.slides = tuple(name for name in members if _can_slide(graph, name, known))
+    space.relocations = tuple(name for name in members if _can_relocate(graph, name, known))
     return space
 
 
@@ -105,6 +108,9 @@ class SceneTarget:
             for unknown in self.space.unknowns
             if unknown.address.endswith(".contact.theta")
         }
+        self.bases = {name: base_of(graph, name.removesuffix(".contact"), set(self.space.addresses))
+                      for name in self.space.relocations}  # fmt: skip
+        self._placements: dict[tuple[str, bytes], np.ndarray] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
     def backend(self, parts: list[Part], cycle: bool = False):
@@ -204,6 +210,85 @@ class SceneTarget:
                 log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
         return kept, log_jacobian
 
+    def placed_by(self, block: Block) -> list[int]:
+        """Return the unknowns that say where an object stands on a face: theta and the two offsets."""
+        offsets = ("theta", "u", "v") if f"{block.name}.u" in self._index else ("theta", "x", "y")
+        return [self.space.offsets.tolist().index(self._index[f"{block.name}.{key}"]) for key in offsets]
+
+    def placement_period(self, block: Block) -> float:
+        """Return the period of a placement's angle."""
+        return self.folds[f"{block.name}.theta"][1]
+
+    def _frames(self, graph: SceneGraph, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """Return (4, 4) to the camera: the face below everything, and the turned face that the object stands on."""
+        name = block.name.removesuffix(".contact")
+        base, face = self.bases[block.name]
+        vertex, poses = graph.vertex(name), graph.poses()
+        below = poses[base] @ graph.body(base).face(face).frame
+        return below, poses[name] @ vertex.body.face(vertex.contact.child_face).frame @ TURNED
+
+    def placement(self, values: np.ndarray, block: Block) -> tuple[np.ndarray, float]:
+        """Return w = (angle, x, y) of an object on the lowest parallel face below it, and log |dw / d phi|."""
+        graph = self.graph(values)
+        below, own = self._frames(graph, block)
+        relative = inverse(below) @ own
+        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.placement_period(block))
+        vertex = graph.vertex(block.name.removesuffix(".contact"))
+        numbers, log_area = vertex.contact.values, 0.0
+        if f"{block.name}.u" in self._index:
+            on, by = graph.body(vertex.parent), vertex.body
+            outlines = on.face(vertex.contact.parent_face).outline, by.face(vertex.contact.child_face).outline
+            log_area = math.log(area_element(numbers["u"], numbers["theta"], *outlines))
+        return np.array([angle, relative[0, 3], relative[1, 3]]), log_area
+
+    def placements(self, block: Block, archive: np.ndarray) -> np.ndarray:
+        """Return (K, 3), the placement of an object in each of (K, P) values."""
+        key = block.name, archive.tobytes()
+        if key not in self._placements:
+            if len(self._placements) > 8 * len(self.bases):
+                self._placements.clear()
+            self._placements[key] = np.array([self.placement(values, block)[0] for values in archive])
+        return self._placements[key]
+
+    def put(self, values: np.ndarray, block: Block, place: np.ndarray) -> np.ndarray | None:
+        """Return the values with an object at another placement, at its height; None where it would lose contact."""
+        graph = self.graph(values)
+        below, own = self._frames(graph, block)
+        relative = inverse(below) @ own
+        vertex = graph.vertex(block.name.removesuffix(".contact"))
+        contact, on, by = vertex.contact, graph.body(vertex.parent), vertex.body
+        there = below @ translation(place[1], place[2], relative[2, 3]) @ rotation_z(place[0])
+        pose = there @ TURNED @ inverse(by.face(contact.child_face).frame)
+        seen = inverse(graph.poses()[vertex.parent]) @ pose
+        found = contacts["face-to-face"].invert(seen, on, by, contact.parent_face, contact.child_face)
+        if found.outside > 1e-9 or found.angle > NEAR:
+            return None
+        moved = values.copy()
+        for unknown in self.placed_by(block):
+            address = self.space.unknowns[unknown].address
+            value = found.phi[address.rpartition(".")[2]]
+            moved[self._index[address]] = fold(value, *self.folds[address]) if address.endswith("theta") else value
+        return moved
+
+
+def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
+    """Return (vertex, face): the lowest face below an object that stays parallel to the one that it stands on."""
+    vertex = graph.vertex(name)
+    base, face = vertex.parent, vertex.contact.parent_face
+    while True:
+        below = graph.vertex(base)
+        contact = below.contact
+        tilted = any(
+            contact.values.get(key, 0.0) != 0.0 or f"{base}.contact.{key}" in unknown for key in ("tilt_x", "tilt_y")
+        )
+        if contact.type != "face-to-face" or tilted or not _opposite(contact.child_face, face):
+            return base, face
+        base, face = below.parent, contact.parent_face
+
+
+def _opposite(face: str, other: str) -> bool:
+    return face[1:] == other[1:] and face[0] != other[0]
+
 
 def fold(angle: float, centre: float, period: float) -> float:
     """Return the angle by whole periods into [centre - period / 2, centre + period / 2)."""
@@ -243,15 +328,33 @@ def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
     return bool(below)
 
 
+def _can_relocate(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
+    """Return whether the block is a contact of faces with three numbers, all unknown, that its children can bear."""
+    if not block.endswith(".contact"):
+        return False
+    name = block.removesuffix(".contact")
+    vertex = graph.vertex(name)
+    if vertex.contact.type != "face-to-face" or vertex.parent == "root":
+        return False
+    parameters = contacts["face-to-face"].parameters(
+        graph.body(vertex.parent).shape, vertex.body.shape, vertex.contact.parent_face, vertex.contact.child_face
+    )
+    free = {p.name for p in parameters if f"{block}.{p.name}" in unknown}
+    placed = free in ({"theta", "u", "v"}, {"theta", "x", "y"})
+    level = all(vertex.contact.values.get(key, 0.0) == 0.0 for key in ("tilt_x", "tilt_y"))
+    return placed and level and (not graph.descendants(name) or _can_slide(graph, block, unknown))
+
+
 def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
     """Return the default mixture as data, as a prior file would write it.
 
     Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
     """
     return [
-        {"drift": {"weight": 0.28}},
-        {"slide": {"weight": 0.36}},
-        {"drift-all": {"weight": 0.24}},
+        {"relocate": {"weight": 0.45}},
+        {"drift": {"weight": 0.2}},
+        {"slide": {"weight": 0.2}},
+        {"drift-all": {"weight": 0.1}},
         {"window": {"weight": 0.02}},
         {"slide-window": {"weight": 0.03}},
         {"independence": {"weight": 0.01}},

@@ -33,9 +33,12 @@ def test_same_random_numbers_same_steps(world, cycle):
     """Step by step, at several temperatures: the same kernel, the same decision, the same values to rounding."""
     target, parts, compiled, readable = both(world, COMPILED, cycle)
     values = world.space.sample(np.random.default_rng(1))
+    archive = np.array([world.space.sample(np.random.default_rng(n)) for n in range(8)])
     moved = 0
     for number in range(400):
-        tuning = first_tuning(world.space, values)._replace(temperature=(1.0, 0.1, 0.003)[number % 3])
+        tuning = first_tuning(world.space, values)._replace(
+            temperature=(1.0, 0.1, 0.003)[number % 3], archive=archive if number % 2 else None
+        )
         fast = compiled.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
         slow = readable.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
         np.testing.assert_array_equal(fast.counts, slow.counts)

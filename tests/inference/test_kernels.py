@@ -18,6 +18,7 @@ from derender.inference.kernels import (
     independence,
     jump,
     langevin,
+    relocate,
     resimulate,
     slide,
     slide_window,
@@ -41,7 +42,8 @@ def tuning(space, temperature=1.0):
     for i, unknown in enumerate(space.unknowns):
         if unknown.distribution.size == 4:
             centre[space.offsets[i] : space.offsets[i] + 4] = (1.0, 0.0, 0.0, 0.0)
-    return Tuning(centre, covariance, {}, temperature)
+    archive = np.array([space.sample(rng) for _ in range(9)])
+    return Tuning(centre, covariance, {}, temperature, archive)
 
 
 def maker(type_name, twin=None, **options):
@@ -167,6 +169,37 @@ class SlideWindowWithoutJacobian(slide_window.SlideWindow):
         return new, 0.0
 
 
+class RelocateWithoutArea(relocate.Relocate):
+    """Takes the density of a place for that of the contact's numbers."""
+
+    def __call__(self, rng, state):
+        genuine = self.target
+        self.target = _WithoutArea(genuine)
+        try:
+            return super().__call__(rng, state)
+        finally:
+            self.target = genuine
+
+
+class _WithoutArea:
+    def __init__(self, target):
+        self.target = target
+
+    def __getattr__(self, name):
+        return getattr(self.target, name)
+
+    def placement(self, *arguments):
+        place, _ = self.target.placement(*arguments)
+        return place, 0.0
+
+
+class RelocateWithoutRatio(relocate.Relocate):
+    """Takes the proposal for symmetric."""
+
+    def log_proposal(self, place):
+        return 0.0
+
+
 class _WithoutJacobian:
     def __init__(self, target):
         self.target = target
@@ -198,9 +231,11 @@ CASES = {
     "slide": ("angle", SlideWithoutJacobian),
     "slide-window": ("angle", SlideWindowWithoutJacobian),
     "langevin": ("angle", LangevinUncorrected),
+    "relocate": ("angle", RelocateWithoutArea),
 }
 OPTIONS = {"langevin": {"scale": 0.6}, "slide": {"scale": 2.0}}
-MORE = {"langevin": 6, "independence": 4, "slide": 2, "slide-window": 2}  # replicates, where the fault is small
+# Replicates, where the fault is small:
+MORE = {"relocate": 3, "langevin": 6, "independence": 4, "slide": 2, "slide-window": 2}
 
 
 def test_every_kernel_is_here():
@@ -226,6 +261,11 @@ def test_kernel_is_invariant_on_rotations(name):
     result = verdict(WORLDS["floating"](), maker(name), REPLICATES, steps=4)
     assert result.moved > 0.02
     assert result.worst < bound(len(result.z)), result
+
+
+def test_relocation_without_proposal_ratio_is_caught():
+    result = verdict(WORLDS["angle"](), maker("relocate", RelocateWithoutRatio), REPLICATES, steps=4)
+    assert result.worst > bound(len(result.z)), result.worst
 
 
 def test_rotation_without_haar_factor_is_caught():
@@ -307,7 +347,8 @@ def test_signature_and_honest_state(name):
 def test_every_kernel_says_why_it_is_right():
     for name in kernels.names():
         assert kernels[name].__doc__
-    for module in (choose, drift, flip, independence, jump, langevin, resimulate, slide, slide_window, window):
+    for module in (choose, drift, flip, independence, jump, langevin, relocate, resimulate, slide, slide_window,
+                   window):  # fmt: skip
         body = next(c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
         assert "log ratio" in body.__doc__, module.__name__
     assert kernels_package.kernels is base.kernels

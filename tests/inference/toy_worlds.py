@@ -17,9 +17,9 @@ class World:
 
     noise = 0.5
 
-    def __init__(self, unknowns, blocks, model, slides=()):
+    def __init__(self, unknowns, blocks, model, slides=(), relocations=()):
         self.space = Space(unknowns, blocks)
-        self.space.slides = slides
+        self.space.slides, self.space.relocations = slides, relocations
         self.model = model
 
     def target(self, rng, values):
@@ -62,6 +62,24 @@ class Target:
         return kept, math.log(_stretch(x) / _stretch(new))
 
 
+    def placement_period(self, block):
+        return math.pi
+
+    def placement(self, values, block):
+        """The place of a in the world: its angle, and x + x^3."""
+        theta, x = values[0], values[1]
+        return np.array([theta, x + x**3]), math.log(1 + 3 * x * x)
+
+    def placements(self, block, archive):
+        return np.array([self.placement(values, block)[0] for values in archive])
+
+    def put(self, values, block, place):
+        moved = values.copy()
+        root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * place[1]) / 3)  # of x + x^3 = place[1]
+        moved[0], moved[1] = place[0], root
+        return moved
+
+
 def _stretch(x):
     return math.exp(1.2 * x)
 
@@ -79,7 +97,7 @@ def angle_and_child():
         theta, x, u = values
         return np.array([math.sin(2 * theta) + x, math.cos(2 * theta), x + _stretch(x) * u])
 
-    return World(unknowns, blocks, model, slides=("a.contact",))
+    return World(unknowns, blocks, model, slides=("a.contact",), relocations=("a.contact",))
 
 
 def box_with_sides():

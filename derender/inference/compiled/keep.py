@@ -25,7 +25,7 @@ from derender.inference.compiled.layout import (
     TABLE,
     VERTEX,
 )
-from derender.inference.compiled.poses import place
+from derender.inference.compiled.poses import place, seen_from
 from derender.inference.compiled.prior import wrap
 from derender.model.contacts.compiled import area_element, invert, outline
 
@@ -51,13 +51,7 @@ def keep_children(vertices, extents, places, laws, values, numbers, pose, marks,
         parent = vertices[PARENT, c]
         if not marks[DIRTY, parent]:  # its axes are as they were
             continue
-        old, new = pose[NOW, c], pose[NEXT, parent]
-        for i in range(3):  # the child in the parent's new axes: new^-1 old
-            for j in range(4):
-                total = 0.0
-                for k in range(3):
-                    total += new[k, i] * (old[k, j] - (new[k, 3] if j == 3 else 0.0))
-                scratch[i, j] = total
+        seen_from(pose[NEXT, parent], pose[NOW, c], scratch)
         own, phi = numbers[NOW, c], numbers[NEXT, c]
         on, by = vertices[PARENT_FACE, c], vertices[CHILD_FACE, c]
         size, child_size = numbers[NEXT, parent, SIZES:SHAPES], own[SIZES:SHAPES]

@@ -52,7 +52,8 @@ class Kernels(NamedTuple):
     table : (4, K + 1) int64: code, begin of its unknowns, begin of its factor (the last column ends these two), and the
         vertex whose children it keeps where they are in the world, or -1.
     numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
-    members : flat int64, unknowns. factors : flat float64, each (D_k, D_k), lower triangle in full rows.
+    members : flat int64, unknowns; of relocate: theta, the two offsets, the vertex and the face below.
+    factors : flat float64, each (D_k, D_k), lower triangle in full rows; of relocate: then the centres, (K, 3).
     spread : (D,) float64, the prior's. mean : (P,) float64, centre of independence proposals.
     """
 

@@ -39,6 +39,17 @@ def place_root(vertices, numbers, pose):
 
 
 @njit(cache=True, nogil=True)
+def seen_from(frame, pose, out):
+    """Write the (4, 4) pose in the axes of a frame, frame^-1 pose, into the first three rows of `out`."""
+    for i in range(3):
+        for j in range(4):
+            total = 0.0
+            for k in range(3):
+                total += frame[k, i] * (pose[k, j] - (frame[k, 3] if j == 3 else 0.0))
+            out[i, j] = total
+
+
+@njit(cache=True, nogil=True)
 def place(vertices, extents, numbers, pose, relative, n):
     """Write the proposed extents and pose of vertex n; its parent's are there."""
     parent = vertices[PARENT, n]

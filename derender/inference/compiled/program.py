@@ -18,6 +18,7 @@ from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.kernels.drift import directions_of, factor_of
 from derender.inference.kernels.flip import flips_of
+from derender.inference.kernels.relocate import proposal_of
 from derender.inference.kernels.slide import marginal_factor
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME
@@ -154,9 +155,14 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
         scale, count, reach, factor = 1.0, 0.0, 0.0, np.empty(0)
         moved: list[int] = list(part.block.unknowns)
         if kind.code == steps.DRIFT:
-            spread = marginal_factor if kind.keeps_children else factor_of
-            factor = spread(tuning.covariance, directions_of(space, part.block))
+            fit = marginal_factor if kind.keeps_children else factor_of
+            factor = fit(tuning.covariance, directions_of(space, part.block))
             scale = part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(len(factor))
+        elif kind.code == steps.RELOCATE:
+            base, face = target.bases[part.block.name]
+            moved = [*target.placed_by(part.block), target.template.names.index(base), FEATURE_CODES[face]]
+            centres, spread = proposal_of(target, part.block, tuning.places)
+            factor = np.concatenate([np.ravel(spread), np.ravel(centres)])
         elif kind.code == steps.INDEPENDENCE:
             factor = part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
         elif kind.code == steps.WINDOW:

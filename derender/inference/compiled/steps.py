@@ -40,10 +40,11 @@ from derender.inference.compiled.prior import (
     shaped,
     wrap,
 )
+from derender.inference.compiled.relocate import relocate
 from derender.inference.kernels.independence import DEGREES
 from derender.inference.kernels.window import FINEST
 
-RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP = range(6)
+RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE = range(7)
 
 
 @njit(cache=True, nogil=True)
@@ -163,9 +164,13 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
         if code == WINDOW:
             reach = kernels.numbers[k, REACH]
             spacing = reach * math.exp(rng.random() * math.log(FINEST / reach))
-        correction = propose(
-            rng, unknowns, laws, values, chain.tangents, members, factor, code, scale, kernels.spread, kernels.mean
-        )
+        if code == RELOCATE:
+            correction = relocate(rng, model.vertices, unknowns, laws, values, chain.numbers, chain.pose,
+                                  chain.relative, chain.moved_pose[0], members, factor, keep)  # fmt: skip
+        else:
+            correction = propose(
+                rng, unknowns, laws, values, chain.tangents, members, factor, code, scale, kernels.spread, kernels.mean
+            )
         if code == WINDOW:
             places = int(kernels.numbers[k, COUNT])
             present = int(rng.random() * places)
@@ -183,7 +188,7 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
                 step = (chosen - present) * spacing
                 move(unknowns, laws, members, values[NOW], chain.tangents[0], step, values[NEXT])
             jacobian = 0.0
-            if keep >= 0:
+            if keep >= 0 and not math.isnan(correction):
                 jacobian = keep_children(
                     model.vertices, model.extents, model.places, laws, values, chain.numbers, chain.pose,
                     chain.marks, engine.parameters, chain.relative, keep,
@@ -218,4 +223,4 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
                 kept[taken // thin, p] = values[NOW, p]
 
 
-__all__ = ["DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "RESIMULATE", "WINDOW", "sweep"]
+__all__ = ["DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "RELOCATE", "RESIMULATE", "WINDOW", "sweep"]

@@ -65,12 +65,19 @@ class Tuning(NamedTuple):
     covariance : (D, D) float64, of the posterior in tangent directions around it.
     scale : step scale by kernel name; 1 where a name is missing.
     temperature : exponent on the likelihood; below 1 only while warming up or tempering.
+    archive : (K, P) float64, places that all chains saw in warm-up, or None: `mean` is the only one.
     """
 
     mean: np.ndarray
     covariance: np.ndarray
     scale: Mapping[str, float]
     temperature: float = 1.0
+    archive: np.ndarray | None = None
+
+    @property
+    def places(self) -> np.ndarray:
+        """The archive, or the mean as its only place."""
+        return self.mean[None] if self.archive is None else self.archive
 
 
 class KernelType:

@@ -1,0 +1,89 @@
+"""Put an object down anew in the world, compiled; see kernels.relocate."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from derender.inference.compiled.keep import NEAR, fold
+from derender.inference.compiled.layout import (
+    CHILD_FACE,
+    CONTACT_CODE,
+    FOLD_CENTRE,
+    FOLD_PERIOD,
+    KIND,
+    NEXT,
+    NOW,
+    OFFSET,
+    PARENT,
+    PARENT_FACE,
+    SHAPES,
+    SIZES,
+)
+from derender.inference.compiled.poses import seen_from
+from derender.inference.compiled.prior import wrap
+from derender.inference.kernels.relocate import DEGREES
+from derender.model.contacts.compiled import area_element, compose, invert, outline, relative_pose
+from derender.model.solids import PLANE
+
+UNBOUNDED = np.int64(PLANE)  # the face below is taken for a plane: offsets on it are metres
+
+
+@njit(cache=True, nogil=True)
+def mixture_density(factor, period, place):
+    """Return q(place) up to its constant. factor : nine numbers of the lower triangle, then the centres."""
+    total = 0.0
+    for k in range(9, len(factor), 3):
+        turn = wrap(place[0] - factor[k] + 0.5 * period, period) - 0.5 * period
+        a = turn / factor[0]
+        b = (place[1] - factor[k + 1] - factor[3] * a) / factor[4]
+        c = (place[2] - factor[k + 2] - factor[6] * a - factor[7] * b) / factor[8]
+        total += (1.0 + (a * a + b * b + c * c) / DEGREES) ** (-0.5 * (DEGREES + 3))
+    return total
+
+
+@njit(cache=True, nogil=True)
+def relocate(rng, vertices, unknowns, laws, values, numbers, pose, relative, scratch, members, factor, n):
+    """Write the proposed contact of vertex n; return log q(old) J(old) / (q(new) J(new)), NaN where there is none."""
+    base, face = members[3], members[4]
+    parent, contact = vertices[PARENT, n], vertices[CONTACT_CODE, n]
+    on, by = vertices[PARENT_FACE, n], vertices[CHILD_FACE, n]
+    own = numbers[NOW, n]
+    below, size, child_size = numbers[NOW, base, SIZES:SHAPES], numbers[NOW, parent, SIZES:SHAPES], own[SIZES:SHAPES]
+    centre, period = laws[members[0], FOLD_CENTRE], laws[members[0], FOLD_PERIOD]
+
+    drawn = 9 + 3 * int(rng.random() * ((len(factor) - 9) // 3))
+    first, second, third = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
+    chi_squared = 0.0
+    for _ in range(DEGREES):
+        chi_squared += rng.standard_normal() ** 2
+    stretch = math.sqrt(DEGREES / chi_squared)
+    turn = stretch * factor[0] * first
+    if not abs(turn) <= 0.5 * period:
+        return math.nan
+
+    old, new, phi = np.empty(7), np.empty(7), np.empty(7)
+    seen_from(pose[NOW, base], pose[NOW, n], relative)
+    invert(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, relative, old)
+    for i in range(7):
+        new[i] = old[i]
+    new[0] = wrap(factor[drawn] + turn, period)
+    new[1] = factor[drawn + 1] + stretch * (factor[3] * first + factor[4] * second)
+    new[2] = factor[drawn + 2] + stretch * (factor[6] * first + factor[7] * second + factor[8] * third)
+    relative_pose(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, new, relative)
+    compose(pose[NOW, base], relative, scratch)
+    seen_from(pose[NOW, parent], scratch, relative)
+    outside, angle = invert(contact, vertices[KIND, parent], size, vertices[KIND, n], child_size, on, by, relative, phi)
+    if outside > 1e-9 or angle > NEAR:
+        return math.nan
+    phi[0] = fold(phi[0], centre, period)
+    for i in range(3):
+        values[NEXT, unknowns[OFFSET, members[i]]] = phi[i]
+    log_ratio = math.log(mixture_density(factor, period, old)) - math.log(mixture_density(factor, period, new))
+    a, b, radius, _ = outline(vertices[KIND, parent], size, on)
+    c, d, child_radius, _ = outline(vertices[KIND, n], child_size, by)
+    if a < math.inf and c < math.inf:
+        radius += child_radius
+        log_ratio += math.log(area_element(own[1], own[0], a, b, c, d, radius))
+        log_ratio -= math.log(area_element(phi[1], phi[0], a, b, c, d, radius))
+    return log_ratio
