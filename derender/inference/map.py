@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.inference.optimise.descent import cost_at, equations_at, fixed_step, levenberg, scan
+from derender.inference.optimise.descent import cost_at, equations_at, fixed_step, levenberg
 from derender.inference.optimise.placement import new_placement
 from derender.model.scene import SceneGraph
 from derender.registry import suggest
@@ -126,8 +126,9 @@ class MapProblem:
         motions, gradient, hessian = np.zeros((count, len(poses), MOTION)), np.zeros(count), np.zeros((count, count))
         values = np.array(values, np.float64)
         watch_all(self._fine)
-        value = equations_at(self._fine, self.placement, values, self._mean, self._precision, poses, sizes, motions,
-                             self.edges, gradient, hessian)  # fmt: skip
+        law = self._mean, self._precision, poses, sizes
+        value = cost_at(self._fine, self.placement, values, *law)
+        equations_at(self._fine, self.placement, values, *law, motions, self.edges, gradient, hessian)
         return Laplace(values, self._constant - value, -gradient, hessian, np.linalg.pinv(hessian, hermitian=True))
 
     def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -164,24 +165,60 @@ class MapProblem:
         return max(self.maximise(places, **settings), key=lambda maximum: maximum.log_density)
 
     def _newton(self, start, iterations, tolerance, explore) -> Maximum:
-        values, domain, count = np.array(start, np.float64), self.domain, len(self.addresses)
-        longest = max(iterations, COARSE_STEPS_ALONE) + 1
-        path, costs = np.zeros((longest, count)), np.zeros(longest)
-        gradient, hessian = np.zeros(count), np.zeros((count, count))
-        law = (domain.lower, domain.upper, domain.period, self._mean, self._precision)
-        before = 0
-        if explore:
-            small = count <= len(GENERATORS)
-            points = np.zeros((LATTICE if small else 1, count))
-            if small:
-                points[:] = np.outer(np.arange(LATTICE), GENERATORS[:count]) % LATTICE / LATTICE
-            _, before = scan(self._coarse, self.placement, values, *law, points, KEPT,
-                             COARSE_STEPS if small else COARSE_STEPS_ALONE, path, costs, gradient, hessian)  # fmt: skip
-        _, accepted, _ = levenberg(self._fine, self.placement, values, *law, iterations, tolerance, self.edges, MARGIN,
-                                   path, costs, gradient, hessian)  # fmt: skip
+        count = len(self.addresses)
+        values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
+        path, costs = np.zeros((iterations + 1, count)), np.zeros(iterations + 1)
+        scratch = np.zeros(count), np.zeros((count, count))
+        _, accepted, _ = levenberg(  # type: ignore[call-arg]
+            self._fine,
+            self.placement,
+            values,
+            *self._law,
+            iterations,
+            tolerance,
+            self.edges,
+            MARGIN,
+            path,
+            costs,
+            *scratch,
+        )
         top = self.log_density(values)
         densities = top + costs[accepted] - costs[: accepted + 1]  # in the window a constant is left out
         return Maximum(values, top, path[: accepted + 1].copy(), densities, before + accepted)
+
+    @property
+    def _law(self):
+        return *self.domain, self._mean, self._precision
+
+    def _explore(self, start) -> tuple[np.ndarray, int]:
+        """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
+
+        The lattice begins at `start`, so that a random start makes it random; wrong basins are few on a coarse image.
+        """
+        count = len(self.addresses)
+        start = self.domain.bring(np.asarray(start, float))
+        low = np.where(self.domain.period > 0, 0.0, self.domain.lower)
+        length = np.where(self.domain.period > 0, self.domain.period, self.domain.upper - self.domain.lower)
+        places, steps = start[None], COARSE_STEPS_ALONE
+        if count <= len(GENERATORS) and np.all(np.isfinite(length)):
+            shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
+            places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
+        scratch = self._scratch()
+        watch_all(self._coarse)
+        costs = [
+            cost_at(self._coarse, self.placement, place, self._mean, self._precision, *scratch) for place in places
+        ]
+        path, heights = np.zeros((steps + 1, count)), np.zeros(steps + 1)
+        matrices = np.zeros(count), np.zeros((count, count))
+        ends = []
+        for number in np.argsort(costs)[:KEPT]:
+            values = places[number].copy()
+            height, accepted, _ = levenberg(  # type: ignore[call-arg]
+                self._coarse, self.placement, values, *self._law, steps, 5.0, True, 0, path, heights, *matrices
+            )
+            ends.append((height, accepted, values))
+        _, accepted, values = min(ends, key=lambda end: end[0])
+        return values, accepted
 
     def _fixed(self, start, iterations, step, difference) -> Maximum:
         values, domain = np.array(start, np.float64), self.domain
@@ -220,3 +257,50 @@ def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarr
     seen = np.isfinite(depth)
     total, number = np.where(seen, depth, 0.0).sum(axis=(1, 3)), seen.sum(axis=(1, 3))
     return np.where(number > 0, total / np.maximum(number, 1), np.nan), sigma.mean(axis=(1, 3))
+
+
+def climb(target, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None) -> np.ndarray:
+    """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
+
+    The ascents move contact and shape numbers on the antialiased image under uniform priors in the target's ranges; the
+    target's own density decides, so neither approximation can make things worse. Rotations, the root, faces and the
+    likelihood's unknowns stay. Scenes that have no compiled derivative come back as they are.
+    """
+    space, best = target.space, np.array(values, np.float64)
+    chosen, ranges = [], {}
+    for unknown, offset in zip(space.unknowns, space.offsets, strict=False):
+        name = unknown.address.partition(".")[0]
+        if unknown.distribution.size == 1 and not unknown.distribution.discrete and name not in ("root", "likelihood"):
+            chosen.append(int(offset))
+            ranges[unknown.address] = unknown.distribution.support
+    if not chosen:
+        return best
+    numbers = target.by_address(best)
+    likelihood = {**target.images.values, **{key.removeprefix("likelihood."): value for key, value in numbers.items()}}
+    try:
+        problem = MapProblem(target.graph(best), list(ranges), target.images.camera, target.images.observed,
+                             sigma=likelihood.get("sigma", 0.005), blur=likelihood.get("blur", 0.0),
+                             background=likelihood.get("background", 10.0), ranges=ranges,
+                             limit=math.inf if target.images.type == "gaussian" else 8.0)  # fmt: skip
+    except DerenderError:
+        return best
+    density = target.log_prior(best) + target.log_likelihood(best)
+    starts = np.vstack([problem.values, problem.random_starts(rng or np.random.default_rng(0), 4)])
+    if gradient == "exact":
+        found = problem.maximise(starts[:1], explore=False) + problem.maximise(starts)
+        ends = [maximum.values for maximum in found]
+    else:
+        ends = [
+            state
+            for maximum in problem.maximise(starts[:1], "gradient", gradient, step=0.005)
+            for state in maximum.path
+        ]
+    for end in ends:
+        trial = best.copy()
+        trial[chosen] = end
+        log_prior = target.log_prior(trial)
+        if log_prior > -math.inf:
+            value = log_prior + target.log_likelihood(trial)
+            if value > density:
+                best, density = trial, value
+    return best

@@ -79,14 +79,16 @@ class SmoothLikelihood:
         _, poses, sizes = _arrays(solids)
         totals = np.zeros((len(poses), MOTION))
         active = np.ones(len(poses), bool) if active is None else np.asarray(active, bool)
-        value = cost_gradient(self.misfit, poses, sizes, active, self.edges, totals)
+        value = cost(self.misfit, poses, sizes)
+        cost_gradient(self.misfit, poses, sizes, active, self.edges, totals)
         return self._constant - value, -totals
 
     def equations(self, poses, sizes, motions) -> tuple[float, np.ndarray, np.ndarray]:
         """Return (cost, gradient (P,), Gauss-Newton Hessian (P, P)) by parameters with these motions (P, N, 9)."""
         count = len(motions)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
-        value = normal_equations(self.misfit, poses, sizes, motions, self.edges, gradient, hessian)
+        value = cost(self.misfit, poses, sizes)
+        normal_equations(self.misfit, poses, sizes, motions, self.edges, gradient, hessian)
         return value, gradient, hessian
 
     @property

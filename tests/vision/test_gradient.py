@@ -146,7 +146,7 @@ def test_forward_and_reverse_agree():
 def test_refining_solids_reaches_the_truth():
     """From 6 mm off, a fifth of the pixels missing: as likely as the truth or more so, in all scenes but one.
 
-    Not in each: the robust cost has local optima, where one corner is taken for outliers. There is none the worse for it.
+    Not in each: the robust cost has local optima, where one corner is taken for outliers.
     """
     reached = 0
     for seed in range(6):

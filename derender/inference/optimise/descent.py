@@ -4,9 +4,9 @@ steps."""
 import math
 
 import numpy as np
-from numba import njit
 
 from derender.inference.optimise.placement import find_motions, place
+from derender.kernel_cache import njit
 from derender.vision.raycast.normal_equations import cost, cost_gradient, normal_equations, watch, watch_all
 from derender.vision.raycast.sensitivity import MOTION
 
@@ -71,14 +71,12 @@ def cost_at(misfit, placement, values, mean, precision, poses, sizes):
 
 @njit(cache=True, nogil=True)
 def equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian):
-    """The same, with gradient (P,) and Gauss-Newton Hessian (P, P)."""
-    place(placement, values, poses, sizes)
+    """Write gradient (P,) and Gauss-Newton Hessian (P, P) of the cost where `cost_at` has been called last."""
     find_motions(placement, values, motions)
-    value = normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian)
+    normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian)
     for p in range(values.shape[0]):
         gradient[p] += precision[p] * (values[p] - mean[p])
         hessian[p, p] += precision[p]
-    return value + prior_cost(values, mean, precision)
 
 
 @njit(cache=True, nogil=True)
@@ -136,7 +134,8 @@ def levenberg(
     step, trial, held = np.zeros(count), np.empty(count), np.zeros(count, np.bool_)
     damped = np.empty((count, count))
     bring(values, lower, upper, period)
-    value = equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian)
+    value = cost_at(misfit, placement, values, mean, precision, poses, sizes)
+    equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian)
     path[0], costs[0] = values, value
     accepted, tried, damping = 0, 0, 1e-3
     while tried < iterations:
@@ -169,9 +168,8 @@ def levenberg(
             values[:] = trial
             accepted += 1
             damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), 1e-7)
-            value = equations_at(
-                misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian
-            )
+            value = trial_value
+            equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian)
             path[accepted], costs[accepted] = values, value
             if gained < tolerance:
                 break
@@ -208,7 +206,8 @@ def fixed_step(
             find_motions(placement, values, motions)
             for k in range(solids):
                 active[k] = np.any(motions[:, k] != 0.0)
-            costs[n] = cost_gradient(misfit, poses, sizes, active, edges, totals) + prior_cost(values, mean, precision)
+            costs[n] = cost_at(misfit, placement, values, mean, precision, poses, sizes)
+            cost_gradient(misfit, poses, sizes, active, edges, totals)
             for p in range(count):
                 gradient[p] = precision[p] * (values[p] - mean[p])
                 for k in range(solids):
@@ -225,56 +224,3 @@ def fixed_step(
             break
         for p in range(count):
             values[p] -= step * scale[p] * scale[p] * gradient[p] / length
-
-
-@njit(cache=True, nogil=True)
-def scan(
-    misfit,
-    placement,
-    values,
-    lower,
-    upper,
-    period,
-    mean,
-    precision,
-    points,
-    kept,
-    iterations,
-    path,
-    costs,
-    gradient,
-    hessian,
-):
-    """Replace values by the best end of descents from the `kept` best of a lattice of points that begins at them.
-
-    Returns (cost, accepted states of the winning descent). The lattice is shifted to begin at `values`, so that a
-    random
-    start makes it random. Meant for a coarse misfit, whose renderings are cheap and whose wrong basins are few.
-
-    points : (K, P) float64 in [0, 1), shares of each parameter's range or period, added modulo the range; parameters
-    without a finite range stay. iterations : of each descent. The rest as in `levenberg`.
-    """
-    count, solids = values.shape[0], misfit.kinds.shape[0]
-    poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))
-    bring(values, lower, upper, period)
-    watch_all(misfit)
-    places, heights = np.empty((points.shape[0], count)), np.empty(points.shape[0])
-    for n in range(points.shape[0]):
-        for p in range(count):
-            low, length = (0.0, period[p]) if period[p] > 0.0 else (lower[p], upper[p] - lower[p])
-            places[n, p] = values[p]
-            if points[n, p] != 0.0 and math.isfinite(length):
-                share = (values[p] - low) / length + points[n, p]
-                places[n, p] = low + length * (share - math.floor(share))
-        heights[n] = cost_at(misfit, placement, places[n], mean, precision, poses, sizes)
-    order = np.argsort(heights)
-    best, winner, steps = math.inf, 0, 0
-    for n in range(min(kept, len(order))):
-        value, accepted, _ = levenberg(
-            misfit, placement, places[order[n]], lower, upper, period, mean, precision, iterations, 5.0, True, 0,
-            path, costs, gradient, hessian,
-        )  # fmt: skip
-        if value < best:
-            best, winner, steps = value, order[n], accepted
-    values[:] = places[winner]
-    return best, steps

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from derender.errors import DerenderError
 from derender.inference.optimise.domain import Domain
+from derender.kernel_cache import njit
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, compose, relative_pose
 from derender.model.scene import SceneGraph

@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
 from derender.vision.raycast.convex import DISCRIMINANT, FACES, PREPARED, QUADRIC_B, inverse_depth, prepare_solid
 
@@ -384,7 +384,7 @@ def _split_pixel(canvas, kinds, column, row, background, m, line, latest, candid
     canvas.samples[m, 0] = SPLIT
     for part in range(2):
         share = canvas.split[m, part]
-        best, code = 0.0, NOTHING
+        best, code = 1.0 / background, NOTHING
         if share[0] > 1e-12:
             x, y = column + share[1], row + share[2]
             for n in range(kept):
@@ -392,7 +392,7 @@ def _split_pixel(canvas, kinds, column, row, background, m, line, latest, candid
                 value = inverse_depth(prepared, x, y)
                 if value > best:
                     best, code = value, (candidates[n] << FACE_BITS) + which_face(prepared, x, y)
-            total += share[0] * (1.0 / best if best > 0.0 else background)
+            total += share[0] / best
         canvas.samples[m, 1 + part] = code
     return total
 
@@ -401,7 +401,7 @@ def _split_pixel(canvas, kinds, column, row, background, m, line, latest, candid
 def _sample_pixel(canvas, kinds, column, row, background, best, upper, face, lower, codes):
     """Return the mean depth over the samples of one pixel; `codes` (SAMPLES,) says what each saw."""
     for n in range(SAMPLES):
-        best[n] = 0.0
+        best[n] = 1.0 / background
         codes[n] = NOTHING
     for k in range(kinds.shape[0]):
         rectangle = canvas.rectangle[k]
@@ -409,7 +409,7 @@ def _sample_pixel(canvas, kinds, column, row, background, best, upper, face, low
             _sample(k, canvas.prepared[k], float(column), float(row), canvas.offsets, best, codes, upper, face, lower)
     total = 0.0
     for n in range(SAMPLES):
-        total += 1.0 / best[n] if best[n] > 0.0 else background
+        total += 1.0 / best[n]
     return total / SAMPLES
 
 
@@ -420,7 +420,7 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
     Parameters
     ----------
     canvas : Canvas, written. kinds : (N,) int32, poses : (N, 4, 4), sizes : (N, 3) float64, as in Solids.
-    background : depth in metres where nothing is hit.
+    background : depth in metres of a wall behind everything: what hits nothing, or lies beyond, has this depth.
     window : (4,) int64, first column, end column, first row, end row. Outside it nothing changes, except that the list
         of mixed pixels is that of this window.
     """
@@ -442,6 +442,11 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
                 _draw_faces(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
             else:
                 _draw_curved(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
+    wall = 1.0 / background
+    for row in range(r0, r1):
+        for column in range(c0, c1):
+            if inverse[row, column] <= wall:
+                code[row, column] = NOTHING
     for row in range(r0, r1):  # where two solids cut into each other, only the labels of neighbours show it
         for column in range(c0, c1):
             here = code[row, column] >> FACE_BITS
@@ -468,7 +473,7 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
                     )
                 canvas.depth[row, column] = depth
                 count += 1
-            elif inverse[row, column] > 0.0:
+            elif code[row, column] != NOTHING:
                 canvas.depth[row, column] = 1.0 / inverse[row, column]
             else:
                 canvas.depth[row, column] = background

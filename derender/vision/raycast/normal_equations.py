@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.vision.raycast.antialias import Canvas, draw_antialiased, new_canvas, prepare_all
 from derender.vision.raycast.sensitivity import MOTION, Records, gather, new_records, record, spread
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
@@ -145,11 +145,11 @@ def cost(misfit, poses, sizes):
 
 @njit(cache=True, nogil=True)
 def cost_gradient(misfit, poses, sizes, active, edges, totals):
-    """Return the cost and write its derivative by every active solid's motion, in one pass (reverse mode).
+    """Write the derivative of the cost by every active solid's motion, in one pass (reverse mode).
 
+    `cost` must have been called last for the same placement: its image and residuals are used.
     active : (N,) bool. edges : bool, see `sensitivity.record`. totals : (N, MOTION) float64, written.
     """
-    value = cost(misfit, poses, sizes)
     record(
         misfit.canvas,
         misfit.records,
@@ -166,7 +166,6 @@ def cost_gradient(misfit, poses, sizes, active, edges, totals):
     totals[:] = 0.0
     gather(misfit.records, misfit.images[0], totals)
     misfit.images[0] = 0.0
-    return value
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})  # sums may be taken in any order: that is all it allows
@@ -179,11 +178,11 @@ def _products(first, second, weight, start, end):
 
 @njit(cache=True, nogil=True)
 def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
-    """Return the cost; write its gradient (P,) and Gauss-Newton Hessian (P, P) by parameters with the given motions.
+    """Write the gradient (P,) of the cost and its Gauss-Newton Hessian (P, P) by parameters with the given motions.
 
+    `cost` must have been called last for the same placement: its image and residuals are used, and spoilt.
     motions : (P, N, MOTION) float64, the motion of each solid per unit of each parameter.
     """
-    value = cost(misfit, poses, sizes)
     count, solids = motions.shape[0], motions.shape[1]
     width = misfit.blurred.shape[1]
     height = misfit.blurred.shape[0]
@@ -247,4 +246,3 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
     for p in range(count):  # leave the images clean for the next call
         for row in range(drawn[2], drawn[3]):
             misfit.images[p, row * width + drawn[0] : row * width + drawn[1]] = 0.0
-    return value

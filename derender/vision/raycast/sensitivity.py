@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import CYLINDER, MESH, PLANE
 from derender.vision.raycast.antialias import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, SAMPLES, SPLIT
 from derender.vision.raycast.convex import FACES, inverse_depth
@@ -211,10 +211,9 @@ def _surfaces(canvas, records, kinds, poses, sizes, active, window):
 
 
 @njit(cache=True, nogil=True)
-def nearest(canvas, kinds, without, column, row):
-    """Return (inverse depth, index) of the nearest of all solids but one along the ray through (column, row), or (0,
-    -1)."""
-    best, label = 0.0, -1
+def nearest(canvas, kinds, without, column, row, background):
+    """Return (inverse depth, index) of the nearest of all solids but one along a ray; of the wall, -1, if none."""
+    best, label = 1.0 / background, -1
     i, j = math.floor(column + 0.5), math.floor(row + 0.5)
     for k in range(kinds.shape[0]):
         rectangle = canvas.rectangle[k]
@@ -226,10 +225,10 @@ def nearest(canvas, kinds, without, column, row):
 
 
 @njit(cache=True, nogil=True)
-def _behind(canvas, kinds, k, column, row, w):
+def _behind(canvas, kinds, k, column, row, w, background):
     """What lies behind an outline of solid k at inverse depth w: a solid's index, -1 for nothing, -2 if hidden
     itself."""
-    value, label = nearest(canvas, kinds, k, column, row)
+    value, label = nearest(canvas, kinds, k, column, row, background)
     return label if w > value else -2
 
 
@@ -279,7 +278,7 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
     width = canvas.inverse.shape[1]
     count = records.count[0]
     t = enter
-    state = _behind(canvas, kinds, k, i0 + t * di, j0 + t * dj, w0 + t * (w1 - w0))
+    state = _behind(canvas, kinds, k, i0 + t * di, j0 + t * dj, w0 + t * (w1 - w0), background)
     while t < leave - 1e-12 and count < records.pixel.shape[0]:
         # to the next border between pixels
         column, row = i0 + t * di, j0 + t * dj
@@ -291,24 +290,29 @@ def _walk(canvas, records, kinds, k, pose, size, start, end, background, window)
             border = math.floor(row + 0.5 + (1e-9 if dj > 0.0 else -1e-9)) + (0.5 if dj > 0.0 else -0.5)
             following = min(following, (border - j0) / dj)
         following = max(following, t + 1e-9)
-        state_after = _behind(canvas, kinds, k, i0 + following * di, j0 + following * dj, w0 + following * (w1 - w0))
+        state_after = _behind(
+            canvas, kinds, k, i0 + following * di, j0 + following * dj, w0 + following * (w1 - w0), background
+        )
         if state_after != state:  # stop where the one that hides it, or that is behind it, changes
             low, high = t, following
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + high)
-                if _behind(canvas, kinds, k, i0 + middle * di, j0 + middle * dj, w0 + middle * (w1 - w0)) == state:
+                if (
+                    _behind(canvas, kinds, k, i0 + middle * di, j0 + middle * dj, w0 + middle * (w1 - w0), background)
+                    == state
+                ):
                     low = middle
                 else:
                     high = middle
             following = high
-            state_after = _behind(canvas, kinds, k, i0 + high * di, j0 + high * dj, w0 + high * (w1 - w0))
+            state_after = _behind(canvas, kinds, k, i0 + high * di, j0 + high * dj, w0 + high * (w1 - w0), background)
         middle = 0.5 * (t + following)
         column, row = i0 + middle * di, j0 + middle * dj
         w = w0 + middle * (w1 - w0)
-        behind, label = nearest(canvas, kinds, k, column, row)
+        behind, label = nearest(canvas, kinds, k, column, row, background)
         if w > behind:
             depth = 1.0 / w
-            step = depth - (1.0 / behind if behind > 0.0 else background)
+            step = depth - 1.0 / behind
             i, j = int(math.floor(column + 0.5)), int(math.floor(row + 0.5))
             if window[0] <= i < window[1] and window[2] <= j < window[3]:
                 pixel = j * width + i

@@ -8,8 +8,8 @@ into chords of about a pixel; the plane through the camera's centre and a chord 
 import math
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 NEAR = 1e-3  # metres: outlines are cut off at this depth

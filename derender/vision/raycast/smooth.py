@@ -1,6 +1,6 @@
 """The blur of Eq. 6 and its adjoint in compiled float64, inside a rectangle: what gradients are carried through."""
 
-from numba import njit
+from derender.kernel_cache import njit
 
 
 @njit(cache=True, nogil=True)
