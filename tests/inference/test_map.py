@@ -145,7 +145,7 @@ def test_climbing_from_a_draw_never_makes_it_worse():
     before = target.log_likelihood(start)
     for gradient in ("exact", "finite-difference"):
         assert target.log_likelihood(climb(target, start, gradient)) > before + 100.0
-    # The target's image has one ray a pixel: its own top is a fifth of a pixel from that of the antialiased image, which
+    # The target's image has one ray a pixel: its own top is a fifth of a pixel from that of ours, which
     # flips some pixels of the outline, so the rest of the way belongs to the chains.
     top = target.log_likelihood(truth)
     assert top - target.log_likelihood(climb(target, start)) < 0.2 * (top - before)
