@@ -12,9 +12,9 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import numpy as np  # noqa: E402
-from numba import njit  # noqa: E402
 
 from derender.errors import DerenderError  # noqa: E402
+from derender.kernel_cache import njit  # noqa: E402
 from derender.model.pose import rotation_x, rotation_z, translation  # noqa: E402
 from derender.model.solids import BOX, MESH, PLANE, Solids  # noqa: E402
 from derender.vision.blur import blur  # noqa: E402

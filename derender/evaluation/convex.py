@@ -15,7 +15,8 @@ from math import pi, sqrt, tan
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from derender.kernel_cache import njit
 
 PRISM_SIDES = 64
 SPHERE_FACES = 256

@@ -12,8 +12,8 @@ the best STARTS of the obvious axes are refined by a search over directions: rig
 import math
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import CYLINDER, PLANE, SPHERE, Solids
 
 PROJECTIONS = 300  # of alternating projection, at most; polyhedra need a handful

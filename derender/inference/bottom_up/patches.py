@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from derender.kernel_cache import njit
 
 
 class Patches(NamedTuple):

@@ -1,7 +1,8 @@
 """Smaller images of the same scene: block medians of depth, with the camera that goes with them."""
 
 import numpy as np
-from numba import njit
+
+from derender.kernel_cache import njit
 
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
 

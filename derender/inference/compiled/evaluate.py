@@ -2,8 +2,6 @@
 
 import math
 
-from numba import njit
-
 from derender.inference.compiled.layout import (
     CONTACT,
     DENSITY,
@@ -26,6 +24,7 @@ from derender.inference.compiled.layout import (
 )
 from derender.inference.compiled.poses import place, place_root
 from derender.inference.compiled.prior import log_prior
+from derender.kernel_cache import njit
 from derender.vision.raycast.engine import load_state, log_likelihood_of, propose_state, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, SIGMA
 

@@ -2,8 +2,6 @@
 
 import math
 
-from numba import njit
-
 from derender.inference.compiled.evaluate import fill
 from derender.inference.compiled.layout import (
     CHILD_FACE,
@@ -27,6 +25,7 @@ from derender.inference.compiled.layout import (
 )
 from derender.inference.compiled.poses import place, seen_from
 from derender.inference.compiled.prior import wrap
+from derender.kernel_cache import njit
 from derender.model.contacts.compiled import area_element, invert, outline
 
 NEAR = 1e-7  # slack that rounding may leave

@@ -2,8 +2,6 @@
 
 import math
 
-from numba import njit
-
 from derender.inference.compiled.layout import (
     CHILD_FACE,
     CONTACT_CODE,
@@ -14,6 +12,7 @@ from derender.inference.compiled.layout import (
     SHAPES,
     SIZES,
 )
+from derender.kernel_cache import njit
 from derender.model.contacts.compiled import SIX_DOF, compose, relative_pose
 
 FREE_ROOT, FIXED_ROOT, LOOKED_AT = SIX_DOF, 100, 101  # codes of the root

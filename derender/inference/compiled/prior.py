@@ -2,10 +2,9 @@
 
 import math
 
-from numba import njit
-
 from derender.inference import space
 from derender.inference.compiled.layout import CODE, DIRECTION, OFFSET, PERIOD, ROTATION
+from derender.kernel_cache import njit
 from derender.model.distributions import compiled, uniform_rotation
 
 wrap = njit(cache=True, nogil=True)(space.wrap)

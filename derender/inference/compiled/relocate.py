@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from derender.inference.compiled.keep import NEAR, fold
 from derender.inference.compiled.layout import (
@@ -23,6 +22,7 @@ from derender.inference.compiled.layout import (
 from derender.inference.compiled.poses import seen_from
 from derender.inference.compiled.prior import wrap
 from derender.inference.kernels.relocate import DEGREES
+from derender.kernel_cache import njit
 from derender.model.contacts.compiled import area_element, compose, invert, outline, relative_pose
 from derender.model.solids import PLANE
 

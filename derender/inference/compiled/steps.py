@@ -6,8 +6,6 @@ function calls is compiled into it again.
 
 import math
 
-from numba import njit
-
 from derender.inference.compiled.evaluate import evaluate, settle
 from derender.inference.compiled.keep import keep_children
 from derender.inference.compiled.layout import (
@@ -43,6 +41,7 @@ from derender.inference.compiled.prior import (
 from derender.inference.compiled.relocate import relocate
 from derender.inference.kernels.independence import DEGREES
 from derender.inference.kernels.window import FINEST
+from derender.kernel_cache import njit
 
 RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE = range(7)
 

@@ -9,12 +9,12 @@ in these coordinates; a contact's own density (uniform over the touching area, F
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from derender.inference.structure.image import ROW
 from derender.inference.structure.polish import FREE
 from derender.inference.structure.state import FLOOR
 from derender.inference.structure.touch import highest, lowest, penetration, reach
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 KIND, VERTICAL, PARENT, HELD = range(4)  # columns of Chart.flags

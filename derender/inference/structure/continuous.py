@@ -12,10 +12,10 @@ Scales and factors are learnt in the warm-up and fixed afterwards.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, directions, log_prior, place_rows
 from derender.inference.structure.image import ROW
+from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids
 from derender.vision.raycast.engine import propose_state, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE, new_state

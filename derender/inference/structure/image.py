@@ -11,9 +11,9 @@ outlier, up to a constant, without the exponentials (Bolles and Fischler's score
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from derender.inference.bottom_up.pyramid import intrinsics
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 from derender.vision.blur import blur_taps
 

@@ -4,10 +4,10 @@ As in image.py and polish.py, in the floor frame; the pose of an object is its r
 """
 
 import numpy as np
-from numba import njit
 
 from derender.inference.structure.image import LIMIT, WALL, blur_into
 from derender.inference.structure.touch import penetration
+from derender.kernel_cache import njit
 from derender.vision.raycast.mesh import _fill
 
 STEPS = 6

@@ -7,10 +7,10 @@ steps are tried, not computed; one try costs the pixels of the solid's rectangle
 """
 
 import numpy as np
-from numba import njit
 
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.touch import highest, lowest, penetration
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6

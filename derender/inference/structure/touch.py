@@ -6,8 +6,8 @@ against boxes, where it is off by less than a millimetre unless an edge meets th
 """
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, SPHERE
 
 

@@ -8,8 +8,8 @@ order of `ContactType.parameters`: seven numbers for 6dof, six for every other. 
 import math
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model import polygon
 from derender.model.shapes import shapes
 from derender.model.shapes.base import FACE_NAMES

@@ -8,8 +8,7 @@ numba's cache watches this file only, by its content: after a change to a densit
 
 import math
 
-from numba import njit
-
+from derender.kernel_cache import njit
 from derender.model.distributions import (
     beta,
     exponential,

@@ -17,8 +17,7 @@ Its rectangle is four int64: first column, end column, first row, end row (ends 
 
 import math
 
-from numba import njit
-
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE
 
 PREPARED = 36

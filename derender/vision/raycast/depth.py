@@ -1,10 +1,9 @@
 """Depth and label images in float64: the plain ray caster, and the reference for the engine's fast rows."""
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import MESH, Solids
-from derender.vision.raycast.compilation import announce_compilation
 from derender.vision.raycast.convex import PREPARED, inverse_depth, prepare_solid
 from derender.vision.raycast.mesh import draw_mesh
 
@@ -84,7 +83,6 @@ def render_depth(solids: Solids, camera, antialias: int = 1, background: float =
     label : (height, width) int32, index of the solid at the pixel's centre (antialiased: of the ray nearest to it),
         -1 where nothing is hit.
     """
-    announce_compilation(draw)
     n = int(antialias)
     if n < 1:
         raise ValueError("antialias must be 1 or more")

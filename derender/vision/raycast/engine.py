@@ -15,8 +15,7 @@ in either way, so an incremental value equals the full one but for the order of 
 
 import math
 
-from numba import njit
-
+from derender.kernel_cache import njit
 from derender.model.solids import MESH
 from derender.vision.raycast.convex import prepare_solid
 from derender.vision.raycast.lanes import LANES

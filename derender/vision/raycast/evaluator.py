@@ -7,7 +7,6 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.model.solids import Solids
 from derender.vision.likelihoods import likelihoods
-from derender.vision.raycast.compilation import announce_compilation
 from derender.vision.raycast.engine import accept_state, load_state, propose_state, reject_state, rescore_state
 from derender.vision.raycast.score import pixel_log_densities
 from derender.vision.raycast.state import CURRENT, OBSERVED, PAD, SIGMA, EngineState, new_state
@@ -58,7 +57,6 @@ class DepthEvaluator:
         """Make a scene the current one; return its log likelihood. Another structure than the last gets a new state."""
         state = self.state
         if state is None or not self._fits(state, solids):
-            announce_compilation(load_state)
             row = self.likelihood.row(self.values, self.likelihood.counted_pixels(self.observed))
             self.state = state = new_state(self.camera, self.observed, solids, self.likelihood.code, row,
                                            self.values["blur"])

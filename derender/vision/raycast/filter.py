@@ -5,8 +5,7 @@ There is one function for each usual radius, its taps unrolled, and a plain one 
 takes the same way, so full and incremental values agree.
 """
 
-from numba import njit
-
+from derender.kernel_cache import njit
 from derender.vision.raycast.lanes import (
     LANES,
     add,

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from derender.kernel_cache import njit
 
 NEAR = 1e-4  # metres: triangles are cut here so that they can be projected
 

@@ -1,8 +1,8 @@
 """Draw and score a rectangle of the image: the one piece of work that full and incremental evaluation share."""
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.model.solids import MESH
 from derender.vision.raycast.filter import blur_region
 from derender.vision.raycast.lanes import LANES

@@ -5,8 +5,8 @@ Bounds are expanded about the middle column of each solid's rectangle, so that f
 """
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.vision.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B
 from derender.vision.raycast.lanes import (
     LANES,

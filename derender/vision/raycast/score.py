@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from derender.kernel_cache import njit
 from derender.vision.raycast.lanes import (
     LANES,
     absolute,

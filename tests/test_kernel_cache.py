@@ -1,0 +1,126 @@
+"""The cache of compiled functions: never stale, anywhere, for any number of processes."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import derender
+from derender.kernel_cache import PACKAGE, _candidates, _read, source_stamp
+
+PROBE = """
+from derender.answer import ANSWER  # a constant: numba alone would go on returning the old one
+from derender.kernel_cache import njit
+
+@njit(cache=True, nogil=True)
+def inner(x):
+    return x + ANSWER
+
+@njit(cache=True, nogil=True)
+def kernel(x):
+    return inner(x)
+
+if __name__ == "__main__":
+    print(kernel(1), bool(kernel._cache_hits))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A small package named derender, with the real cache module and one kernel that uses another file's constant."""
+    folder = tmp_path / "derender"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    shutil.copy(PACKAGE / "kernel_cache.py", folder)
+    (folder / "answer.py").write_text("ANSWER = 41\n")
+    (folder / "probe.py").write_text(PROBE)
+    return folder
+
+
+def start(package, **environment):
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    return subprocess.Popen([sys.executable, "-m", "derender.probe"], cwd=package.parent, text=True,
+                            env={**clean, **environment}, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def run(package, **environment):
+    process = start(package, **environment)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return out.split(), err
+
+
+def test_compiles_once_says_so_once_and_notices_a_constant_elsewhere(package):
+    out, err = run(package)
+    assert out == ["42", "False"] and err.count("compiling kernels") == 1
+    out, err = run(package)
+    assert out == ["42", "True"] and err == ""
+    entries = sorted(package.glob("__pycache__/*.nbc"))
+    (package / "answer.py").write_text("ANSWER = 1\n")
+    assert run(package)[0] == ["2", "False"]
+    assert not any(entry.exists() for entry in entries)  # stale entries are deleted
+
+
+def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_path):
+    elsewhere, home = tmp_path / "elsewhere", tmp_path / "home"
+    assert run(package, NUMBA_CACHE_DIR=str(elsewhere))[0] == ["42", "False"]
+    assert list(elsewhere.rglob("*.nbc")) and not list(package.rglob("*.nbc"))
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    (package / "__pycache__").write_text("a file where the folder would be: not even root can write into it")
+    for hit in ("False", "True"):
+        assert run(package, XDG_CACHE_HOME=str(home), LOCALAPPDATA=str(home), HOME=str(home))[0] == ["42", hit]
+    assert list(home.rglob("*.nbc"))
+
+
+def test_where_nothing_can_be_written_it_compiles_each_time(package, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    (package / "__pycache__").write_text("")
+    broken = dict.fromkeys(("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"), str(blocked))
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    if hasattr(os, "getuid"):
+        (temporary / f"derender-{os.getuid()}").symlink_to(tmp_path)  # somebody else's trap: not used
+    for _ in range(2):
+        assert run(package, TMPDIR=str(temporary), **broken)[0] == ["42", "False"]
+
+
+def test_processes_that_start_together_do_not_harm_each_other(package):
+    processes = [start(package) for _ in range(4)]
+    for process in processes:
+        out, err = process.communicate(timeout=240)
+        assert process.returncode == 0 and out.split()[0] == "42", err
+    assert run(package)[0] == ["42", "True"]
+    assert not list(package.rglob("*.tmp.*"))
+
+
+def test_stamps_follow_imports():
+    def reached(source):
+        waiting, seen = [source], set()
+        while waiting:
+            file = waiting.pop()
+            if file not in seen:
+                seen.add(file)
+                waiting += _read(file)[1]
+        return {str(file.relative_to(PACKAGE)) for file in seen}
+
+    files = reached(PACKAGE / "inference" / "compiled" / "steps.py")
+    assert {"vision/raycast/lanes.py", "model/solids.py", "model/distributions/beta.py",
+            "inference/kernels/window.py"} <= {name.replace(os.sep, "/") for name in files}
+    assert "inference/compiled/steps.py" not in reached(PACKAGE / "vision" / "raycast" / "engine.py")
+    assert source_stamp(PACKAGE / "model" / "solids.py") != source_stamp(PACKAGE / "model" / "pose.py")
+
+
+def test_every_kernel_of_the_package_uses_this_cache():
+    for source in Path(derender.__file__).parent.rglob("*.py"):
+        if source.name != "kernel_cache.py":
+            assert "from numba import njit" not in source.read_text(), source
+
+
+def test_the_source_folder_comes_before_the_users(tmp_path):
+    folders = list(_candidates(tmp_path / "module.py"))
+    assert tmp_path / "__pycache__" in folders[:2]
