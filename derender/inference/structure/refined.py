@@ -28,7 +28,7 @@ from derender.inference.structure.sensor import Sensor, final_sensor, first_sens
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
-MORE_TRIES, HOTTER = 2, (0.01, 0.03, 0.1, 0.3, 1.0)  # of annealing, where outliers are left
+MORE_TRIES, HOTTER = 1, (0.01, 0.03, 0.1, 0.3, 1.0)  # of annealing, where outliers are left
 STEPS = 50  # between two draws: at least so many, and so many for each solid
 MOST_STEPS = 300
 LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
