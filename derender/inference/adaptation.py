@@ -1,6 +1,7 @@
 """What warm-up learns from where the chain has been: a centre, a covariance, a scale for each kernel. Then it stops."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def covariance_of(space: Space, history: np.ndarray, centre: np.ndarray) -> np.n
 
 
 def rescale(
-    scale: dict[str, float], parts: list[Part], counts: np.ndarray, gain: float
+    scale: Mapping[str, float], parts: list[Part], counts: np.ndarray, gain: float
 ) -> dict[str, float]:
     """Return the kernels' scales after a stretch: up where more steps were accepted than wanted, down where fewer.
 

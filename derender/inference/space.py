@@ -63,6 +63,8 @@ class Space:
     def __init__(self, unknowns: Sequence[Unknown], blocks: Sequence[Block]) -> None:
         self.unknowns = tuple(unknowns)
         self.blocks = tuple(blocks)
+        self.slides: tuple[str, ...] = ()  # blocks that may move under their children: the target knows
+        self.relocations: tuple[str, ...] = ()  # blocks that may be put down anew in the world
         sizes = [unknown.distribution.size for unknown in self.unknowns]
         self.offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         ways = [unknown.ways for unknown in self.unknowns]

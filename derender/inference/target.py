@@ -22,7 +22,9 @@ NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
 
 class Images(Protocol):
-    """What the target asks of the vision side: a likelihood bound to one observed image."""
+    """What the target asks of the vision side: a likelihood bound to one observed image. values : its fixed numbers."""
+
+    values: dict[str, float]
 
     def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
         """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
@@ -124,11 +126,11 @@ class SceneTarget:
         except NotCompiled:
             return ReadableBackend(self, parts, cycle)
 
-    def by_address(self, values: Sequence[float]) -> dict[str, float]:
+    def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         """Return the values by address."""
         return {address: float(value) for address, value in zip(self.space.addresses, values, strict=True)}
 
-    def root_pose(self, values: Sequence[float]) -> np.ndarray:
+    def root_pose(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the (4, 4) pose of the root."""
         if not self._root_free:
             return self.template.root_pose
@@ -141,7 +143,7 @@ class SceneTarget:
                 coordinates[unknown.address] = value
         return self.root_prior.pose(coordinates)
 
-    def graph(self, values: Sequence[float]) -> SceneGraph:
+    def graph(self, values: Sequence[float] | np.ndarray) -> SceneGraph:
         """Return the scene of some values."""
         numbers = {
             address: value
