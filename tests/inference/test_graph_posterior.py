@@ -27,9 +27,11 @@ from derender.inference.structure.continuous import (
     sample,
 )
 from derender.inference.structure.graph import scene_graph
+from derender.inference.structure.graph_posterior import leading
 from derender.inference.structure.image import ROW, make_row
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.numbers import numbers_of_draws
+from derender.inference.structure.refined import Refined, chains_of, structure_posterior
 from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_depth
 from derender.inference.structure.state import FLOOR, State
 from derender.model.pose import rotation_x, rotation_z
@@ -238,3 +240,21 @@ def test_names_follow_solids_between_structures():
     moved = state.copy()
     moved.parents[1] = FLOOR
     assert structure_key(moved, names) != structure_key(state, names)
+
+
+def test_the_likeliest_leads_and_odds_are_against_it():
+    best, others = leading("a", [("b", 2.0), ("c", -1.0), ("d", 5.0)])
+    assert best == "d" and sorted(others) == [("a", -5.0), ("b", -3.0), ("c", -6.0)]
+    assert leading("a", [("b", -2.0)]) == ("a", [("b", -2.0)])
+    assert leading("a", []) == ("a", [])
+
+
+def test_a_scene_may_turn_out_to_be_empty():
+    """Nothing but the floor: the posterior has its one part, without unknowns."""
+    sensor, chart, values = observe(np.random.default_rng(6), State(), {"sigma": 0.003}, camera(40, 30))
+    engine = engine_of(chart, sensor)
+    prior, likelihood = load(engine, chart, values)
+    refined = Refined(State(), chart, values, sensor, prior, likelihood)
+    part = structure_posterior(refined, [], 1.0, chains_of(np.random.default_rng(7), refined, 2, 10))
+    assert part.values.shape == (2, 10, 0)
+    assert part.graph.names == ("floor",)

@@ -185,8 +185,10 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
             break
     for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
         former = best
-        for k in range(len(best.state)):
+        k = 0
+        while k < len(best.state):  # it may lose one on the way
             best, others = leading(best, [*others, *of_one_solid(rng, best, k, settings.slack)])
+            k += 1
         if best is former:
             break
     if best is not first:
