@@ -24,7 +24,7 @@ from derender.inference.structure.continuous import (
 from derender.inference.structure.graph import scene_graph
 from derender.inference.structure.image import ROW
 from derender.inference.structure.numbers import numbers_of_draws
-from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor
+from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_image
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
@@ -87,7 +87,25 @@ def refine(rng, seen, state, slack):
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, slack)
     sensor = first_sensor(camera, observed, chart, values)
-    return settled(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+    refined = settled(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+    kept = without_unseen(refined.state, refined)
+    if len(kept) == len(refined.state):
+        return refined
+    chart, values = make_chart(kept, floor_pose_of(refined), slack)
+    return settled(rng, climb(rng, kept, chart, values, refined.sensor, ANNEALING))
+
+
+def without_unseen(state, refined):
+    """Return the state less the solids of which no used pixel sees anything and that carry nothing.
+
+    The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
+    """
+    _, label = model_image(refined.chart, refined.values, refined.sensor.camera)
+    label = label[np.isfinite(refined.sensor.observed)]
+    for k in reversed(range(len(state))):
+        if not (label == k + 1).any() and k not in state.parents:
+            state = state.without(k)
+    return state
 
 
 def settled(rng, refined):

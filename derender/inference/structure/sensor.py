@@ -42,16 +42,21 @@ class Sensor(NamedTuple):
         return self._replace(likelihood=likelihood, values=likelihood.complete(kept))
 
 
-def model_depth(chart, values, camera):
-    """Return the clean depth (H, W) of a chart's solids, with the wall behind."""
+def model_image(chart, values, camera):
+    """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k."""
     rows = np.empty((len(chart.flags), ROW))
     poses, sizes = np.empty((len(rows) + 1, 4, 4)), np.empty((len(rows) + 1, 3))
     place_rows(chart, values, rows)
     camera_poses(chart, values, rows, poses, sizes)
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     solids = Solids(kinds, poses, sizes, np.full(len(kinds), -1, np.int32), ())
-    depth, _ = render_depth(solids, camera, background=BACKGROUND)
-    return np.minimum(depth, BACKGROUND)
+    depth, label = render_depth(solids, camera, background=BACKGROUND)
+    return np.minimum(depth, BACKGROUND), label
+
+
+def model_depth(chart, values, camera):
+    """Return the clean depth (H, W) of a chart's solids, with the wall behind."""
+    return model_image(chart, values, camera)[0]
 
 
 def noise_of(residual, model):
