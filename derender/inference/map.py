@@ -18,7 +18,6 @@ from derender.inference.optimise.placement import new_placement
 from derender.model.scene import SceneGraph
 from derender.registry import suggest
 from derender.vision.blur import blur_taps
-from derender.vision.raycast.compilation import announce_compilation
 from derender.vision.raycast.normal_equations import new_misfit, watch_all
 from derender.vision.raycast.sensitivity import MOTION
 
@@ -81,7 +80,6 @@ class MapProblem:
 
     def __init__(self, graph: SceneGraph, addresses: Sequence[str], camera, observed, *, sigma=0.005, blur=1.0,
                  background=10.0, limit=math.inf, ranges=None, normal_priors=None, edges=True) -> None:  # fmt: skip
-        announce_compilation(levenberg)
         self.graph, self.addresses, self.edges = graph, tuple(addresses), edges
         self.placement, self.values, self.domain = new_placement(graph, self.addresses)
         count = len(self.addresses)

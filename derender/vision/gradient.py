@@ -7,7 +7,6 @@ import numpy as np
 from derender.model.solids import Solids
 from derender.vision.blur import blur, blur_taps
 from derender.vision.raycast.antialias import draw_antialiased, new_canvas
-from derender.vision.raycast.compilation import announce_compilation
 from derender.vision.raycast.normal_equations import BACKGROUND, cost, cost_gradient, new_misfit, normal_equations
 from derender.vision.raycast.sensitivity import MOTION
 
@@ -47,7 +46,6 @@ class SmoothLikelihood:
         parameters=1,
         edges=True,
     ) -> None:
-        announce_compilation(normal_equations)
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
         if extra_blur > 0:

@@ -46,7 +46,7 @@ REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding 
 DRAWN, SCORED = 0, 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _log_likelihood(settings, parameters, total):
     if settings[LIKELIHOOD] != GAUSSIAN:
         return total
@@ -61,7 +61,7 @@ def log_likelihood_of(state, total):
     return _log_likelihood(state.settings, state.parameters, total)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _prepare(state, half, k):
     """Find the bounds and the rectangle of solid k; draw it if it is a mesh."""
     settings, parameters, rectangle = state.settings, state.parameters, state.rectangle[half, k]
@@ -77,14 +77,14 @@ def _prepare(state, half, k):
                   state.size[half, k], state.extents[mesh], state.pose[half, k], parameters, rectangle, state.points)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _whole(settings, region):
     """Make a region the whole image."""
     region[0], region[1] = 0, (settings[WIDTH] + LANES - 1) // LANES * LANES
     region[2], region[3] = 0, settings[HEIGHT]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _rescore(settings, parameters, total, taps, images, strip, region):
     _whole(settings, region)
     total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
@@ -119,7 +119,7 @@ def load_state(state, poses, sizes):
     return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _copy_pixels(images, source, target, left, right, top, bottom):
     """Copy columns left:right and rows top:bottom of one image to another."""
     for row in range(top, bottom):
@@ -127,7 +127,7 @@ def _copy_pixels(images, source, target, left, right, top, bottom):
             images[target, row, column] = images[source, row, column]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
     """Copy what is known of solid k from one half to the other."""
     target = 1 - source
@@ -144,12 +144,12 @@ def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
         _copy_pixels(images, first + source, first + target, r[0], r[1], r[2], r[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _touch(a, b):
     return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _add_region(settings, regions, rectangle):
     """Add a rectangle to the proposal's regions, swallowing those whose scored regions it touches.
 

@@ -24,7 +24,7 @@ from derender.vision.raycast.lanes import (
 def _make_blur(radius: int):
     """Compile the blur of one radius."""
 
-    @njit(cache=True, nogil=True)
+    @njit(cache=True, nogil=True, no_cpython_wrapper=True)
     def blur_strips(source, result, taps, left, right, top, bottom, height):
         for column in range(left, right, LANES):
             first = max(top - radius, 0)
@@ -46,7 +46,7 @@ def _make_blur(radius: int):
 _blur_1, _blur_2, _blur_3, _blur_5, _blur_6 = (_make_blur(radius) for radius in (1, 2, 3, 5, 6))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
     radius = taps.shape[0] - 1
     for column in range(left, right, LANES):
@@ -64,7 +64,7 @@ def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
             store(result, row, column, value)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def blur_region(source, result, strip, taps, left, right, top, bottom, height):
     """Write the blur of image `source` into `result`, columns left:right (a multiple of LANES), rows top:bottom.
 

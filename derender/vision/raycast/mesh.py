@@ -9,7 +9,7 @@ from derender.kernel_cache import njit
 NEAR = 1e-4  # metres: triangles are cut here so that they can be projected
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _fill(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_column, first_row, end_row):
     """Raise `buffer` to the inverse depth of one projected triangle inside the rectangle (either winding)."""
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
@@ -40,7 +40,7 @@ def _fill(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_column, 
                     buffer[row, column] = value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _fill_clipped(buffer, points, triangle, camera, rectangle):
     """Cut a triangle that crosses the plane depth = NEAR and fill what lies beyond it (a triangle or a quadrangle)."""
     polygon = np.empty((4, 3))
@@ -81,7 +81,7 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
         )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def draw_mesh(buffer, vertices, triangles, first, end, size, extents, pose, camera, rectangle, points):
     """Raise an inverse-depth image to a mesh's inside a rectangle.
 

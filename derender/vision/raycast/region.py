@@ -21,7 +21,7 @@ from derender.vision.raycast.state import (
 )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def draw_region(settings, parameters, images, kind, prepared, rectangle, half, region):
     """Draw the clean depth of a half in columns region[0]:region[1] (a multiple of LANES) and rows [2]:[3].
 
@@ -42,7 +42,7 @@ def draw_region(settings, parameters, images, kind, prepared, rectangle, half, r
     invert(image, left, right, top, bottom, PAD, settings[WIDTH])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def score_region(settings, parameters, taps, images, strip, half, region):
     """Blur and score a half in a region (columns a multiple of LANES).
 

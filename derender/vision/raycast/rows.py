@@ -27,7 +27,7 @@ from derender.vision.raycast.lanes import (
 FAR_BOUND = np.float32(3e38)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _bound(prepared, face, column, row):
     """Affine bound `face` on a row: its value at `column` and its slope."""
     k = FACES + 3 * face
@@ -35,7 +35,7 @@ def _bound(prepared, face, column, row):
     return np.float32(prepared[k] + slope * column + prepared[k + 2] * row), np.float32(slope)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _raise_plane(image, left, right, top, bottom, middle, pad, prepared):
     for row in range(top, bottom):
         a, b = _bound(prepared, 0, middle, row)
@@ -45,7 +45,7 @@ def _raise_plane(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, maximum(value, load(image, row, column + pad)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _raise_box(image, left, right, top, bottom, middle, pad, prepared):
     """Three upper and five lower bounds, repeated where a box has fewer: no branch in the loop."""
     front, back = int(prepared[0]), int(prepared[1])
@@ -71,7 +71,7 @@ def _raise_box(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, where_at_least(upper, maximum(lower, before), upper, before))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _raise_quadric(image, left, right, top, bottom, middle, pad, prepared):
     """A sphere (no faces) or a cylinder (two). Everything is divided by |K|, so that the roots are centre +- root."""
     front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
@@ -110,7 +110,7 @@ def _raise_quadric(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, where_at_least(discriminant, zero, hit, before))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def raise_solid(image, left, right, top, bottom, pad, prepared, middle):
     """Raise an image of inverse depth to that of a prepared solid, columns from `left` to `right` rounded up to LANES.
 
@@ -124,7 +124,7 @@ def raise_solid(image, left, right, top, bottom, pad, prepared, middle):
         _raise_box(image, left, right, top, bottom, middle, pad, prepared)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def raise_to_image(image, left, right, top, bottom, pad, other):
     """Raise an image of inverse depth to another (H, >= W) one without padding, columns from `left` to `right`."""
     for row in range(top, bottom):
@@ -133,7 +133,7 @@ def raise_to_image(image, left, right, top, bottom, pad, other):
                 image[row, column + pad] = other[row, column]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def fill(image, left, right, top, bottom, pad, value):
     """Set columns from `left` to `right` (rounded up to LANES) of some rows."""
     for row in range(top, bottom):
@@ -141,7 +141,7 @@ def fill(image, left, right, top, bottom, pad, value):
             store(image, row, column + pad, splat(value))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def invert(image, left, right, top, bottom, pad, width):
     """Turn inverse depth into depth in a region, and replicate the image's edges where the region touches them."""
     for row in range(top, bottom):

@@ -44,7 +44,7 @@ GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP = range(LIKELIHOOD_
 NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients: away from edges, at edges
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def score_gaussian(images, half, left, right, top, bottom):
     """Turn the blurred depth in images[SCORE + half] into squared residuals.
 
@@ -63,7 +63,7 @@ def score_gaussian(images, half, left, right, top, bottom):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def score_robust(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into log densities under the mixture; returns sums as above."""
     new, old = zero_sum(), zero_sum()
@@ -107,7 +107,7 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, inline="always")
 def _polynomial(parameters, first, x):
     result = splat(np.float32(parameters[first + 7]))
     for k in range(6, -1, -1):
