@@ -203,17 +203,18 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
 
 def doubts_of(posterior: Posterior, rows, lost) -> tuple[str, ...]:
     """Return the reasons not to trust a posterior."""
-    from derender.report.tables import LARGEST_R_HAT, SMALLEST_ESS
+    from derender.report.tables import limits
 
     doubts = [f"{len(lost)} of the chains died"] if lost else []
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
         return tuple(doubts)
+    largest, smallest = limits(chains * draws)
     worst = max(rows, key=lambda row: np.nan_to_num(row["r_hat"]), default=None)
-    if worst and worst["r_hat"] > LARGEST_R_HAT:
+    if worst and worst["r_hat"] > largest:
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
     least = min(rows, key=lambda row: np.nan_to_num(row["ess_bulk"], nan=np.inf), default=None)
-    if least and least["ess_bulk"] < SMALLEST_ESS:
+    if least and least["ess_bulk"] < smallest:
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
     return tuple(doubts)
 

@@ -8,9 +8,10 @@ import numpy as np
 ANGLES = ("theta", "tilt_x", "tilt_y", "angle")
 PURE_NUMBERS = ("u", "v", "qw", "qx", "qy", "qz", "scale", "blur", "outlier_fraction", "temper")
 
-# Rank-normalised R-hat above this, or fewer effective draws than that, is not to be trusted (Vehtari et al. 2021).
-LARGEST_R_HAT = 1.01
-SMALLEST_ESS = 100.0
+# Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
+# 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
+LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
+QUICK = 1000  # draws of all chains together, below which it was a quick look
 
 COLUMNS = ("address", "mean", "sd", "5 %", "95 %", "R-hat", "ESS", "tail ESS")
 
@@ -73,7 +74,13 @@ def number_or_dash(value: float | None, form: str) -> str:
 def doubtful(row: Mapping[str, Any]) -> bool:
     """Return whether the chains of a row disagree or hold too few effective draws."""
     r_hat, ess = row["r_hat"], row["ess_bulk"]
-    return bool((np.isfinite(r_hat) and r_hat > LARGEST_R_HAT) or (np.isfinite(ess) and ess < SMALLEST_ESS))
+    largest, smallest = limits(row["draws"].size)
+    return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
+
+
+def limits(draws: int) -> tuple[float, float]:
+    """Return the largest R-hat and the smallest effective sample size to be trusted with so many draws in all."""
+    return LIMITS if draws >= QUICK else QUICK_LIMITS
 
 
 def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
