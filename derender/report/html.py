@@ -262,8 +262,8 @@ def _parameters(report: Report) -> str:
     largest, smallest = tables.limits(chains * draws)
     return (
         f"<h2>Posterior of the most probable structure: {chains} chain{'s' if chains > 1 else ''} of {draws} draws</h2>"
-        f'<p class="soft">Chains have met where R-hat is at most {largest} and effective sample sizes (ESS) are at least '
-        f"{smallest:.0f}; numbers of which that is not so are in red. In a rank plot level lines are good.</p>"
+        f'<p class="soft">Chains have met where R-hat is at most {largest} and effective sample sizes (ESS) are '
+        f"at least {smallest:.0f}; numbers of which that is not so are in red. In a rank plot level lines are good.</p>"
         f'<div class="scroll"><table><tr>{head}<th>traces</th><th>ranks</th></tr>{"".join(rows)}</table></div>'
     )
 
