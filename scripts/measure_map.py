@@ -2,6 +2,8 @@
 
 import argparse
 import time
+from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 
@@ -22,7 +24,7 @@ def ascents(scenes: int, starts: int, seed: int, method: str, iterations: int) -
     for draw in draw_documents(document, scenes, seed, {}):
         clean, _ = render_depth(draw.graph.solids(), draw.camera, antialias=16, background=10.0)
         depth = observe(draw.rng, clean, draw.likelihood)
-        values = draw.likelihood.values
+        values = cast(Mapping[str, float], draw.likelihood.values)
         problem = MapProblem(draw.graph, ADDRESSES, draw.camera, depth, sigma=float(values["sigma"]),
                              blur=float(values["blur"]))  # fmt: skip
         truth = problem.log_density(problem.values)

@@ -1,6 +1,8 @@
 """Draw the picture of the README: a depth image, the scene that derender found in it, and a view from elsewhere.
 
-python scripts/readme_picture.py IMAGE CAMERA RESULT data/pictures/derender.png        RESULT is a folder written by `infer`
+python scripts/readme_picture.py IMAGE CAMERA RESULT data/pictures/derender.png
+
+RESULT is a folder written by `infer`.
 """
 
 import sys

@@ -104,6 +104,6 @@ def _complain(line: str, status: int = 1) -> int:
     return status
 
 
-def _show_warning(message: Warning | str, category: type[Warning], filename: str, line: int, file=None, text=None):
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, file=None, line=None):
     """Say in one line what is warned of: where in the code it was noticed is nothing to the user."""
     click.echo(f"warning: {' '.join(str(message).split())}", err=True)

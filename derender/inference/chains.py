@@ -108,8 +108,8 @@ def chain(sampler: Sampler, rng, warmup: int, draws: int, record: Record | None 
                     buffer[:done] = column
         for buffer, column in zip(buffers, segment, strict=True):
             buffer[done : done + count] = column
-        columns = (buffer[: done + count] for buffer in buffers)
-        record = Record(record.warmed, *columns, state, rng.bit_generator.state)
+        values, log_prior, log_likelihood = (buffer[: done + count] for buffer in buffers)
+        record = Record(record.warmed, values, log_prior, log_likelihood, state, rng.bit_generator.state)
         yield record
 
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def fingerprint(*parts: bytes | str) -> str:
 def save(path: Path, record: Record, run: str) -> None:
     """Write `record` of the run with fingerprint `run`; a kill at any moment leaves the former file or this one."""
     header = {"run": run, "warmed": record.warmed, "generator": record.generator}
-    arrays = {f"state.{name}": value for name, value in record.state.items()}
+    arrays: dict[str, Any] = {f"state.{name}": value for name, value in record.state.items()}
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file,

@@ -164,7 +164,7 @@ class Posterior:
 
     def save(self, path: str | Path) -> None:
         """Write an .npz, whole or not at all."""
-        arrays: dict[str, np.ndarray] = {}
+        arrays: dict[str, Any] = {}
         headers = []
         for number, part in enumerate(self.parts):
             arrays[f"values_{number}"] = part.values

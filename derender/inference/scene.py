@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from derender.inference.sampler import MixtureSampler
 from derender.inference.settings import Settings
 from derender.inference.smc import tempered
 from derender.inference.target import SceneTarget, default_parts
+from derender.model.priors.base import Prior
 from derender.model.priors.tree import TreePrior
 from derender.model.scene import SceneGraph
 from derender.vision.likelihoods import likelihoods
@@ -75,7 +76,7 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
     result = []
     for graph in found.values():
         free = document.prior.free_addresses(graph)
-        numbers = {**graph.numbers(), **_root_values(document.prior, graph)}
+        numbers = {**graph.numbers(), **_root_values(cast(TreePrior, document.prior), graph)}
         density = document.prior.log_density(graph)
         for address, law in free.items():
             value = numbers.get(address)
@@ -84,7 +85,7 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
     return result
 
 
-def _is_open(prior: TreePrior) -> bool:
+def _is_open(prior: Prior) -> bool:
     """Return whether parents or faces are left open."""
     rng = np.random.default_rng(0)
     return len({prior.sample(rng).structure() for _ in range(8)}) > 1

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from derender.errors import DerenderError
 from derender.inference.chains import Plan, Progress, run_chain
@@ -191,6 +191,7 @@ def _work(connection, plan: Plan) -> None:
             continue
         if kind == "leave":
             return
+        answer: tuple[str, Any]
         try:
             answer = ("done", run_chain(plan, number, stop, progress))
         except DerenderError as fault:

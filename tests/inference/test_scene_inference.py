@@ -118,7 +118,8 @@ def test_map_is_one_scene_no_worse_than_the_truth():
 
 def test_open_faces_become_weighted_structures():
     """A box that lies on one of two faces with unlike heights: the image says which."""
-    text = TWO_NUMBERS.replace("type: face-to-face, ", "type: face-to-face, child_face: {categorical: {-z: 1, -x: 1}}, ")
+    faces = "child_face: {categorical: {-z: 1, -x: 1}}, "
+    text = TWO_NUMBERS.replace("type: face-to-face, ", f"type: face-to-face, {faces}")
     text = text.replace("sigma: 0.4", "sigma: 0.05")
     document = read(text)
     world = SceneWorld(text)

@@ -36,7 +36,7 @@ class Surface(NamedTuple):
     points: list[np.ndarray]
     normal: np.ndarray
     offset: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # type: ignore[assignment]
     centre: np.ndarray
     touching: np.ndarray
     origin: np.ndarray

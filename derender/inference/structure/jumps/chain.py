@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,7 +126,7 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws], seed: int | None = N
     parts = [_part(words, group) for group in groups.values()]
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
     evidence = [draws.log_evidence for draws in found if draws.log_evidence is not None]
-    meta = {"acceptance": {name: float(x) for name, x in extras.items()}}
+    meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()}}
     if evidence:
         meta["log_evidence"] = [float(x) for x in evidence]
     parts.sort(key=lambda part: -part.weight)

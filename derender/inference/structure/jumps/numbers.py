@@ -34,7 +34,7 @@ def write(vertex: Vertex, numbers: Mapping[Key, float | tuple[float, ...]]) -> V
         elif name == QUATERNION:
             values.update(zip(ROTATION, map(float, value), strict=True))  # type: ignore[arg-type]
         else:
-            values[name] = value
+            values[name] = value  # type: ignore[assignment]
     return replace(vertex, parameters=parameters, contact=replace(vertex.contact, values=values))
 
 

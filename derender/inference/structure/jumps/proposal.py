@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -173,7 +173,8 @@ def _component(words, graph, hypothesis, parent, body, relative, choice) -> list
     misfit += reach * math.hypot(*[0.0, 0.0, *tilts][-2:])
     if misfit > 0.05:
         return []
-    centres, spreads = {}, {}
+    centres: dict[str, Any] = {}
+    spreads: dict[str, Any] = {}
     for name, value in words.shapes[hypothesis.kind]._table:
         centres[f"shape.{name}"] = value if isinstance(value, float) else hypothesis.parameters[name]
         if not isinstance(value, float):
@@ -207,7 +208,7 @@ def _vertex(words, graph, component, values) -> Vertex:
     numbers = {key: x for key, x in values.items() if not key.startswith("shape.")}
     if QUATERNION in numbers:
         numbers.update(zip(ROTATION, map(float, numbers.pop(QUATERNION)), strict=True))
-    contact = Contact(*component.choice, numbers)
+    contact = Contact(*component.choice, numbers)  # type: ignore[call-arg]
     name = words.fresh_name(graph, component.kind)
     return Vertex(name, entry.type, parameters, component.parent, contact, dict(entry.options))
 

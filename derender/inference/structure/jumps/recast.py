@@ -141,7 +141,7 @@ def seize(words, graph: SceneGraph, name: str, slot: Slot, table, cast: Cast) ->
     faces = slot.choice[1:]
     complete = {**values, **rest}
     element = log_pose_element(slot.choice[0], complete, parent, body, faces) + log_extents_element(entry, psi)
-    vertex = replace(bare, contact=Contact(*slot.choice, values))
+    vertex = replace(bare, contact=Contact(*slot.choice, values))  # type: ignore[call-arg]
     return vertex, Rest(rest, rest_shape), element
 
 

@@ -130,7 +130,7 @@ class SlotImage:
             poses[new], sizes[new], here[name] = self._poses[place], self._sizes[place], new
         self._keys, self._poses, self._sizes, self._here = keys, poses, sizes, here
         self._evaluator = DepthEvaluator(*self._arguments)
-        kind = np.array(kinds, np.int32)
-        self._density = self._evaluator.load(Solids(kind, poses, sizes, np.full(len(kinds), -1, np.int32), ()))
+        numbers, mesh = np.array(kinds, np.int32), np.full(len(kinds), -1, np.int32)
+        self._density = self._evaluator.load(Solids(numbers, poses, sizes, mesh, ()))
 
 

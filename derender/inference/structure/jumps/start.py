@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def default_prior(floor_pose: np.ndarray, shapes: Sequence[str] = tuple(SIZES)) 
     half = f"{{log-uniform: [{0.5 * low:.6f}, {0.5 * high:.6f}]}}"
     text = ", ".join(SIZES[name].replace("LAW", law).replace("HALF", half) for name in SIZES if name in shapes)
     top, folder = parse_yaml(DEFAULT.replace("SHAPES", text).encode(), "the default prior"), Path.cwd()
-    prior = document_from(top, folder).prior
+    prior = cast(GrammarPrior, document_from(top, folder).prior)
     return replace(prior, root=FixedRoot(floor_pose))
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import cast
 
 from derender.errors import DerenderError
 from derender.model.distributions import Categorical, Distribution
@@ -96,7 +97,7 @@ class Vocabulary:
 
     def _free_numbers(self, kind: str, base: bool, parent: str, top: str | None, choice: Choice):
         if base:
-            item = self.prior.tree.by_name[kind]
+            item = cast(GrammarPrior, self.prior).tree.by_name[kind]
             shape = item.shape.free()
             contact = item.contact.free(Contact(*choice), parent, item.shape.type, top)
         else:
