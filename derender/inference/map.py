@@ -19,7 +19,7 @@ from derender.model.scene import SceneGraph
 from derender.registry import suggest
 from derender.vision.blur import blur_taps
 from derender.vision.raycast.normal_equations import new_misfit, watch_all
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 METHODS = ("gauss-newton", "gradient")
 GRADIENTS = ("exact", "finite-difference")

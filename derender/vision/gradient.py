@@ -6,9 +6,10 @@ import numpy as np
 
 from derender.model.solids import Solids
 from derender.vision.blur import blur, blur_taps
-from derender.vision.raycast.antialias import draw_antialiased, new_canvas
+from derender.vision.raycast.antialias import draw_antialiased
+from derender.vision.raycast.canvas import new_canvas
 from derender.vision.raycast.normal_equations import BACKGROUND, cost, cost_gradient, new_misfit, normal_equations
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 
 def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sigma: float = 0.0) -> np.ndarray:

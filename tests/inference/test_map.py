@@ -12,7 +12,7 @@ from derender.inference.optimise.placement import find_motions, new_placement, p
 from derender.inference.scene import targets
 from derender.model.pose import inverse
 from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
 

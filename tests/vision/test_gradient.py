@@ -9,9 +9,11 @@ from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.vision.blur import blur, blur_taps
 from derender.vision.camera import Camera
 from derender.vision.gradient import SmoothLikelihood, antialiased_depth
-from derender.vision.raycast.antialias import draw_antialiased, new_canvas
+from derender.vision.raycast.antialias import draw_antialiased
+from derender.vision.raycast.canvas import new_canvas
 from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.sensitivity import MOTION, new_records, record, spread
+from derender.vision.raycast.records import MOTION, new_records, spread
+from derender.vision.raycast.sensitivity import record
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
 
 CAMERA = Camera.from_field_of_view(64, 64)

@@ -8,7 +8,7 @@ import numpy as np
 from derender.inference.optimise.placement import find_motions, place
 from derender.kernel_cache import njit
 from derender.vision.raycast.normal_equations import cost, cost_gradient, normal_equations, watch, watch_all
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 
 @njit(cache=True, nogil=True)

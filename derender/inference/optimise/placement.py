@@ -20,7 +20,7 @@ from derender.model.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, compos
 from derender.model.scene import SceneGraph
 from derender.model.shapes import shapes
 from derender.registry import suggest
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 STEP = 1e-6  # of the differences: metres, radians, or shares
 SMALLEST = 1e-3  # metres: no extent is moved below this

@@ -15,7 +15,7 @@ from derender.inference.optimise.domain import Minimum
 from derender.model.pose import twist_exp
 from derender.model.solids import CYLINDER, PLANE, SPHERE, Solids
 from derender.vision.gradient import SmoothLikelihood
-from derender.vision.raycast.sensitivity import MOTION
+from derender.vision.raycast.records import MOTION
 
 HELD, UPRIGHT, FREE = range(3)
 SMALLEST = 0.003  # metres: no extent shrinks below

@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.kernel_cache import njit
-from derender.vision.raycast.antialias import Canvas, draw_antialiased, new_canvas, prepare_all
-from derender.vision.raycast.sensitivity import MOTION, Records, gather, new_records, record, spread
+from derender.vision.raycast.antialias import draw_antialiased
+from derender.vision.raycast.canvas import Canvas, new_canvas, prepare_all
+from derender.vision.raycast.records import MOTION, Records, gather, new_records, spread
+from derender.vision.raycast.sensitivity import record
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
 
 # rows of `numbers`

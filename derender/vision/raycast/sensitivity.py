@@ -13,48 +13,14 @@ so is the term. Both are `weight * N . dp`, a linear form on motions (a covector
 """
 
 import math
-from typing import NamedTuple
-
-import numpy as np
 
 from derender.kernel_cache import njit
 from derender.model.solids import CYLINDER, MESH, PLANE
-from derender.vision.raycast.antialias import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, SAMPLES, SPLIT
+from derender.vision.raycast.canvas import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, SAMPLES, SPLIT
 from derender.vision.raycast.convex import FACES, inverse_depth
-from derender.vision.raycast.silhouette import CHORDS, NEAR, outline
+from derender.vision.raycast.silhouette import NEAR, outline
 
-MOTION = 9  # twist (v, w) and the rates of the three extents
 BISECTIONS = 10  # an outline's hidden part is found to a thousandth of a pixel
-
-
-class Records(NamedTuple):
-    """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form .
-    motion[solid].
-
-    Attributes
-    ----------
-    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `count[0]`
-        count.
-    count : (1,) int64. segments : (CHORDS, 2, 3) float64, scratch.
-    """
-
-    pixel: np.ndarray
-    solid: np.ndarray
-    form: np.ndarray
-    count: np.ndarray
-    segments: np.ndarray
-
-
-def new_records(camera, solids: int) -> Records:
-    """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
-    size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
-    return Records(
-        np.zeros(size, np.int32),
-        np.zeros(size, np.int32),
-        np.zeros((size, MOTION)),
-        np.zeros(1, np.int64),
-        np.zeros((CHORDS, 2, 3)),
-    )
 
 
 @njit(cache=True, nogil=True)
@@ -377,32 +343,3 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                 background,
                 window,
             )
-
-
-@njit(cache=True, nogil=True)
-def gather(records, weights, totals):
-    """Reverse mode: totals[solid] += sum of weights[pixel] * form. weights : (H * W,), totals : (N, MOTION) float64."""
-    for m in range(records.count[0]):
-        weight = weights[records.pixel[m]]
-        total, form = totals[records.solid[m]], records.form[m]
-        for c in range(MOTION):
-            total[c] += weight * form[c]
-
-
-@njit(cache=True, nogil=True)
-def spread(records, motions, moves, images):
-    """Forward mode: add the derivative of the antialiased image by parameters to images (P, H * W).
-
-    motions : (P, N, MOTION) float64, the motion of each solid per unit of each parameter; moves : (P, N) bool, where
-    that is not zero.
-    """
-    for m in range(records.count[0]):
-        pixel, form = records.pixel[m], records.form[m]
-        k = records.solid[m]
-        for p in range(motions.shape[0]):
-            if moves[p, k]:
-                motion = motions[p, k]
-                value = 0.0
-                for c in range(MOTION):
-                    value += form[c] * motion[c]
-                images[p, pixel] += value
