@@ -127,6 +127,8 @@ class MixtureSampler:
         values = np.concatenate([found[0] for found in explored])
         densities = np.concatenate([found[1] for found in explored])
         good = densities > np.max(densities) - GOOD
+        if not good.any():  # no population found anything possible: each chain starts from the prior on its own
+            return self
         best = int(np.argmax([np.max(found[1]) for found in explored]))
         sampler = copy(self)
         sampler.places = values[good]
