@@ -69,7 +69,9 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
     accepted, number = 0, len(proposals.scale)
     for taken in range(steps):
         threshold = rng.random() * proposals.cumulative[number - 1]
-        p = np.searchsorted(proposals.cumulative, threshold)
+        p = 0  # plain loops here and below: numba takes three seconds for searchsorted and for assigning arrays
+        while p < number - 1 and proposals.cumulative[p] < threshold:
+            p += 1
         first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
         start, rank = proposals.table[FACTOR, p], proposals.table[RANK, p]
         reach = proposals.scale[p]
@@ -88,12 +90,15 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
         threshold = np.log(1.0 - rng.random())
         if new_prior > -np.inf:
             camera_poses(chart, trial, trial_rows, poses, sizes)
-            moved = 0
+            moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
             for k in range(count + 1):
                 if proposals.touched[p, k]:
                     indices[moved] = k
-                    moved_poses[moved] = poses[k]
-                    moved_sizes[moved] = sizes[k]
+                    for i in range(4):
+                        for j in range(4):
+                            moved_poses[moved, i, j] = poses[k, i, j]
+                    for i in range(3):
+                        moved_sizes[moved, i] = sizes[k, i]
                     moved += 1
             new = propose_state(engine, moved, indices, moved_poses, moved_sizes)
             taken_up = threshold < new_prior - prior + temperature * (new - likelihood)
