@@ -21,6 +21,7 @@ KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 LIMIT = 8.0
 FAR = 1e9
 LEAST_TAP = 1e-3  # what the blur brings over from further away is left out of the search
+AS_SEEN = 1e-8  # metres
 WALL = 10.0  # metres: what lies beyond counts as this deep where the blur mixes it with what is nearer
 
 
@@ -33,7 +34,8 @@ class Image(NamedTuple):
     weight : (H, W) float64, 1 / (2 sigma^2) of each pixel, 0 where left out.
     direction : (H, W, 3) float64, ray per metre of depth, floor axes.
     origin : (3,) float64, the camera's centre in the floor frame.
-    floor : (H, W) float64, depth at which the ray meets the floor, FAR where it does not.
+    floor : (H, W) float64, depth at which the ray meets the floor, FAR where it does not. Where it is the observed
+        depth (to AS_SEEN) the background is taken as it is, blurred already.
     projection : (3, 4) float64, floor frame to homogeneous pixel (i, j, 1) times depth.
     taps : (R + 1,) float64, the blur's weights from the centre outwards (R = 0: a sharp image).
     """
@@ -71,11 +73,21 @@ def make_image(depth, sigma, camera, floor_pose, blur=0.0):
     weight = np.where(good, 0.5 / np.broadcast_to(sigma, depth.shape) ** 2, 0.0)
     projection = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]) @ np.column_stack([rotation, shift])
     filled = np.where(good, depth, 0.0)
+    return Image(*(np.ascontiguousarray(a, dtype=np.float64)
+                   for a in (filled, weight, direction, origin, floor, projection, taps_of(blur))))  # fmt: skip
+
+
+def taps_of(blur):
+    """Return the (R + 1,) weights of a blur of this standard deviation in pixels, without the negligible ones."""
     taps = blur_taps(blur)
     taps = taps[taps > LEAST_TAP]
-    taps /= taps[0] + 2.0 * taps[1:].sum()
-    return Image(*(np.ascontiguousarray(a, dtype=np.float64)
-                   for a in (filled, weight, direction, origin, floor, projection, taps)))  # fmt: skip
+    return taps / (taps[0] + 2.0 * taps[1:].sum())
+
+
+def blank(image):
+    """Return depth (H, W), label (H, W) and misfit (H, W) arrays to draw into."""
+    shape = image.depth.shape
+    return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
 
 
 @njit(cache=True, nogil=True)
@@ -203,6 +215,12 @@ def draw_one(image, row, index, depth, label):
 
 
 @njit(cache=True, nogil=True)
+def residual(seen, drawn, blurred):
+    """Return what is seen less what is drawn; a background that was taken as it is seen is not blurred again."""
+    return 0.0 if abs(seen - drawn) < AS_SEEN else seen - blurred
+
+
+@njit(cache=True, nogil=True)
 def misfit_map(image, depth, out):
     """Fill out (H, W) with each pixel's misfit against the model depth, blurred, and return the sum."""
     height, width = depth.shape
@@ -213,7 +231,7 @@ def misfit_map(image, depth, out):
     total = 0.0
     for j in range(height):
         for i in range(width):
-            r = image.depth[j, i] - blurred[j, i]
+            r = residual(image.depth[j, i], depth[j, i], blurred[j, i])
             m = min(r * r * image.weight[j, i], LIMIT)
             out[j, i] = m
             total += m
@@ -306,7 +324,7 @@ def added_misfit_blurred(image, row, depth, misfit):
         for i in range(i0, i1):
             weight = image.weight[j, i]
             if weight > 0.0:
-                r = image.depth[j, i] - blurred[j - j0, i - i0]
+                r = residual(image.depth[j, i], window[j - top, i - left], blurred[j - j0, i - i0])
                 total += min(r * r * weight, LIMIT) - misfit[j, i]
     return total
 

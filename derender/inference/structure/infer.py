@@ -26,9 +26,9 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
-    state = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
+    state, image = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
     state.parents = final_parents(state)
-    return state, seen
+    return state, seen._replace(image=image)
 
 
 def infer_structure(image, camera, options=None, rng=None, progress=None):

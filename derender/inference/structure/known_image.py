@@ -5,7 +5,7 @@ As in image.py and polish.py, in the floor frame; the pose of an object is its r
 
 import numpy as np
 
-from derender.inference.structure.image import LIMIT, WALL, blur_into
+from derender.inference.structure.image import LIMIT, WALL, blur_into, residual
 from derender.inference.structure.touch import penetration
 from derender.kernel_cache import njit
 from derender.vision.raycast.mesh import _fill
@@ -115,7 +115,7 @@ def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, po
         for i in range(i0, i1):
             weight = image.weight[j, i]
             if weight > 0.0:
-                r = image.depth[j, i] - blurred[j - j0, i - i0]
+                r = residual(image.depth[j, i], window[j - top, i - left], blurred[j - j0, i - i0])
                 total += min(r * r * weight, LIMIT) - misfit[j, i]
     return total, low
 

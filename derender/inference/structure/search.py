@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.inference.structure.focus import refocused
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.moves import aligned_pairs, find_places, merge_pair, propose
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
@@ -194,15 +195,24 @@ def settle(rng, image, state, settings, rounds=200, only=None):
 
 
 def search(rng, image, hypotheses, settings, pool=None):
-    """Return the best State found; (state, energy) of all that were tried are appended to the list `pool`."""
-    state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
+    """Return (best State found, Image with the blur that it shows).
+
+    (state, energy) of all that were tried are appended to the list `pool`.
+    """
+    state = greedy(rng, image, hypotheses, settings)
+    image, gained = refocused(image, state.rows, settings.price)
+    if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
+        state = greedy(rng, image, hypotheses, settings)
+        image, _ = refocused(image, state.rows, settings.price)
+    state = settle(rng, image, state, settings)
+    image, _ = refocused(image, state.rows, settings.price)
     state = repair(rng, image, state, hypotheses, settings, pool)
     state = merge_all(rng, image, state, settings)
     again = settle(rng, image, state, settings, 300)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
     sweep(rng, image, state, settings, 300, 0.001, 0.0)
-    return prune(image, state, settings)
+    return prune(image, state, settings), image
 
 
 def repair(rng, image, state, hypotheses, settings, pool=None):

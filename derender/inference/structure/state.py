@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from derender.inference.structure.image import ROW, draw, misfit_map
+from derender.inference.structure.image import ROW, blank, draw, misfit_map
 from derender.inference.structure.polish import contact_energy, size_energy
 from derender.inference.structure.touch import lowest
 
@@ -57,12 +57,6 @@ class State:
             self.rows[keep], [self.forms[k] for k in keep], [self.cubes[k] for k in keep],
             [moved(self.parents[k]) for k in keep], [self.bottoms[k] for k in keep],
         )  # fmt: skip
-
-
-def blank(image):
-    """Return depth (H, W), label (H, W) and misfit (H, W) arrays to draw into."""
-    shape = image.depth.shape
-    return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
 
 
 def carried_by(state, index):
