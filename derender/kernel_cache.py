@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numba
 from numba.core import caching, config, event
+from numba.core.runtime import rtsys
 
 PACKAGE = Path(__file__).parent
 IMPORT = re.compile(rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+))",
@@ -74,6 +75,11 @@ class _KernelCache(caching.FunctionCache):
         self._name, self._py_func, self._impl, self._cache_path = repr(function), function, implementation, str(folder)
         self._cache_file = _Entries(folder, implementation.filename_base, source_stamp(source))
         self.enable()
+
+    def load_overload(self, sig, target_context):
+        """Load an entry without numba's registries of what can be compiled, a quarter of a second: it is compiled."""
+        rtsys.initialize(target_context)
+        return self._load_overload(sig, target_context)
 
 
 class _Entries:

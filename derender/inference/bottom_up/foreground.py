@@ -21,12 +21,12 @@ def joined_to_floor(points, above, inside, footprint, camera_height):
     inside : (H, W) bool, pixels within the outline of the visible floor. footprint : (H, W) metres across a pixel.
     camera_height : metres over the floor.
     """
-    from scipy import ndimage
-
     found = np.zeros(above.shape, bool)
     beyond = above & ~inside
     if beyond.sum() < SHARE * max(above.sum(), 1):
         return found
+    from scipy import ndimage
+
     limit = 4 * footprint + 0.004
     whole = above.copy()  # without the pixels at jumps, so that components end there
     for axis in (0, 1):

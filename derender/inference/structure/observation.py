@@ -7,6 +7,7 @@ import numpy as np
 from derender.inference.bottom_up.floor import Floor, back_project, find_floor
 from derender.inference.bottom_up.foreground import joined_to_floor
 from derender.inference.bottom_up.given_floor import given_floor
+from derender.inference.bottom_up.outline import convex_outline, outline_planes
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
 from derender.inference.bottom_up.sharpness import estimate_blur
@@ -140,13 +141,11 @@ def inside_hull(points, inliers, good, origin, margin=0.01):
 
     origin : (3,) the camera's centre: what stands before the visible floor is no background.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     flat = points[inliers][:, :2]
-    try:
-        planes = ConvexHull(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]])).equations
-    except (QhullError, ValueError):
+    outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
+    if outline is None:
         return good.copy()
+    planes = outline_planes(outline)
     inside = good.copy()
     inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
     return inside

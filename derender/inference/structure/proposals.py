@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.inference.bottom_up.outline import convex_outline
 from derender.inference.structure.image import make_row
 from derender.inference.structure.polish import FREE, UPRIGHT
 from derender.model.solids import BOX, CYLINDER, SPHERE
@@ -112,13 +113,10 @@ def groups_of_faces(surface, orthogonal=0.2, touch=2):
 
 def smallest_rectangle(points):
     """Return the angle of the smallest rectangle about points (N, 2)."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
+    outline = convex_outline(points)
+    if outline is None:
         return 0.0
-    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    edges = np.diff(np.vstack([outline, outline[:1]]), axis=0)
     angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
     x = np.outer(np.cos(angles), points[:, 0]) + np.outer(np.sin(angles), points[:, 1])
     y = -np.outer(np.sin(angles), points[:, 0]) + np.outer(np.cos(angles), points[:, 1])

@@ -1,0 +1,37 @@
+"""The convex outline of points in a plane, without scipy, whose import takes as long as a whole search."""
+
+import numpy as np
+
+FLAT = 1e-10  # area over squared extent below which points count as being on a line
+
+
+def convex_outline(points):
+    """Return the (M, 2) corners of the convex hull of points (N, 2), counterclockwise; None where they are on a line.
+
+    Quickhull: the point farthest beyond an edge is a corner, and what lies beyond the two edges to it is next.
+    """
+    if len(points) < 3:
+        return None
+    left, right = points[np.lexsort(points.T)[[0, -1]]]
+    corners = np.array([left, *_beyond(points, left, right), right, *_beyond(points, right, left)])[::-1]
+    x, y = (corners - corners[0]).T
+    area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return corners if area > FLAT * np.ptp(points, axis=0).max() ** 2 else None
+
+
+def _beyond(points, start, end):
+    """Return the corners strictly to the left of the way from one corner to another, in order."""
+    along, away = end - start, points - start
+    height = along[0] * away[:, 1] - along[1] * away[:, 0]
+    points = points[height > 0.0]
+    if len(points) == 0:
+        return []
+    corner = points[np.argmax(height[height > 0.0])]
+    return [*_beyond(points, start, corner), corner, *_beyond(points, corner, end)]
+
+
+def outline_planes(corners):
+    """Return (M, 3) rows a, b, c of the edges' lines: a x + b y + c is the distance beyond the edge."""
+    edges = np.roll(corners, -1, axis=0) - corners
+    normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
+    return np.column_stack([normals, -(normals * corners).sum(axis=1)])
