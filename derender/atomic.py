@@ -1,8 +1,9 @@
 """Writing files so that a reader, or a crash, never meets half of one."""
 
 import os
+import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -58,6 +59,33 @@ def all_or_none(*paths: str | Path) -> Iterator[None]:
         for path in new:
             path.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Yield a temporary folder inside `folder`; when the block ends well, its files move up, as one set.
+
+    Those of `names` that the block did not write are removed then: nothing of an older set stays beside the new one.
+    After an exception the older set is as it was.
+    """
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
+    except OSError as error:
+        raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another with -o") from None
+    try:
+        yield temporary
+        written = sorted(temporary.iterdir())
+        for name in names:
+            if (folder / name).is_dir():
+                raise DerenderError("this is a folder", folder / name, "move it away or choose another place with -o")
+        for name in names:
+            (folder / name).unlink(missing_ok=True)
+        for path in written:
+            path.replace(folder / path.name)
+    except OSError as error:
+        raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another with -o") from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def write_text(path: str | Path, text: str) -> None:

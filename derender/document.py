@@ -80,7 +80,7 @@ class Document:
     camera : None where the file has none.
     likelihood : None where the file has none.
     inference : the raw section `inference:`, or None; the inference reads its own keys.
-    made : version, seed and command that wrote the file, or {}.
+    made : version, seed, command and prior that the file was written with, or {}.
     file : its name, for messages.
     """
 
@@ -90,6 +90,12 @@ class Document:
     inference: Section | None = None
     made: Mapping[str, Any] = field(default_factory=dict)
     file: str = "scene"
+
+    @property
+    def made_with(self) -> str | None:
+        """The prior that the file says it was made with: a name, or the path of a file; None where it does not say."""
+        name = self.made.get("prior")
+        return None if name is None else name if Path(name).suffix == "" else str(Path(self.file).parent / name)
 
     @property
     def is_scene(self) -> bool:
@@ -147,6 +153,11 @@ def read_prior_document(name: str | Path) -> Document:
             )
         path = data_path(f"priors/{name}.yaml")
     return read_document(path)
+
+
+def prior_as_seen_from(name: str | Path, folder: Path) -> str:
+    """Return how a file in `folder` names a prior: the name of a built-in one, or a relative path."""
+    return str(name) if str(name) in built_in_priors() else os.path.relpath(name, folder)
 
 
 def built_in_priors() -> list[str]:

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from derender.atomic import atomic_path, make_folder, write_text
+from derender.atomic import atomic_path, files_together, make_folder, write_text
 from derender.errors import DerenderError
 
 
@@ -43,3 +43,24 @@ def test_a_full_disk_is_the_users_fault(tmp_path):
             full.write("x")
         temporary.write_text("x")
     assert os.listdir(tmp_path) == []
+
+
+def test_a_set_of_files_comes_together_or_not_at_all(tmp_path):
+    names = ("a", "b", "c")
+    with files_together(tmp_path, names) as place:
+        write_text(place / "a", "1")
+        write_text(place / "b", "1")
+        assert os.listdir(tmp_path) == [place.name]
+    write_text(tmp_path / "mine", "kept")
+    with pytest.raises(KeyboardInterrupt), files_together(tmp_path, names) as place:
+        write_text(place / "a", "2")
+        raise KeyboardInterrupt
+    assert sorted(os.listdir(tmp_path)) == ["a", "b", "mine"] and (tmp_path / "a").read_text() == "1"
+    with files_together(tmp_path, names) as place:  # nothing of the former set stays
+        write_text(place / "a", "3")
+        write_text(place / "c", "3")
+    assert sorted(os.listdir(tmp_path)) == ["a", "c", "mine"] and (tmp_path / "a").read_text() == "3"
+    (tmp_path / "b").mkdir()
+    with pytest.raises(DerenderError, match="this is a folder"), files_together(tmp_path, names) as place:
+        write_text(place / "a", "4")
+    assert (tmp_path / "a").read_text() == "3"

@@ -9,6 +9,7 @@ from derender.errors import DerenderError
 if TYPE_CHECKING:
     import numpy as np
 
+    from derender.document import Document
     from derender.inference.posterior import Posterior
     from derender.model.scene import SceneGraph
     from derender.vision.camera import Camera
@@ -32,6 +33,18 @@ class Found(NamedTuple):
     likelihood: Mapping[str, Any] = {}
 
 
+def read_scene_document(path: str) -> "Document":
+    """Read a scene or prior file (`-`: stdin), or the most probable scene in a folder written by `derender infer`."""
+    from derender.document import read_document
+
+    folder = Path(path)
+    if path == "-" or not folder.is_dir():
+        return read_document(path)
+    if not (folder / "scene.yaml").exists():
+        raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
+    return read_document(folder / "scene.yaml")
+
+
 def read_scene(path: str) -> Found:
     """Read a scene file (`-`: stdin) or a folder written by `derender infer`.
 
@@ -39,36 +52,21 @@ def read_scene(path: str) -> Found:
     ------
     DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
-    from derender.document import read_document
     from derender.report.html import likelihood_numbers
 
     folder = Path(path)
-    if path == "-" or not folder.is_dir():
-        document = read_document(path)
-        return Found(
-            "scene" if path == "-" else folder.stem,
-            document.graph,
-            None,
-            document.camera,
-            likelihood_numbers(document.likelihood),
-        )
-    name = folder.resolve().name
-    written = folder / "scene.yaml"
-    best = read_document(written) if written.exists() else None
-    if (folder / "posterior.npz").exists():
-        from derender.inference.posterior import load
+    posterior = None
+    if path != "-" and folder.is_dir():
+        name = folder.resolve().name
+        if (folder / "posterior.npz").exists():
+            from derender.inference.posterior import load
 
-        posterior = load(folder)
-        return Found(
-            name,
-            posterior.best_graph(),
-            posterior,
-            best.camera if best else None,
-            likelihood_numbers(best.likelihood if best else None),
-        )
-    if best is None:
-        raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
-    return Found(name, best.graph, None, best.camera, likelihood_numbers(best.likelihood))
+            posterior = load(folder)
+    else:
+        name = "scene" if path == "-" else folder.stem
+    document = read_scene_document(path)
+    graph = document.graph if posterior is None else posterior.best_graph()
+    return Found(name, graph, posterior, document.camera, likelihood_numbers(document.likelihood))
 
 
 def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":

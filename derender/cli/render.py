@@ -7,6 +7,7 @@ import numpy as np
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.cli.reading import read_scene_document
 from derender.errors import DerenderError
 
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".bmp", ".webp")
@@ -26,7 +27,9 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
     "--antialias", type=click.IntRange(1, 16), default=1, show_default=True, metavar="N", help="N x N samples."
 )
 @options.noise
-@click.option("--sensor", metavar="NAME", help="Distort as a real camera does: kinect or realsense.")
+@click.option("--sensor", metavar="NAME|DIR",
+              help="Distort as a real camera does: kinect, realsense, or as the likelihood says in a scene file or in "
+                   "a DIR, where infer has fitted it to an image.")
 @click.option("--preview", is_flag=True, help="Draw a shaded colour picture instead of depth.")
 @options.seed
 @options.verbosity
@@ -60,7 +63,8 @@ def command(
     targets = _targets(scenes, output, preview)
     seeds = np.random.SeedSequence(seed).spawn(len(scenes))
     for scene, target, child in zip(scenes, targets, seeds, strict=True):
-        document, graph = _read_scene(scene)
+        document = read_scene_document(scene)
+        graph = document.graph
         eye = _camera(document, camera, depth_scale, talk)
         if preview:
             _write_picture(target, _picture(engine, graph.solids(), eye))
@@ -101,15 +105,6 @@ def _name(scene: str) -> str:
     return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
 
 
-def _read_scene(scene: str):
-    """Return the document and the scene graph of a file or folder."""
-    from derender.document import read_document
-
-    path = Path(scene)
-    document = read_document(path / "scene.yaml" if scene != "-" and path.is_dir() else scene)
-    return document, document.graph
-
-
 def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
@@ -129,10 +124,9 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
     from derender.document import LikelihoodPrior
     from derender.inference.forward import observe
     from derender.vision.depth_file import write_depth
-    from derender.vision.sensor import find_sensor
 
     rng = np.random.default_rng(seeds)
-    distort = find_sensor(sensor).observe if sensor else None
+    distort = _sensor(sensor) if sensor else None
     depth, label = engine.render_depth(graph.solids(), camera, antialias=antialias)
     if noise:
         depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
@@ -141,6 +135,23 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
     if target != "-":
         make_folder(Path(target).parent)
     write_depth(target, depth, camera, made, label)
+
+
+def _sensor(name: str):
+    """Return the function (rng, clean depth) -> observed depth of a sensor's name, a scene file or a folder.
+
+    What an image is worth in independent pixels is left out: it is no property of the pixels that a camera makes.
+    """
+    from derender.inference.forward import observe
+    from derender.vision.sensor import SENSORS, find_sensor
+
+    if name in SENSORS or not (Path(name).suffix or Path(name).exists()):
+        return find_sensor(name).observe
+    likelihood = read_scene_document(name).likelihood
+    if likelihood is None:
+        raise DerenderError("this scene has no likelihood", name, "take kinect, realsense, or a DIR that infer wrote")
+    kept = {key: value for key, value in likelihood.values.items() if key != "effective_pixels"}
+    return lambda rng, depth: observe(rng, depth, type(likelihood)(likelihood.type, kept))
 
 
 def _picture(engine, solids, camera) -> np.ndarray:

@@ -45,11 +45,13 @@ def command(
         derender sample stack -n 20 --seed 1 -o scenes
         derender sample grammar -n 1000 --no-images -o - | derender show - | less
     """
-    from derender.document import read_prior_document
+    from derender.document import prior_as_seen_from, read_prior_document
     from derender.inference.forward import draw_documents
 
     document = read_prior_document(prior)
     made = {"seed": seed, "command": f"derender sample {prior} --seed {seed}" + ("" if noise else " --no-noise")}
+    if prior != "-":
+        made["prior"] = prior_as_seen_from(prior, Path("." if output == "-" else output))
     draws = draw_documents(document, count, seed, made)
     if output == "-":
         _stream(draws)

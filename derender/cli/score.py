@@ -10,55 +10,63 @@ from derender.cli import options
 
 @click.command()
 @click.argument("scene", metavar="SCENE-or-DIR")
-@click.argument("image")
+@click.argument("image", required=False, metavar="[IMAGE]")
 @options.camera
 @options.depth_scale
-@click.option("--prior", default="tabletop", show_default=True, metavar="PRIOR",
-              help="Prior whose log density is printed: a file, or the name of a built-in one.")
+@click.option("--prior", metavar="PRIOR",
+              help="Prior whose log density is printed: a file, a built-in one, or bare-image, which is what infer "
+                   "believes without --scene. Default: the one that the scene was made with, else tabletop.")
 @options.as_json
 @options.verbosity
 def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
     """Print a scene's log prior, its log likelihood of a depth image, and each object's share of it.
 
-    `pixels` are those in which an object is seen, `log likelihood` the sum over them (all rows sum to the whole),
-    `gain` what the scene would lose without this object alone, `residual` the median distance between image and scene.
-    The likelihood is the one in the scene file, else a normal with a standard deviation of 5 mm. A log prior of -inf:
-    the prior cannot make such a scene.
+    IMAGE may be left out for a DIR, which holds the image that it was inferred from. `pixels` are those in which an
+    object is seen, `log likelihood` the sum over them (all rows sum to the whole), `gain` what the scene would lose
+    without this object alone, `residual` the median distance between image and scene. The likelihood is the one in the
+    scene file, which infer fits to the image, else a normal with a standard deviation of 5 mm. Where the log prior is
+    -inf, the prior cannot make such a scene: the line says why.
 
     \b
     Examples:
         derender score scene_000.yaml scene_000.npz
+        derender score results/
         derender score results/ frame.png --camera camera.json --json | python -m json.tool
     """
-    from derender.document import read_prior_document
-    from derender.report.scores import score_scene
+    from derender.cli.reading import read_scene_document
+    from derender.report.scores import score_prior, score_scene
     from derender.vision.depth_file import read_depth
 
-    document = _document(scene)
-    graph = document.graph
+    document = read_scene_document(scene)
+    if image is None:
+        image = _own_image(scene)
     found = read_depth(image, camera, depth_scale)
     if found.camera_is_guess and document.camera is not None and document.camera.shape == found.depth.shape:
         found = read_depth(image, document.camera, depth_scale)
     elif found.camera_is_guess:
         talk.warn("there is no camera with this image: taking a field of view of 60 degrees")
     name, values = _likelihood(document)
-    score = score_scene(graph, found.depth, found.camera, read_prior_document(prior).prior, name, values)
+    under = score_prior(document, prior)
+    score = score_scene(document.graph, found.depth, found.camera, name, values)._replace(prior=under)
     if as_json:
         click.echo(json.dumps(score.to_data()))
         return
-    click.echo(f"log prior       {_number(score.log_prior)}  ({prior})")
+    why = f": {under.why}" if under.why else ""
+    click.echo(f"log prior       {_number(under.log_density)}  ({under.name}{why})")
     click.echo(f"log likelihood  {_number(score.log_likelihood)}  ({name})")
     click.echo(_table(score.shares))
 
 
-def _document(scene: str):
-    """Read a scene file, or the best scene of a folder."""
+def _own_image(scene: str) -> str:
+    """Return the image in a folder that infer wrote."""
     from pathlib import Path
 
-    from derender.document import read_document
+    from derender.errors import DerenderError
 
-    path = Path(scene)
-    return read_document(path / "scene.yaml" if scene != "-" and path.is_dir() else scene)
+    path = Path(scene) / "observation.npz"
+    if not path.exists():
+        raise DerenderError("there is no image to score it against", scene, "write derender score SCENE IMAGE")
+    return str(path)
 
 
 def _likelihood(document):

@@ -36,7 +36,7 @@ class Report(NamedTuple):
     draws : solids of some posterior draws, to show the spread.
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
     structures : (weight, words) of each structure found, most probable first.
-    facts : what else is known, shown in the head: seed, version, command, times, verdicts.
+    facts : what else is known, shown in the head: seed, version, command, the sensor, times, verdicts.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
     """
@@ -73,10 +73,10 @@ def report_of(
     """
     from derender.report.scene_json import scene_json
 
-    known: dict[str, Any] = {}
+    known: dict[str, Any] = {**sensor_words(likelihood or {}), **dict(facts or {})}
     draws, rows, structures = [], [], []
     if posterior is not None:
-        known = {"seed": posterior.seed, "version": posterior.version, "command": posterior.command}
+        known = {"seed": posterior.seed, "version": posterior.version, "command": posterior.command, **known}
         # Which draws are shown must not change what `infer` wrote with a seed: the picture has its own.
         draws = [drawn.solids() for drawn in posterior.graphs(np.random.default_rng(0), SHOWN_DRAWS)]
         best = posterior.best_part
@@ -94,7 +94,7 @@ def report_of(
         draws,
         rows,
         structures,
-        {key: value for key, value in (known | dict(facts or {})).items() if value not in (None, "")},
+        {key: value for key, value in known.items() if value not in (None, "")},
         dict(likelihood or {}),
     )
 
@@ -107,6 +107,22 @@ def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]
         return {}
     given = {key: value for key, value in likelihood.values.items() if isinstance(value, int | float)}
     return likelihoods[likelihood.type].complete(given)
+
+
+def sensor_words(numbers: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a likelihood's numbers say of the sensor, for a page's head."""
+    words = {}
+    if "sigma" in numbers:
+        growth = numbers.get("sigma_growth", 0.0)
+        more = f" + {1000 * growth:.2g} mm/m² z²" if growth else ""
+        words["noise"] = f"{1000 * numbers['sigma']:.2g} mm{more}"
+    if numbers.get("blur"):
+        words["blur"] = f"{numbers['blur']:.2g} pixels"
+    if "outlier" in numbers:
+        words["outliers"] = f"{numbers['outlier']:.2g} of the pixels"
+    if np.isfinite(numbers.get("effective_pixels", np.inf)):
+        words["independent pixels"] = f"{numbers['effective_pixels']:.0f}"
+    return words
 
 
 def write_report(path: str | Path, report: Report) -> None:

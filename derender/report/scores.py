@@ -5,6 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.document import Document, read_prior_document
+from derender.errors import DerenderError
+from derender.model.priors.impossible import why_impossible
 from derender.model.scene import SceneGraph
 from derender.model.solids import PLANE
 from derender.vision.camera import Camera
@@ -33,12 +36,27 @@ class Share(NamedTuple):
     residual: float
 
 
-class Score(NamedTuple):
-    """log_prior and log_likelihood of a scene, and the `Share` of each object."""
+class PriorScore(NamedTuple):
+    """What a prior says of a scene.
 
-    log_prior: float
+    Attributes
+    ----------
+    name : of the prior: a file, a built-in one, or bare-image.
+    log_density : -inf where the prior cannot make such a scene, NaN where it cannot be asked.
+    why : in a few words, where it is not finite; else empty.
+    """
+
+    name: str
+    log_density: float
+    why: str = ""
+
+
+class Score(NamedTuple):
+    """log_likelihood of a scene, the `Share` of each object, and what a prior says of it (or None)."""
+
     log_likelihood: float
     shares: tuple[Share, ...]
+    prior: PriorScore | None = None
 
     def to_data(self) -> dict[str, Any]:
         """Return plain numbers for JSON; what is not finite becomes None."""
@@ -46,18 +64,43 @@ class Score(NamedTuple):
         def plain(value):
             return value if not isinstance(value, float) or np.isfinite(value) else None
 
-        return {"log_prior": plain(self.log_prior), "log_likelihood": plain(self.log_likelihood),
+        prior = self.prior or PriorScore("", np.nan)
+        return {"log_prior": plain(prior.log_density), "prior": prior.name, "why": prior.why,
+                "log_likelihood": plain(self.log_likelihood),
                 "objects": [{key: plain(value) for key, value in share._asdict().items()} for share in self.shares]}
 
 
-def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, prior=None, likelihood: str = "gaussian",
+def score_prior(document: Document, given: str | None = None) -> PriorScore:
+    """Score a scene file under a prior.
+
+    given : a prior file, a built-in prior or "bare-image"; None: the prior that the scene file itself names (`made:`),
+        and where it names none the default one.
+    """
+    from derender.inference.structure.scene_density import BARE_IMAGE, scene_log_prior
+
+    name = given or document.made_with or "tabletop"
+    if name == BARE_IMAGE:
+        try:
+            density = scene_log_prior(document.graph)
+        except DerenderError as error:
+            return PriorScore(name, np.nan, str(error))
+        return PriorScore(name, density, "" if density > -np.inf else "something does not touch what it rests on")
+    try:
+        prior = read_prior_document(name).prior
+    except DerenderError as error:
+        if given:
+            raise
+        return PriorScore(name, np.nan, f"{error.what}; give another with --prior")
+    return PriorScore(name, float(prior.log_density(document.graph)), why_impossible(prior, document.graph) or "")
+
+
+def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, likelihood: str = "gaussian",
                 values: Mapping[str, float] | None = None) -> Score:
     """Score a scene against an image.
 
     Parameters
     ----------
     graph : the scene. observed : (height, width) metres, NaN where nothing returned.
-    prior : its log density becomes log_prior; None: NaN.
     likelihood, values : the type of likelihood and its numbers, see `vision.likelihoods`.
     """
     solids = graph.solids()
@@ -82,4 +125,4 @@ def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, prior=N
         values_seen = residual[seen][np.isfinite(residual[seen])]
         shares.append(Share(name, int(seen.sum()), float(per_pixel[seen].sum()), float(gain),
                             float(np.median(values_seen)) if len(values_seen) else np.nan))
-    return Score(float(prior.log_density(graph)) if prior is not None else np.nan, float(total), tuple(shares))
+    return Score(float(total), tuple(shares))

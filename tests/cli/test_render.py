@@ -88,6 +88,16 @@ def test_noise_comes_from_the_files_likelihood_and_the_seed(folder):
     assert np.std((one - clean)[clean > 0]) == pytest.approx(0.005, rel=0.06)
 
 
+def test_a_sensor_may_be_a_scene_s_likelihood(folder):
+    other = SCENE.replace("sigma: 5 mm", "sigma: 1 mm, effective_pixels: 10")
+    (folder / "other.yaml").write_text(other)
+    (folder / "bare.yaml").write_text(SCENE.split("likelihood")[0])
+    assert run("bare.yaml", "-o", "clean.npz") == 0
+    assert run("bare.yaml", "-o", "noisy.npz", "--sensor", "other.yaml") == 0
+    difference = read_depth("noisy.npz").depth[24:] - read_depth("clean.npz").depth[24:]
+    assert np.std(difference) == pytest.approx(0.001, rel=0.1)
+
+
 def test_a_sensor_loses_pixels(folder):
     assert run("scene_a.yaml", "-o", "d.npz", "--sensor", "kinect") == 0
     assert 0 < np.isnan(read_depth("d.npz").depth).mean() < 0.3
@@ -124,12 +134,15 @@ def test_without_a_camera_it_says_what_it_takes(folder, capsys):
         (("scene_a.yaml", "scene_b.yaml", "-o", "d.npz"), "the same file"),
         (("scene_a.yaml", "--renderer", "raycats"), "did you mean 'raycast'"),
         (("scene_a.yaml", "--sensor", "kinekt"), "did you mean 'kinect'"),
+        (("scene_a.yaml", "--sensor", "no.yaml"), "no.yaml: there is no such file"),
+        (("scene_a.yaml", "--sensor", "plain.yaml"), "plain.yaml: this scene has no likelihood"),
         (("scene_a.yaml", "--camera", "scene_c.json"), "scene_c.json"),
         (("prior.yaml",), "prior.yaml"),
     ],
 )
 def test_a_fault_is_one_line_and_leaves_nothing(arguments, message, folder, capsys):
     (folder / "prior.yaml").write_text(SCENE.replace("side: 0.10", "side: {uniform: [0.1, 0.2]}"))
+    (folder / "plain.yaml").write_text(SCENE.split("likelihood")[0])
     before = set(folder.iterdir())
     assert run(*arguments) == 1
     error = capsys.readouterr().err

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from derender.errors import DerenderError
 from derender.inference.structure import chart as charts
 from derender.inference.structure.chart import (
     camera_poses,
@@ -32,9 +33,18 @@ from derender.inference.structure.image import ROW, make_row
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.numbers import numbers_of_draws
 from derender.inference.structure.refined import Refined, chains_of, structure_posterior
-from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_depth
+from derender.inference.structure.scene_density import scene_log_prior
+from derender.inference.structure.sensor import (
+    Sensor,
+    final_sensor,
+    first_sensor,
+    image_likelihood,
+    model_depth,
+    noise_of,
+)
 from derender.inference.structure.state import FLOOR, State
 from derender.model.pose import rotation_x, rotation_z
+from derender.model.scene import Contact, Vertex
 from derender.model.solids import BOX, CYLINDER, SPHERE
 from derender.vision.camera import Camera
 from derender.vision.likelihoods import likelihoods
@@ -221,6 +231,54 @@ def test_sensor_is_read_off_the_image(pixels):
     assert fitted.values["blur"] == pytest.approx(pixels, abs=0.03)
     # ten thousand pixels: 0.7 % is one standard deviation
     assert fitted.values["sigma"] == pytest.approx(0.003, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", ["constant", "one depth", "steep", "wild", "none"])
+def test_fitted_noise_is_in_the_range_of_a_likelihood(kind):
+    rng = np.random.default_rng(8)
+    model = rng.uniform(0.5, 2.0, 4000)
+    if kind == "one depth":
+        model[:] = 0.7
+    spread = {"steep": np.where(model > 1.25, 3.0, 1e-4), "wild": 400.0}.get(kind, 0.002)
+    residual = rng.normal(size=4000) * spread
+    if kind == "none":
+        residual[:] = np.nan
+    sigma, growth = noise_of(residual, model)
+    values = likelihoods["robust"].complete({"sigma": sigma, "sigma_growth": growth})  # checks the ranges
+    if kind in ("constant", "one depth"):
+        assert growth == 0.0 and values["sigma"] == pytest.approx(0.002, rel=0.05)
+
+
+def test_the_whole_image_s_likelihood_is_read_off_it():
+    rng = np.random.default_rng(9)
+    eye = camera(160, 120)
+    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    clean = model_depth(chart, values, eye)
+    graph = scene_graph(stack(), floor_pose())
+    true = {"sigma": 0.001, "sigma_growth": 0.002, "blur": 0.75, "outlier": 0.05, "missing": 0.1, "missing_edge": 0.1}
+    observed = likelihoods["robust"].sample(rng, clean, true)
+    name, numbers = image_likelihood(eye, observed, graph.solids(), 500.0)
+    assert name == "robust" and numbers["effective_pixels"] == 500.0
+    assert numbers["blur"] == pytest.approx(0.75, abs=0.15) and numbers["outlier"] == 0.05
+    assert numbers["missing"] == pytest.approx(0.1, abs=0.01)
+    seen = clean[clean < 2.0] ** 2
+    fitted, wanted = (each["sigma"] + each["sigma_growth"] * seen for each in (numbers, true))
+    np.testing.assert_allclose(fitted, wanted, rtol=0.15)
+    plain = likelihoods["gaussian"].sample(rng, clean, {"sigma": 0.003})
+    name, numbers = image_likelihood(eye, plain, graph.solids())
+    assert name == "gaussian" and numbers["sigma"] == pytest.approx(0.003, rel=0.03)
+    assert numbers["blur"] < 0.2 and "effective_pixels" not in numbers
+
+
+def test_a_scene_has_the_density_that_its_chart_gives_it():
+    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    graph = scene_graph(stack(), floor_pose())
+    assert scene_log_prior(graph) == pytest.approx(log_prior(chart, rows_at(chart, values)), abs=1e-6)
+    names = graph.names
+    with pytest.raises(DerenderError, match="no floor"):
+        scene_log_prior(graph.remove(names[0]))
+    with pytest.raises(DerenderError, match="carton is a mesh"):
+        scene_log_prior(graph.add(Vertex("carton", "mesh", {}, "root", Contact("6dof"), {"file": "a.obj"})))
 
 
 def test_solids_that_overlap_are_unlikely():

@@ -17,6 +17,7 @@ from derender.model.pose import rotation_x, translation
 from derender.model.priors.algorithm_1 import Algorithm1Prior
 from derender.model.priors.contacts import ContactPrior, ContactRule
 from derender.model.priors.grammar import GrammarPrior
+from derender.model.priors.impossible import why_impossible
 from derender.model.priors.root import FixedRoot, FreeRoot, LookedAtRoot
 from derender.model.priors.shapes import ShapePrior
 from derender.model.priors.tree import TreeObject, TreePrior
@@ -496,3 +497,32 @@ def test_densities_are_quick():
             prior.log_density(graph)
         times.append((time.perf_counter() - start) / len(graphs))
     assert min(times) < 1e-3
+
+
+def test_why_a_prior_rules_a_scene_out():
+    prior = read_prior_document("tabletop").prior
+    graph = prior.sample(np.random.default_rng(1))
+    assert why_impossible(prior, graph) is None
+    box = next(v for v in graph.vertices if v.shape == "box")
+    twin = replace(box, name="twin", supports=())
+    size = replace(box, parameters={**box.parameters, "length": 0.3})
+    can = replace(box, shape="cylinder", parameters={"radius": 0.03, "height": 0.1})
+
+    def with_box(vertex):
+        return replace(graph, vertices=tuple(vertex if v.name == box.name else v for v in graph.vertices))
+
+    moved = np.array(graph.root_pose)
+    moved[0, 3] += 0.1
+    for scene, cause in [
+        (with_box(size), f"{box.name}.length is 0.3, outside of 0.04 to 0.14"),
+        (with_box(can), f"{box.name} is a cylinder, and this prior makes only box, cube"),
+        (with_box(replace(box, supports=("floor",))), "a second support"),
+        (graph.add(twin), "breaks the constraint no-overlap"),
+        (replace(graph, root_pose=moved), "the root does not stand"),
+        (graph.remove("floor"), "it has no floor"),
+    ]:
+        assert cause in why_impossible(prior, scene), cause
+    fixed = read_prior_document("figure-4").prior
+    more = fixed.sample(np.random.default_rng(0))
+    more = more.add(replace(more.vertices[-1], name="extra"))
+    assert why_impossible(fixed, more) == "it has extra, which this prior has not"

@@ -83,8 +83,27 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         parts = [without_floor(part) for part in parts]
     if progress:
         progress(1.0, f"{len(state)} solids")
-    meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation}
+    meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
+            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
+
+
+def likelihood_of(parts, seen, depth, camera, temper):
+    """Return the type and the numbers of the likelihood under which the image as it came is explained.
+
+    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
+    """
+    from derender.inference.structure.sensor import image_likelihood, too_far
+    from derender.vision.camera import Camera
+
+    best = max(parts, key=lambda part: part.weight)
+    if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
+        return best.extras["likelihood"]
+    if not isinstance(camera, Camera):
+        camera = Camera(**{**camera, "width": depth.shape[1], "height": depth.shape[0]})
+    worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
+    name, numbers = image_likelihood(camera, depth, best.best()[0].solids(), worth)
+    return {"type": name, **numbers}
 
 
 def draw_graph(graph, shape, camera):

@@ -180,7 +180,9 @@ def structure_posterior(refined, names, weight, chains: list[Draws]):
     shape = values.shape[:2]
     return StructurePosterior(
         graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,
-        root.reshape(*shape, 4, 4), {"accepted": [chain.accepted for chain in chains]},
+        root.reshape(*shape, 4, 4),
+        {"accepted": [chain.accepted for chain in chains],
+         "likelihood": refined.sensor.to_data()},
     )  # fmt: skip
 
 

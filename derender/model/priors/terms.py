@@ -24,7 +24,14 @@ term_types: Registry["TermType"] = Registry("constraint", "derender.constraints"
 
 
 class Term(Protocol):
-    """One term."""
+    """One term.
+
+    Attributes
+    ----------
+    name : as it stands under `constraints:`.
+    """
+
+    name: str
 
     def log_density(self, graph: SceneGraph) -> float:
         """Return the term's log density, at most 0; -inf where the scene is ruled out."""
@@ -75,6 +82,8 @@ class NoOverlap:
     scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
     """
 
+    name = "no-overlap"
+
     def __init__(self, depth: float = 0.0005, scale: float | None = None) -> None:
         self.depth = depth
         self.scale = scale
@@ -98,6 +107,8 @@ class DoesNotTouch:
     relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
     """
 
+    name = "does-not-touch"
+
     def __init__(self, relation: Constraint) -> None:
         self.relation = relation
 
@@ -119,6 +130,8 @@ class AtMost:
     ----------
     count : how many.
     """
+
+    name = "at-most"
 
     def __init__(self, count: int) -> None:
         self.count = count

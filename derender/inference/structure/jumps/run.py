@@ -1,6 +1,7 @@
 """Scene graphs sampled behind an image by jump chains or structure SMC: `derender infer --method mcmc` or `smc`."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -116,7 +117,7 @@ def infer_by_jumps(image, camera, options, document=None, rng=None, progress=Non
         rng, prior, likelihood, camera, depth, [start], hypotheses_of(words, graph), options["method"], count,
         int(options.get("chains") or CHAINS), most=options.get("max_objects"), values=values, progress=progress,
     )  # fmt: skip
-    return posterior
+    return replace(posterior, meta={**posterior.meta, "likelihood": {"type": likelihood, **(values or {})}})
 
 
 def _likelihood_of(document, seen, settings, depth) -> tuple[str, dict[str, float]]:

@@ -1,0 +1,144 @@
+"""The files that `derender infer` leaves in its folder, written together, and what there is to tell of them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender.atomic import files_together, write_text
+from derender.document import LikelihoodPrior, document_text
+from derender.inference.posterior import Posterior
+from derender.vision.depth_file import DepthImage, write_depth
+
+WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What there is to tell.
+
+    Attributes
+    ----------
+    folder : with the files. posterior : what is in them.
+    rows : of the table, see report.tables.parameter_rows.
+    doubts : why the result is not to be trusted, one line each.
+    interrupted : by Ctrl-C.
+    """
+
+    folder: Path
+    posterior: Posterior
+    rows: Sequence[Mapping[str, Any]]
+    doubts: tuple[str, ...]
+    interrupted: bool
+
+    def table(self) -> str:
+        """Return the table, and what rests on what, as plain text."""
+        from derender.report.html import structure_words
+        from derender.report.tables import parameter_table
+
+        lines = [
+            f"{part.weight:6.3f}  {structure_words(part.graph)}"
+            for part in sorted(self.posterior.parts, key=lambda part: -part.weight)
+        ]
+        return "\n".join([*lines, *([parameter_table(self.rows)] if self.rows else [])])
+
+    def print_rich(self) -> None:
+        """Print the same with colours on a terminal: doubtful rows in red."""
+        from rich.console import Console
+        from rich.table import Table
+
+        from derender.report.html import structure_words
+        from derender.report.tables import COLUMNS, cells, doubtful
+
+        console = Console()
+        for part in sorted(self.posterior.parts, key=lambda part: -part.weight):
+            console.print(f"{part.weight:.3f}  {structure_words(part.graph)}", highlight=False)
+        if self.rows:
+            table = Table(*COLUMNS, box=None)
+            for column in table.columns[1:]:
+                column.justify = "right"
+            for row in self.rows:
+                table.add_row(*cells(row), style="red" if doubtful(row) else None)
+            console.print(table)
+
+
+def doubts_of(posterior: Posterior, rows, lost: int) -> tuple[str, ...]:
+    """Return the reasons not to trust a posterior."""
+    from derender.report.tables import limits
+
+    doubts = [f"{lost} of the chains died"] if lost else []
+    chains, draws, _ = posterior.best_part.values.shape
+    if draws < 4:
+        return tuple(doubts)
+    largest, smallest = limits(chains * draws)
+    worst = max(rows, key=lambda row: np.nan_to_num(row["r_hat"]), default=None)
+    if worst and worst["r_hat"] > largest:
+        doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
+    least = min(rows, key=lambda row: np.nan_to_num(row["ess_bulk"], nan=np.inf), default=None)
+    if least and least["ess_bulk"] < smallest:
+        doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
+    return tuple(doubts)
+
+
+def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
+                  made: Mapping[str, Any], lost: int, seconds: float) -> Outcome:  # fmt: skip
+    """Write all files of a result, as one set, and return what there is to tell.
+
+    made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
+    """
+    from derender.inference.netcdf import write_netcdf
+    from derender.report.html import likelihood_numbers, report_of, write_report
+    from derender.report.scene_json import scene_json
+
+    graph = posterior.best_graph()
+    best = posterior.best_part
+    drawn = {
+        address.removeprefix("likelihood."): float(value)
+        for address, value in _best_values(best).items()
+        if address.startswith("likelihood.")
+    }
+    likelihood = likelihood.with_values(drawn)
+    name = Path(str(posterior.meta["image"])).name
+    numbers = likelihood_numbers(likelihood)
+    report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers)
+    doubts = doubts_of(posterior, report.parameters, lost)
+    rows = {
+        row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
+        for row in report.parameters
+    }
+    summary = {
+        **made,
+        "version": posterior.version,
+        "seconds": round(seconds, 3),
+        **posterior.meta,
+        "trusted": not doubts,
+        "doubts": list(doubts),
+        "chains": int(best.values.shape[0]),
+        "draws": int(best.values.shape[1]),
+        "log_density": float(np.max(best.log_density)),
+        "structures": [{"weight": part.weight, "objects": list(part.graph.names)} for part in posterior.parts],
+        "extras": best.extras,
+        "parameters": rows,
+        "scene": scene_json(graph, posterior),
+    }
+    with files_together(folder, WRITTEN) as place:
+        write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
+        posterior.save(place / "posterior.npz")
+        write_netcdf(place / "posterior.nc", posterior)
+        write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
+        write_report(place / "report.html", report)
+        write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
+    return Outcome(folder, posterior, report.parameters, doubts, bool(posterior.meta["interrupted"]))
+
+
+def _best_values(part) -> dict[str, float]:
+    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
+    return dict(zip(part.addresses, part.values[chain, draw], strict=True))
+
+
+def _number(value: Any) -> float | None:
+    """Return a number as JSON can hold it: None for nan and infinity."""
+    return float(value) if np.isfinite(value) else None
