@@ -26,6 +26,7 @@ from derender.inference.structure.continuous import (
     own_members,
     run,
     sample,
+    single_steps,
 )
 from derender.inference.structure.graph import scene_graph
 from derender.inference.structure.graph_posterior import leading
@@ -178,7 +179,7 @@ def test_walk_draws_sizes_from_their_prior():
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
     rng = np.random.default_rng(3)
     side = int(chart.slots[0, charts.SIZE])
-    proposals = make_proposals(chart, len(values), own_members(chart, 0))
+    proposals = make_proposals(single_steps(chart, len(values), own_members(chart, 0)))
     proposals.scale[:] = 0.05
     draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
     z = (np.log(draws.values[:, side]) - math.log(charts.TYPICAL)) / charts.SPREAD

@@ -6,6 +6,8 @@ over everything. What a solid's coordinates cost (its sizes' and places' densiti
 so the ratio of integrals holds the Occam factor, and no price has to be set.
 """
 
+from functools import partial
+
 import numpy as np
 
 from derender.inference.structure.chart import make_chart
@@ -23,6 +25,7 @@ from derender.inference.structure.refined import (
 from derender.inference.structure.search import cube_of, spaced
 from derender.inference.structure.state import FLOOR
 from derender.inference.structure.support import flat_top, shadows_overlap, with_bottom
+from derender.inference.structure.threads import in_threads
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, SPHERE
 
@@ -182,9 +185,11 @@ def from_search(rng, best, pool, energy, slack):
         return []
     height = best.log_prior + best.log_likelihood
     floor = floor_pose_of(best)
-    trials = [at_mode(rng, state, floor, best.sensor, slack, QUICK) for state in near]
+    trials = in_threads(rng, [
+        partial(at_mode, state=state, floor_pose=floor, sensor=best.sensor, slack=slack, steps=QUICK) for state in near
+    ])  # fmt: skip
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
     if not trials:
         return []
-    own = whole_evidence(rng, best)
-    return [(trial, whole_evidence(rng, trial) - own) for trial in trials]
+    own, *weights = in_threads(rng, [partial(whole_evidence, refined=each) for each in (best, *trials)])
+    return [(trial, weight - own) for trial, weight in zip(trials, weights, strict=True)]

@@ -188,41 +188,62 @@ def blocks_of(chart, size):
     return blocks
 
 
-def make_proposals(chart, size, only=None, covariance=None, shrink=5e-5):
-    """Return the Proposals of a chart whose vectors have `size` coordinates.
+class Step(NamedTuple):
+    """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there."""
 
-    only : coordinates that may move, None for all.
-    covariance : (D, D) seen so far; None: single steps only, of LATTICE metres.
-    shrink : metres added to every spread, so that few draws do not make a factor singular.
-    """
-    found = []  # (members, matrix, weight, first scale, wanted)
-    allowed = set(range(size)) if only is None else set(only)
-    free = np.isin(np.arange(size), list(allowed))
+    members: np.ndarray
+    matrix: np.ndarray
+    touched: np.ndarray
+    weight: float
+    scale: float
+    wanted: float
+
+
+def single_steps(chart, size, only=None):
+    """Return the Steps along one direction each, of LATTICE metres; only : coordinates that may move, None for all."""
+    free = np.isin(np.arange(size), list(range(size) if only is None else only))
     ways = list({v.tobytes(): v for v in directions(chart, size) * free if np.any(v)}.values())
+    steps = []
     for vector in ways:
         members = np.flatnonzero(vector)
-        found.append((members, vector[members][:, None], 1.0 / len(ways), LATTICE, 0.4))
-    if covariance is not None:
-        blocks = [b for b in ([m for m in block if m in allowed] for block in blocks_of(chart, size)) if b]
-        # those that move the floor draw the whole image anew: fewer of them
-        weights = [0.4 if max(block) >= size - FLOOR_WAYS else 1.0 for block in blocks]
-        for block, share in zip(blocks, weights, strict=True):
-            spread = covariance[np.ix_(block, block)] + shrink**2 * np.eye(len(block))
-            weight = 2.0 * share / sum(weights)
-            found.append((np.array(block), np.linalg.cholesky(spread), weight, 1.5 / np.sqrt(len(block)), 0.25))
-    table = np.zeros((3, len(found) + 1), np.int64)
-    for p, (members, matrix, *_) in enumerate(found):
-        table[FIRST, p + 1] = table[FIRST, p] + len(members)
-        table[FACTOR, p + 1] = table[FACTOR, p] + matrix.size
-        table[RANK, p] = matrix.shape[1]
+        steps.append(Step(members, vector[members][:, None], touched_by(chart, members, size), 1.0 / len(ways), LATTICE,
+                          0.4))  # fmt: skip
+    return steps
+
+
+def block_steps(chart, covariance, only=None, shrink=5e-5):
+    """Return the Steps of coordinates that move together as a covariance (D, D) says.
+
+    shrink : metres added to every spread, so that few draws do not make a factor singular.
+    """
+    size = len(covariance)
+    allowed = set(range(size)) if only is None else set(only)
+    blocks = [b for b in ([m for m in block if m in allowed] for block in blocks_of(chart, size)) if b]
+    # those that move the floor draw the whole image anew: fewer of them
+    weights = [0.4 if max(block) >= size - FLOOR_WAYS else 1.0 for block in blocks]
+    steps = []
+    for block, share in zip(blocks, weights, strict=True):
+        factor = np.linalg.cholesky(covariance[np.ix_(block, block)] + shrink**2 * np.eye(len(block)))
+        steps.append(Step(np.array(block), factor, touched_by(chart, block, size), 2.0 * share / sum(weights),
+                          1.5 / np.sqrt(len(block)), 0.25))  # fmt: skip
+    return steps
+
+
+def make_proposals(steps):
+    """Return the Proposals that choose among Steps."""
+    table = np.zeros((3, len(steps) + 1), np.int64)
+    for p, step in enumerate(steps):
+        table[FIRST, p + 1] = table[FIRST, p] + len(step.members)
+        table[FACTOR, p + 1] = table[FACTOR, p] + step.matrix.size
+        table[RANK, p] = step.matrix.shape[1]
     return Proposals(
         table=table,
-        members=np.concatenate([f[0] for f in found]).astype(np.int64),
-        factors=np.concatenate([np.ravel(f[1]) for f in found]),
-        touched=np.array([touched_by(chart, f[0], size) for f in found]),
-        cumulative=np.cumsum([f[2] for f in found]),
-        scale=np.array([f[3] for f in found]),
-        wanted=np.array([f[4] for f in found]),
+        members=np.concatenate([step.members for step in steps]).astype(np.int64),
+        factors=np.concatenate([np.ravel(step.matrix) for step in steps]),
+        touched=np.array([step.touched for step in steps]),
+        cumulative=np.cumsum([step.weight for step in steps]),
+        scale=np.array([step.scale for step in steps]),
+        wanted=np.array([step.wanted for step in steps]),
     )
 
 
@@ -257,17 +278,16 @@ def sample(rng, engine, chart, values, count, thin, only=None, warm=None):
     warm : steps in each of the three rounds of the warm-up; each round's covariance shapes the next one's steps.
     """
     values = values.copy()
-    size = len(values)
     warm = max(count * thin // 4, 400) if warm is None else warm
-    proposals = make_proposals(chart, size, only)
+    singles = single_steps(chart, len(values), only)
+    proposals = make_proposals(singles)
     run(rng, engine, chart, values, proposals, 1.0, 0.15, max(warm // 10, 20), 10)
-    singles = proposals.scale
-    for round_ in range(3):
+    scales = proposals.scale
+    for _ in range(3):
         history = run(rng, engine, chart, values, proposals, 1.0, 0.08, max(warm // 10, 20), 10)
         recent = history.values[len(history.values) // 3 :]
-        proposals = make_proposals(chart, size, only, np.cov(recent.T))
-        proposals.scale[: len(singles)] = singles
-        del round_
+        proposals = make_proposals([*singles, *block_steps(chart, np.cov(recent.T), only)])
+        proposals.scale[: len(singles)] = scales
     run(rng, engine, chart, values, proposals, 1.0, 0.05, max(warm // 20, 10), 10)
     return run(rng, engine, chart, values, proposals, 1.0, 0.0, count, thin)
 

@@ -9,6 +9,7 @@ factor that its integral would give.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from derender.inference.structure.refined import (
 from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
 from derender.inference.structure.state import FLOOR, State, carried_by, held_out
 from derender.inference.structure.support import with_bottom
+from derender.inference.structure.threads import THREADS, in_threads
 from derender.inference.structure.touch import highest
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
@@ -187,8 +189,13 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         former = best
         k = 0
         while k < len(best.state):  # it may lose one on the way
-            best, others = leading(best, [*others, *of_one_solid(rng, best, k, settings.slack)])
-            k += 1
+            ahead = range(k, min(k + THREADS, len(best.state)))
+            tasks = [partial(of_one_solid, best=best, i=i, slack=settings.slack) for i in ahead]
+            for weighed in in_threads(rng, tasks):
+                k, against = k + 1, best
+                best, others = leading(best, [*others, *weighed])
+                if best is not against:  # what the next solids' changes were weighed against
+                    break
         if best is former:
             break
     if best is not first:

@@ -4,7 +4,6 @@ The search scores edges pixel by pixel without blur and cuts misfits off; here t
 are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (continuous.py).
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +19,13 @@ from derender.inference.structure.continuous import (
     make_proposals,
     own_members,
     sample,
+    single_steps,
 )
 from derender.inference.structure.graph import scene_graph
 from derender.inference.structure.image import ROW
 from derender.inference.structure.numbers import numbers_of_draws
 from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_image
+from derender.inference.structure.threads import in_threads
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
@@ -64,7 +65,7 @@ def at_mode(rng, state, floor_pose, sensor, slack, steps=ANNEALING, only=None, t
 def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
     """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
     engine = engine_of(chart, sensor)
-    proposals = make_proposals(chart, len(values), members)
+    proposals = make_proposals(single_steps(chart, len(values), members))
     count = len(state) if members is None else 1
     draws = anneal(rng, engine, chart, values, proposals, steps * max(count, 1), temperatures)
     best = int(np.argmax(draws.densities.sum(axis=1)))
@@ -141,22 +142,17 @@ def with_sensor_refitted(rng, refined):
 
 
 def chains_of(rng, refined, chains, draws, only=None):
-    """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it.
-
-    The chains run in two threads; their random numbers do not depend on it.
-    """
+    """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it."""
     steps = min(max(STEPS, STEPS * len(refined.state)), MOST_STEPS)
 
     def chain(stream):
         engine = engine_of(refined.chart, refined.sensor)
         values = refined.values.copy()
-        proposals = make_proposals(refined.chart, len(values), only)
+        proposals = make_proposals(single_steps(refined.chart, len(values), only))
         anneal(stream, engine, refined.chart, values, proposals, ANNEALING, (0.05, 0.3, 1.0))
         return sample(stream, engine, refined.chart, values, draws, steps, only)
 
-    streams = rng.spawn(chains)
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(chain, streams))
+    return in_threads(rng, [chain] * chains)
 
 
 def floor_pose_of(refined):
