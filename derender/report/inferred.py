@@ -19,6 +19,8 @@ from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.vision.depth_file import read_depth
 
+SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
+
 
 def infer_to_folder(
     image: str,
@@ -60,7 +62,7 @@ def infer_to_folder(
     if document is not None and has_objects(document):
         for key, value in found.items():
             if value:
-                option = "--" + key.replace("_", "-")
+                option = SWITCHES.get(key, "--" + key.replace("_", "-"))
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
     made = {"seed": seed, "command": command}
@@ -126,7 +128,8 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
     from derender.inference.structure.infer import infer_structure
     from derender.inference.structure.library import read_library
 
-    chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"]}
+    chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"],
+              "may_overlap": found["may_overlap"], "may_float": found["may_float"]}  # fmt: skip
     if found["shapes"]:
         chosen["shapes"] = [name.strip() for name in found["shapes"].split(",")]
         for name in chosen["shapes"]:

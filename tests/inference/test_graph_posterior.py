@@ -11,6 +11,7 @@ from scipy.stats import kstest
 from derender.errors import DerenderError
 from derender.inference.structure import chart as charts
 from derender.inference.structure.chart import (
+    Rules,
     camera_poses,
     log_prior,
     make_chart,
@@ -85,7 +86,7 @@ def camera(width, height):
 def observe(rng, state, values, view, name="gaussian"):
     """Return the Sensor of an image of a state at its own coordinates."""
     likelihood = likelihoods[name]
-    chart, start = make_chart(state, floor_pose(), 0.0015)
+    chart, start = make_chart(state, floor_pose(), Rules(0.0015))
     clean = model_depth(chart, start, view)
     values = likelihood.complete(values)
     return Sensor(view, likelihood.sample(rng, clean, values), likelihood, values), chart, start
@@ -99,7 +100,7 @@ def rows_at(chart, values):
 
 def test_chart_starts_at_the_state():
     state = stack()
-    chart, values = make_chart(state, floor_pose(), 0.0015)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
     spun = rows_at(chart, values)
     # all but the sphere's rotation, which says nothing, to rounding
     np.testing.assert_allclose(spun[:3], state.rows[:3], atol=1e-12)
@@ -107,7 +108,7 @@ def test_chart_starts_at_the_state():
 
 
 def test_what_stands_on_a_support_rises_with_it_and_stays_in_place():
-    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     before = rows_at(chart, values)
     values[chart.slots[0, charts.SIZE]] += 0.01
     values[chart.slots[0, charts.X]] += 0.02
@@ -120,7 +121,7 @@ def test_what_stands_on_a_support_rises_with_it_and_stays_in_place():
 def test_numbers_of_draws_place_the_graph_where_the_chart_does():
     rng = np.random.default_rng(1)
     state = stack()
-    chart, values = make_chart(state, floor_pose(), 0.0015)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
     draws = values + 0.003 * rng.standard_normal((5, len(values)))
     names = ["cube", "box", "can", "ball"]
     graph = scene_graph(state, floor_pose(), names)
@@ -155,7 +156,7 @@ def test_places_on_a_top_integrate_to_their_rate(theta):
     """The prior summed over all places where child and parent touch is the rate of stacked solids times the sizes'."""
     state = State().add(row(BOX, 0.2, 0.0, 0.0, 0.0, (0.09, 0.05, 0.06)), UPRIGHT, False, FLOOR, 0.0)
     state = state.add(row(BOX, 0.2 + theta, 0.0, 0.0, 0.06, (0.08, 0.04, 0.05)), UPRIGHT, False, 0, 0.06)
-    chart, values = make_chart(state, floor_pose(), 0.0015)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
     step = 0.001
     total = 0.0
     for x, y in itertools.product(np.arange(-0.12, 0.12, step), repeat=2):
@@ -164,7 +165,7 @@ def test_places_on_a_top_integrate_to_their_rate(theta):
     alone = state.copy()
     alone.rows[1, 12] -= 0.06
     alone.parents[1], alone.bottoms[1] = FLOOR, 0.0
-    other, start = make_chart(alone, floor_pose(), 0.0015)
+    other, start = make_chart(alone, floor_pose(), Rules(0.0015))
     on_floor = math.exp(solid_log_prior(other, rows_at(other, start), 1)) / charts.FLOOR_RATE
     share = total / on_floor / charts.STACKED_RATE
     assert share == pytest.approx(1.0, rel=0.02)  # the grid's border
@@ -175,7 +176,7 @@ def test_places_on_a_top_integrate_to_their_rate(theta):
 
 def test_walk_draws_sizes_from_their_prior():
     """At temperature 0 a cube's side is log-normal; without the density's 1 / side its log would be shifted."""
-    chart, values = make_chart(cube(), floor_pose(), 0.0015)
+    chart, values = make_chart(cube(), floor_pose(), Rules(0.0015))
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
     rng = np.random.default_rng(3)
     side = int(chart.slots[0, charts.SIZE])
@@ -207,7 +208,7 @@ def test_evidence_of_cube_against_box_is_that_of_quadrature():
     for is_cube, count in ((True, 400), (False, 28)):
         state = cube()
         state.cubes = [is_cube]
-        chart, values = make_chart(state, floor_pose(), 0.0015)
+        chart, values = make_chart(state, floor_pose(), Rules(0.0015))
         sizes = sorted({int(s) for s in chart.slots[0, charts.SIZE :]})
         engine = engine_of(chart, sensor)
         draws = sample(rng, engine, chart, values, 600, 12, sizes)
@@ -253,7 +254,7 @@ def test_fitted_noise_is_in_the_range_of_a_likelihood(kind):
 def test_the_whole_image_s_likelihood_is_read_off_it():
     rng = np.random.default_rng(9)
     eye = camera(160, 120)
-    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     clean = model_depth(chart, values, eye)
     graph = scene_graph(stack(), floor_pose())
     true = {"sigma": 0.001, "sigma_growth": 0.002, "blur": 0.75, "outlier": 0.05, "missing": 0.1, "missing_edge": 0.1}
@@ -272,7 +273,7 @@ def test_the_whole_image_s_likelihood_is_read_off_it():
 
 
 def test_a_scene_has_the_density_that_its_chart_gives_it():
-    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     graph = scene_graph(stack(), floor_pose())
     assert scene_log_prior(graph) == pytest.approx(log_prior(chart, rows_at(chart, values)), abs=1e-6)
     names = graph.names
@@ -283,7 +284,7 @@ def test_a_scene_has_the_density_that_its_chart_gives_it():
 
 
 def test_solids_that_overlap_are_unlikely():
-    chart, values = make_chart(stack(), floor_pose(), 0.0015)
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     free = log_prior(chart, rows_at(chart, values))
     values[chart.slots[2, charts.X]] -= 0.10
     assert log_prior(chart, rows_at(chart, values)) < free - 100

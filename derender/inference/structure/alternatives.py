@@ -75,16 +75,16 @@ def changed(state, i, row, cube):
     return new
 
 
-def of_one_solid(rng, best, i, slack):
+def of_one_solid(rng, best, i, rules):
     """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless."""
     floor = floor_pose_of(best)
     height = best.log_prior + best.log_likelihood
     found: list[Refined] = []
     for state in changes(best, i):
-        trial = at_mode(rng, state, floor, best.sensor, slack, QUICK, i)
+        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, i)
         if trial.log_prior + trial.log_likelihood > height - HOPELESS:
             found.append(trial)
-    removed = without(best, i, floor, slack)
+    removed = without(best, i, floor, rules)
     keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
     if not found and not keep_removed:
         return []
@@ -106,10 +106,10 @@ def best_of_each(weighed):
     return list(found.values())
 
 
-def without(best, i, floor, slack):
+def without(best, i, floor, rules):
     """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
     state = best.state.without(i)
-    chart, values = make_chart(state, floor, slack)
+    chart, values = make_chart(state, floor, rules)
     engine = engine_of(chart, best.sensor)
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
@@ -129,7 +129,7 @@ def merged_row(row, other):
     return new
 
 
-def merges(rng, best, slack):
+def merges(rng, best, rules):
     """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
     state = best.state
     floor = floor_pose_of(best)
@@ -151,7 +151,7 @@ def merges(rng, best, slack):
             new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
             new = new.without(j)
             place = i - (j < i)
-            trial = at_mode(rng, new, floor, best.sensor, slack, QUICK, place)
+            trial = at_mode(rng, new, floor, best.sensor, rules, QUICK, place)
             if trial.log_prior + trial.log_likelihood > height - HOPELESS:
                 odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
                 found.append((trial, odds))
@@ -166,7 +166,7 @@ def whole_evidence(rng, refined, draws=150):
     return log_evidence(found, list(range(len(refined.values))))
 
 
-def from_search(rng, best, pool, energy, slack):
+def from_search(rng, best, pool, energy, rules):
     """Return (Refined, log odds against the best) of structures that the search met on its way.
 
     pool : (state, energy) of them. energy : the best one's.
@@ -186,7 +186,7 @@ def from_search(rng, best, pool, energy, slack):
     height = best.log_prior + best.log_likelihood
     floor = floor_pose_of(best)
     trials = in_threads(rng, [
-        partial(at_mode, state=state, floor_pose=floor, sensor=best.sensor, slack=slack, steps=QUICK) for state in near
+        partial(at_mode, state=state, floor_pose=floor, sensor=best.sensor, rules=rules, steps=QUICK) for state in near
     ])  # fmt: skip
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
     if not trials:

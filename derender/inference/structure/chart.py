@@ -30,6 +30,21 @@ LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made leve
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
+class Rules(NamedTuple):
+    """What solids may do to each other.
+
+    Attributes
+    ----------
+    slack : metres within which a solid that is not held stands on its support.
+    overlap : metres by which solids may interpenetrate; inf: the term against interpenetration is off.
+    floating : whether the term against floating is off: then any height is as likely.
+    """
+
+    slack: float
+    overlap: float = OVERLAP
+    floating: bool = False
+
+
 class Chart(NamedTuple):
     """Which numbers of a structure are free.
 
@@ -40,7 +55,7 @@ class Chart(NamedTuple):
     base : (N, ROW) float64, the solids at the start: rotations are turns from there.
     order : (N,) int64, supports before what they carry.
     floor : (4, 4) float64, floor frame to camera at the start.
-    slack : metres within which a solid that is not held stands on its support.
+    slack, overlap, floating : as in Rules.
     """
 
     flags: np.ndarray
@@ -49,10 +64,12 @@ class Chart(NamedTuple):
     order: np.ndarray
     floor: np.ndarray
     slack: float
+    overlap: float
+    floating: bool
 
 
-def make_chart(state, floor_pose, slack):
-    """Return (Chart, coordinates (D,)) of a State."""
+def make_chart(state, floor_pose, rules):
+    """Return (Chart, coordinates (D,)) of a State. rules : Rules."""
     from derender.inference.structure.graph import order_of
 
     count = len(state)
@@ -94,7 +111,7 @@ def make_chart(state, floor_pose, slack):
         else:
             slots[k, SIZE + 1 :] = slots[k, SIZE]
     chart = Chart(flags, slots, rows, np.array(order, np.int64),
-                  np.ascontiguousarray(floor_pose, dtype=float), float(slack))  # fmt: skip
+                  np.ascontiguousarray(floor_pose, dtype=float), *rules)  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
 
 
@@ -228,7 +245,7 @@ def solid_log_prior(chart, rows, k):
     else:
         turns = EIGHT_PI_SQUARED / 24.0 if kind == BOX else 2.0 * np.pi
     total -= np.log(turns)
-    if not flag[HELD]:
+    if not flag[HELD] and not (chart.floating and parent == FLOOR):
         bottom = 0.0 if parent == FLOOR else highest(rows[parent])
         gap = (lowest(row) - bottom) / chart.slack
         # on a face in general, but something may lean: the tails are those of Cauchy's density
@@ -249,8 +266,8 @@ def log_prior(chart, rows):
             total -= 0.5 * (low / OVERLAP + 1.0) ** 2
         for j in range(k):
             depth = penetration(rows[k], rows[j])
-            if depth > OVERLAP:
-                total -= 0.5 * (depth / OVERLAP - 1.0) ** 2
+            if depth > chart.overlap:
+                total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
     return total
 
 

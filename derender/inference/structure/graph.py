@@ -73,12 +73,15 @@ def order_of(parents: list[int]) -> list[int]:
     return placed
 
 
-def scene_graph(state: State, floor_pose: np.ndarray, names: list[str] | None = None) -> SceneGraph:
+def scene_graph(
+    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False
+) -> SceneGraph:
     """Return the scene graph of a state, its solids called `names` (default: see names_of).
 
     Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
     made exact, one that does not keeps the rest as slack; where none fits at all the solid stays on its parent with
-    whatever slack face to face needs, and floats under the root only where even that is impossible.
+    whatever slack face to face needs, and floats under the root only where even that is impossible. Where `floating` is
+    allowed, what nothing holds floats, however near it is to the floor.
     """
     parents = list(state.parents)
     order = order_of(parents)
@@ -87,9 +90,10 @@ def scene_graph(state: State, floor_pose: np.ndarray, names: list[str] | None = 
     for k in order:
         vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
         parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
-        contact = best_contact(graph.add(vertex), names[k], parent, state.rows[k])
-        if contact is not None:
-            vertex = replace(vertex, parent=parent, contact=contact)
+        if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
+            contact = best_contact(graph.add(vertex), names[k], parent, state.rows[k])
+            if contact is not None:
+                vertex = replace(vertex, parent=parent, contact=contact)
         graph = graph.add(vertex)
     return graph
 

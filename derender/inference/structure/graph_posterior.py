@@ -28,7 +28,7 @@ from derender.inference.structure.refined import (
     structure_posterior,
 )
 from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
-from derender.inference.structure.state import FLOOR, State, carried_by, held_out
+from derender.inference.structure.state import FLOOR, State, carried_by, held_out, in_the_way
 from derender.inference.structure.support import with_bottom
 from derender.inference.structure.threads import THREADS, in_threads
 from derender.inference.structure.touch import highest
@@ -58,9 +58,9 @@ def walk_solid(rng, image, state, index, settings, scales, steps, adapt):
     state.bottoms[index] = refresh_bottom(state, index)
     depth, _, misfit, _ = held_out(image, state, index)
     state.rows[index] = walk(
-        rng, image, state.rows[index], state.forms[index], state.cubes[index], state.rows, index, depth, misfit,
-        state.bottoms[index], carried_by(state, index), settings.slack, settings.tilt, scales[index], steps,
-        settings.temper, adapt,
+        rng, image, state.rows[index], state.forms[index], state.cubes[index], in_the_way(state.rows, settings), index,
+        depth, misfit, state.bottoms[index], carried_by(state, index), settings.slack, settings.tilt, scales[index],
+        steps, settings.temper, adapt,
     )  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def alternatives(rng, image, state, settings):
 
 def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draws):
     """Return the StructurePosterior of one structure."""
-    graph = scene_graph(state, floor_pose, names)
+    graph = scene_graph(state, floor_pose, names, settings.may_float)
     addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names)
     if len(state) == 0 or draws < 2:
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
@@ -175,14 +175,14 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
 def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
     """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
-    first = best = refine(rng, seen, state, settings.slack)
+    first = best = refine(rng, seen, state, settings.rules)
     if only_best:
         return [structure_posterior(best, names_of(best.state), 1.0, [only_draw(best)])]
     energy = total_energy(seen.image, state, settings)
-    best, others = leading(best, from_search(rng, best, pool, energy, settings.slack))
+    best, others = leading(best, from_search(rng, best, pool, energy, settings.rules))
     for _ in range(MOST_MERGES):
         former = best
-        best, others = leading(best, [*others, *merges(rng, best, settings.slack)])
+        best, others = leading(best, [*others, *merges(rng, best, settings.rules)])
         if best is former:
             break
     for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
@@ -190,7 +190,7 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         k = 0
         while k < len(best.state):  # it may lose one on the way
             ahead = range(k, min(k + THREADS, len(best.state)))
-            tasks = [partial(of_one_solid, best=best, i=i, slack=settings.slack) for i in ahead]
+            tasks = [partial(of_one_solid, best=best, i=i, rules=settings.rules) for i in ahead]
             for weighed in in_threads(rng, tasks):
                 k, against = k + 1, best
                 best, others = leading(best, [*others, *weighed])
@@ -215,7 +215,7 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         if place == 0:
             drawn = chains_of(rng, trial, chains, draws)
         elif weight > WORTH_DRAWING and len(trial.state):
-            trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.slack, 100,
+            trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, 100,
                             temperatures=(0.3, 1.0))  # fmt: skip
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:

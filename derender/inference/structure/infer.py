@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.structure.image import make_image
 from derender.inference.structure.observation import observe, patches_of
@@ -31,6 +32,37 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     return state, seen._replace(image=image)
 
 
+def settings_of(options):
+    """Return the Settings that a mapping of options asks for; an open prior among them says what it allows.
+
+    Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
+    term `no-overlap`) and float (a contact `6dof` and no term `no-floating`). An option is stricter or looser still.
+    """
+    settings = Settings()
+    prior = options.get("prior")
+    if prior is not None:
+        kinds = {entry.type for entry in prior.shapes.values()}
+        terms = {term.name: term for term in prior.constraints}
+        if not kinds & set(settings.shapes):
+            remedy = "the search knows " + ", ".join(settings.shapes)
+            raise DerenderError("the prior has no shape that can be looked for", "shapes", remedy)
+        settings = settings._replace(
+            shapes=tuple(name for name in settings.shapes if name in kinds),
+            may_overlap="no-overlap" not in terms,
+            may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),
+        )
+        if "at-most" in terms:
+            settings = settings._replace(max_objects=terms["at-most"].count)
+    if options.get("shapes"):
+        settings = settings._replace(shapes=tuple(options["shapes"]))
+    if options.get("max_objects"):
+        settings = settings._replace(max_objects=int(options["max_objects"]))
+    for switch in ("may_overlap", "may_float"):
+        if options.get(switch):
+            settings = settings._replace(**{switch: True})
+    return settings
+
+
 def infer_structure(image, camera, options=None, rng=None, progress=None):
     """Infer which solids are there and what rests on what.
 
@@ -40,7 +72,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     camera : Camera, or a dict with fx, fy, cx, cy.
     options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
         draws under the best structures), "map" (the best scene only); floor ("auto", "none", or a plane in camera
-        axes), known (a library of known objects or its file), others (whether there may be solids besides them).
+        axes), known (a library of known objects or its file), others (whether there may be solids besides them),
+        may_overlap and may_float (whether solids may interpenetrate and float), prior (see settings_of).
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
     Returns a Posterior.
@@ -53,11 +86,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
 
     options = dict(options or {})
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
-    settings = Settings()
-    if options.get("shapes"):
-        settings = settings._replace(shapes=tuple(options["shapes"]))
-    if options.get("max_objects"):
-        settings = settings._replace(max_objects=int(options["max_objects"]))
+    settings = settings_of(options)
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)

@@ -15,7 +15,7 @@ from derender.inference.structure.known_image import draw_known, known_misfit, w
 from derender.inference.structure.library import Known, turn
 from derender.inference.structure.polish import FREE
 from derender.inference.structure.search import Settings, run_polish
-from derender.inference.structure.state import FLOOR, State, blank
+from derender.inference.structure.state import FLOOR, State, blank, in_the_way
 from derender.inference.structure.support import standing_on
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, MESH, SPHERE
@@ -114,8 +114,8 @@ class Placement:
         size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
         rotation, centre, energy, _ = walk_known(
             self.rng, self.image, vertices, triangles, np.ascontiguousarray(rotation), np.ascontiguousarray(centre),
-            known.proxy, size, rows, skip, view[0], view[2], base, self.settings.slack, self.tilt, scales.copy(),
-            rounds, heat, 1.0, True,
+            known.proxy, size, in_the_way(rows, self.settings), skip, view[0], view[2], base, self.settings.slack,
+            self.tilt, scales.copy(), rounds, heat, 1.0, True,
         )  # fmt: skip
         return energy, rotation, centre
 

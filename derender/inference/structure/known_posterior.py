@@ -11,7 +11,7 @@ from derender.inference.structure.image import make_row, rotation_of
 from derender.inference.structure.known import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.inference.structure.known_image import walk_known
 from derender.inference.structure.polish import walk
-from derender.inference.structure.state import FLOOR, NOTHING
+from derender.inference.structure.state import FLOOR, NOTHING, in_the_way
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
@@ -133,7 +133,7 @@ def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
     """Return one solid after some Metropolis steps given the others."""
     item, settings, image = placed[k], placement.settings, placement.image
     depth, _, misfit = placement.view(placed, k)
-    rows = placement.rows(placed)
+    rows = in_the_way(placement.rows(placed), settings)
     if item.known is None:
         row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
                    settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip

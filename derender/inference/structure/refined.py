@@ -52,12 +52,12 @@ class Refined(NamedTuple):
     log_likelihood: float
 
 
-def at_mode(rng, state, floor_pose, sensor, slack, steps=ANNEALING, only=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
+def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
     """Return the Refined of a state, annealed under a sensor model.
 
     only : index of the one solid that may move (and the coordinates given by its own), None for all.
     """
-    chart, values = make_chart(state, floor_pose, slack)
+    chart, values = make_chart(state, floor_pose, rules)
     return climb(rng, state, chart, values, sensor, steps, None if only is None else own_members(chart, only),
                  temperatures)  # fmt: skip
 
@@ -82,17 +82,17 @@ def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
     return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
 
 
-def refine(rng, seen, state, slack):
+def refine(rng, seen, state, rules):
     """Return the Refined of the search's best state, the sensor fitted on the way."""
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
-    chart, values = make_chart(state, seen.floor.pose, slack)
+    chart, values = make_chart(state, seen.floor.pose, rules)
     sensor = first_sensor(camera, observed, chart, values)
     refined = settled(rng, climb(rng, state, chart, values, sensor, ANNEALING))
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
         return refined
-    chart, values = make_chart(kept, floor_pose_of(refined), slack)
+    chart, values = make_chart(kept, floor_pose_of(refined), rules)
     return settled(rng, climb(rng, kept, chart, values, refined.sensor, ANNEALING))
 
 
@@ -166,7 +166,7 @@ def floor_pose_of(refined):
 
 def structure_posterior(refined, names, weight, chains: list[Draws]):
     """Return the StructurePosterior of a Refined and its chains' draws; its first draw is the mode."""
-    graph = scene_graph(refined.state, floor_pose_of(refined), names)
+    graph = scene_graph(refined.state, floor_pose_of(refined), names, refined.chart.floating)
     values = np.stack([chain.values for chain in chains])
     densities = np.stack([chain.densities for chain in chains])
     values[0, 0] = refined.values

@@ -7,7 +7,7 @@ one structure; different structures compare by integrals (see `alternatives.py`)
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.inference.structure.chart import log_prior, make_chart, place_rows
+from derender.inference.structure.chart import Rules, log_prior, make_chart, place_rows
 from derender.inference.structure.image import ROW, make_row
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT
 from derender.inference.structure.state import FLOOR, State
@@ -21,7 +21,7 @@ from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE
 BARE_IMAGE = "bare-image"  # the name of this prior, where a prior is named
 
 
-def scene_log_prior(graph: SceneGraph, slack: float = SLACK) -> float:
+def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     """Return the log density of a scene of boxes, cubes, cylinders and spheres over one floor.
 
     Raises
@@ -29,7 +29,7 @@ def scene_log_prior(graph: SceneGraph, slack: float = SLACK) -> float:
     DerenderError : there is no floor, or more than one, or a solid of another kind.
     """
     state, floor_pose = state_of(graph)
-    chart, values = make_chart(state, floor_pose, slack)
+    chart, values = make_chart(state, floor_pose, Rules(SLACK) if rules is None else rules)
     rows = np.empty((len(state), ROW))
     place_rows(chart, values, rows)
     return float(log_prior(chart, rows))

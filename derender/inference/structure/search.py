@@ -8,7 +8,7 @@ from derender.inference.structure.focus import refocused
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.moves import aligned_pairs, find_places, merge_pair, propose
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
-from derender.inference.structure.state import State, carried_by, energy, held_out
+from derender.inference.structure.state import State, carried_by, energy, held_out, in_the_way
 from derender.inference.structure.support import assign_supports
 from derender.model.solids import BOX, SPHERE
 
@@ -30,6 +30,7 @@ class Settings(NamedTuple):
     free_price : nats that a tilted pose costs more than an upright one.
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
+    may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
@@ -48,6 +49,20 @@ class Settings(NamedTuple):
     clean: float = 4.0
     floating_price: float = 30.0
     temper: float = 1.0
+    may_overlap: bool = False
+    may_float: bool = False
+
+    @property
+    def rules(self):
+        """What solids may do to each other, see chart.Rules."""
+        from derender.inference.structure.chart import OVERLAP, Rules
+
+        return Rules(self.slack, np.inf if self.may_overlap else OVERLAP, self.may_float)
+
+    @property
+    def height_price(self):
+        """Nats that a solid's height costs where it may float: it lies anywhere in a metre, not within the slack."""
+        return self.temper * np.log(1.0 / self.slack)
 
     def for_correlation(self, correlation):
         """Return the settings for an image whose neighbouring residuals have this correlation.
@@ -69,8 +84,8 @@ def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings
     """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
     depth, _, misfit, _ = view
     return polish(
-        rng, image, row, form, cube, state.rows, index, depth, misfit, bottom, carried_by(state, index), settings.slack,
-        settings.tilt, rounds, step, heat,
+        rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
+        carried_by(state, index), settings.slack, settings.tilt, rounds, step, heat,
     )  # fmt: skip
 
 
@@ -187,11 +202,11 @@ def prune(image, state, settings):
 
 def settle(rng, image, state, settings, rounds=200, only=None):
     """Put every solid on its support, polish, make cubes, and prune; return a new state."""
-    state = assign_supports(image, state, settings.slack)
+    state = assign_supports(image, state, settings)
     sweep(rng, image, state, settings, rounds, only=only)
     state = try_cubes(rng, image, state, settings, only=only)
     state = prune(image, state, settings)
-    return assign_supports(image, state, settings.slack)
+    return assign_supports(image, state, settings)
 
 
 def search(rng, image, hypotheses, settings, pool=None):
@@ -274,10 +289,10 @@ def complexity(kind, form, cube, settings):
 
 def total_energy(image, state, settings):
     """Return minus the log posterior density of a state, up to a constant."""
-    total = energy(image, state, settings.slack, 0.0)
+    total = energy(image, state, settings.slack, 0.0, in_the_way(state.rows, settings))
     for k in range(len(state)):
         total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
         total += tilt_energy(state.rows[k], state.forms[k], settings.tilt)
         if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
-            total += settings.floating_price
+            total += settings.height_price if settings.may_float else settings.floating_price
     return total

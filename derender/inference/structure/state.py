@@ -73,14 +73,20 @@ def held_out(image, state, index):
     return depth, label, misfit, total
 
 
-def energy(image, state, slack, per_object):
+def in_the_way(rows, settings):
+    """Return the solids (N, ROW) that others must not enter: none where interpenetration is allowed."""
+    return rows[:0] if settings.may_overlap else rows
+
+
+def energy(image, state, slack, per_object, in_the_way):
     """Return misfit + prior + contact energies of a state: minus its log posterior density up to a constant.
 
+    in_the_way : (N, ROW) the solids that must not be entered: those of the state, or none.
     per_object : price in nats of each solid (minus the log of the prior odds of one more, and its parameters' Occam
         factor where that is taken as a constant).
     """
     *_, total = held_out(image, state, -1)
     for k in range(len(state)):
         total += size_energy(state.rows[k], state.cubes[k])
-        total += contact_energy(state.rows[k], state.rows, k, state.bottoms[k], NOTHING, slack)
+        total += contact_energy(state.rows[k], in_the_way, k, state.bottoms[k], NOTHING, slack)
     return total + per_object * len(state)

@@ -4,7 +4,7 @@ import numpy as np
 
 from derender.inference.structure.image import added_misfit
 from derender.inference.structure.polish import UPRIGHT, contact_energy, size_energy
-from derender.inference.structure.state import FLOOR, NOTHING, held_out
+from derender.inference.structure.state import FLOOR, NOTHING, held_out, in_the_way
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
@@ -43,9 +43,13 @@ def touches(row, other, reach=NEAR):
     return penetration(lowered, other) > 0.5 * reach * 0.2
 
 
-def assign_supports(image, state, slack):
-    """Choose each solid's support, and for upright boxes and cylinders move the bottom onto it. Returns a new state."""
+def assign_supports(image, state, settings):
+    """Choose each solid's support, and for upright boxes and cylinders move the bottom onto it. Returns a new state.
+
+    Where solids may float, standing on nothing, as the solid is, competes with the supports.
+    """
     state = state.copy()
+    others = in_the_way(state.rows, settings)
     order = np.argsort([lowest(r) for r in state.rows])
     for i in order:
         row = state.rows[i]
@@ -63,10 +67,18 @@ def assign_supports(image, state, slack):
                 trial = with_bottom(row, height)
                 value = (
                     added_misfit(image, trial, depth, misfit) + size_energy(trial, False)
-                    + contact_energy(trial, state.rows, i, height, NOTHING, slack) - 0.5 * (j != FLOOR)
+                    + contact_energy(trial, others, i, height, NOTHING, settings.slack) - 0.5 * (j != FLOOR)
                 )  # fmt: skip
                 if value < best:
                     best, choice, best_row = value, j, trial
+            if settings.may_float and lowest(row) > NEAR:
+                value = (
+                    added_misfit(image, row, depth, misfit) + size_energy(row, False) + settings.height_price
+                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack)
+                )  # fmt: skip
+                if value < best:
+                    state.parents[i], state.bottoms[i] = FLOOR, np.nan
+                    continue
             state.rows[i] = best_row
             state.parents[i] = choice
             state.bottoms[i] = 0.0 if choice == FLOOR else highest(state.rows[choice])

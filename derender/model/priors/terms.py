@@ -141,6 +141,16 @@ class AtMost:
         return 0.0 if bounded <= self.count else -math.inf
 
 
+class NoFloating:
+    """Every solid of finite size rests on something: none is placed freely (`6dof`)."""
+
+    name = "no-floating"
+
+    def log_density(self, graph):
+        free = any(vertex.contact.type == "6dof" and shapes[vertex.shape].bounded for vertex in graph.vertices)
+        return -math.inf if free else 0.0
+
+
 @term_types.register("at-most")
 class AtMostType(TermType):
     """No more than so many objects, floors and frames not counted: `at-most: 4`."""
@@ -162,6 +172,16 @@ class NoOverlapType(TermType):
         depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
         scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
         return NoOverlap(depth, scale)
+
+
+@term_types.register("no-floating")
+class NoFloatingType(TermType):
+    """No solid hangs in the air, placed freely (`6dof`): `no-floating`."""
+
+    def read(self, node, names):
+        if node is not None:
+            raise node.fault("no-floating takes no value", "write no-floating alone")
+        return NoFloating()
 
 
 @term_types.register("does-not-touch")

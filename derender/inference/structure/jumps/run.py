@@ -92,22 +92,21 @@ def sample_structures(
 def infer_by_jumps(image, camera, options, document=None, rng=None, progress=None) -> Posterior:
     """Infer what there is from an image alone, or under a document's open prior, by jumps from the fast search's scene.
 
-    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, chains, draws, seed.
+    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, chains,
+        draws, seed.
     """
     from derender.inference.structure.graph import scene_graph
-    from derender.inference.structure.infer import point_estimate
-    from derender.inference.structure.search import Settings
+    from derender.inference.structure.infer import point_estimate, settings_of
 
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
     if progress:
         progress(0.0, "searching for solids")
-    settings = Settings()
-    if options.get("shapes"):
-        settings = settings._replace(shapes=tuple(options["shapes"]))
+    settings = settings_of(options if document is None else {**options, "prior": document.prior})
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     state, seen = point_estimate(rng, depth, camera, settings)
-    graph = scene_graph(state, seen.floor.pose)
-    prior = default_prior(seen.floor.pose, settings.shapes) if document is None else document.prior
+    graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
+    prior = document.prior if document is not None else default_prior(
+        seen.floor.pose, settings.shapes, settings.may_overlap, settings.may_float)  # fmt: skip
     words = Vocabulary(prior)
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)

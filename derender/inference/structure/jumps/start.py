@@ -30,7 +30,10 @@ contacts:
              y: {normal: [0, 0.3]}}
   lying: {type: side-on-face, parent_face: top, x: {normal: [0, 0.3]}, y: {normal: [0, 0.3]}}
   rolling: {type: point-on-face, parent_face: top, x: {normal: [0, 0.3]}, y: {normal: [0, 0.3]}}
-constraints: [no-overlap: {depth: 2 mm, scale: 1 mm}]
+"""
+SOLID = "constraints: [no-overlap: {depth: 2 mm, scale: 1 mm}]\n"
+FLOATING = """  floating: {type: 6dof, quat_wxyz: uniform-rotation,
+             position: [{normal: [0, 0.3]}, {normal: [0, 0.3]}, {uniform: [0, HIGH]}]}
 """
 SIZES = {
     "box": "box: {weight: 2, length: LAW, width: LAW, height: LAW}",
@@ -40,8 +43,13 @@ SIZES = {
 }
 
 
-def default_prior(floor_pose: np.ndarray, shapes: Sequence[str] = tuple(SIZES)) -> GrammarPrior:
-    """Return a grammar on a floor at `floor_pose` (4, 4), root to camera, with sizes in scale with its distance."""
+def default_prior(
+    floor_pose: np.ndarray, shapes: Sequence[str] = tuple(SIZES), may_overlap: bool = False, may_float: bool = False
+) -> GrammarPrior:
+    """Return a grammar on a floor at `floor_pose` (4, 4), root to camera, with sizes in scale with its distance.
+
+    may_overlap : leave out the term against interpenetration. may_float : let objects hang in the air.
+    """
     from pathlib import Path
 
     from derender.document import document_from
@@ -51,7 +59,13 @@ def default_prior(floor_pose: np.ndarray, shapes: Sequence[str] = tuple(SIZES)) 
     law = f"{{log-uniform: [{low:.6f}, {high:.6f}]}}"
     half = f"{{log-uniform: [{0.5 * low:.6f}, {0.5 * high:.6f}]}}"
     text = ", ".join(SIZES[name].replace("LAW", law).replace("HALF", half) for name in SIZES if name in shapes)
-    top, folder = parse_yaml(DEFAULT.replace("SHAPES", text).encode(), "the default prior"), Path.cwd()
+    rules = DEFAULT.replace("SHAPES", text)
+    if may_float:
+        rules = rules.replace("offspring: {", "offspring: {root: {poisson: 0.3}, ")
+        rules += FLOATING.replace("HIGH", f"{high:.6f}")
+    if not may_overlap:
+        rules += SOLID
+    top, folder = parse_yaml(rules.encode(), "the default prior"), Path.cwd()
     prior = cast(GrammarPrior, document_from(top, folder).prior)
     return replace(prior, root=FixedRoot(floor_pose))
 
