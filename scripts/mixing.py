@@ -1,6 +1,6 @@
 """Measure how fast chains learn: on towers drawn as in Figure 4, and in Metropolis-Hastings steps a second.
 
-    python scripts/mixing.py [-n 100] [--thin 40]
+    python scripts/mixing.py [-n 100] [--thin 30]
 
 Prints the R-hat of every scene, the effective samples a second of the default mixture beside those of resimulation
 alone (the paper's kernel) on one scene in the same run, and steps a second on a plane with four boxes, for one chain
@@ -93,7 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("-n", type=int, default=20, help="towers")
     parser.add_argument("--first", type=int, default=0, help="number of the first tower")
-    parser.add_argument("--thin", type=int, default=40)
+    parser.add_argument("--thin", type=int, default=30)
     arguments = parser.parse_args()
     for size in ((64, 64), (160, 120)):
         alone = steps_a_second(size)
@@ -101,7 +101,7 @@ def main() -> None:
             two = sum(pool.map(steps_a_second, [size, size], chunksize=1))
         print(f"{size[0]}x{size[1]}: {alone:,.0f} drift steps a second, two processes {two / alone:.2f} times as many")
     document = read_prior_document("figure-4")
-    settings = read_settings(document.inference)._replace(draws=2000, warmup=300, thin=arguments.thin)
+    settings = read_settings(document.inference)._replace(draws=2000, warmup=200, thin=arguments.thin)
     measured(document, settings._replace(draws=10, warmup=10), 0)  # compiles
     _, _, ours, wall, processor = measured(document, settings, 0)
     plain = settings._replace(kernels=[{"resimulate": {}}], population=1, warmup=20)

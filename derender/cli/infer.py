@@ -45,7 +45,7 @@ from derender.cli.options import Talk
 @click.option("--only-known", is_flag=True, help="There is nothing but what --known lists.")
 @click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4.")
 @click.option("--draws", type=click.IntRange(1, 10_000_000), help="Kept draws of each chain. Default 1000.")
-@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 500.")
+@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 200.")
 @click.option("--allow-interpenetration", "may_overlap", is_flag=True, help="Without --scene: solids may enter others.")
 @click.option("--allow-floating", "may_float", is_flag=True, help="Without --scene: solids may hang in the air.")
 @options.jobs

@@ -3,22 +3,15 @@
 import json
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from derender.inference.adaptation import centre_of, covariance_of, first_tuning, rescale
+from derender.inference.adaptation import first_tuning, rescale
 from derender.inference.chains import Segment
 from derender.inference.kernels.base import Part, Target, Tuning, evaluate, kernels
-from derender.inference.smc import tempered
-
-LOCAL = ("drift", "slide", "window", "slide-window", "choose")  # kernels that move particles of a starting population
-GOOD = 20.0  # nats below the best place found: as good a start
-START_STEPS = 40  # of the mixture, for each particle and temperature
-PILOTS = (20, 40)  # rounds of each pilot chain; after each of these the archive is taken anew
-ARCHIVE = 64  # places that the archive keeps
+from derender.inference.pilots import LOCAL, fly, shaped
 
 
 class Stretch(NamedTuple):
@@ -35,6 +28,9 @@ class Backend(Protocol):
     def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood."""
 
+    def program(self, tuning: Tuning) -> Any:
+        """Return what a sweep needs of a tuning. Made once in one thread, its fits are there for all."""
+
     def sweep(self, rng, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
         """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
 
@@ -49,8 +45,11 @@ class ReadableBackend:
         state = evaluate(self.target, values)
         return state.log_prior, state.log_likelihood
 
+    def program(self, tuning):
+        return [kernels[part.type].build(self.target, part.block, tuning, part.options) for part in self.parts]
+
     def sweep(self, rng, values, tuning, draws, thin, taken=0):
-        built = [kernels[part.type].build(self.target, part.block, tuning, part.options) for part in self.parts]
+        built = self.program(tuning)
         cumulative = np.cumsum([part.weight for part in self.parts])
         counts = np.zeros((len(built), 2), np.int64)
         state = evaluate(self.target, np.array(values, float))
@@ -105,58 +104,22 @@ class MixtureSampler:
         make = getattr(self.target, "backend", None)
         return make(parts, self.cycle) if make else ReadableBackend(self.target, parts, self.cycle)
 
-    def explore(self, rng):
-        """Return the values (n, P), log posterior densities (n,) and step scales of a tempered population."""
-        parts = [part for part in self.parts if part.type in LOCAL] or self.parts
-        total = sum(part.weight for part in parts)
-        movers = self.backend([part._replace(weight=part.weight / total) for part in parts])
-        found = tempered(rng, self.target.space, movers, movers.parts, self.population, START_STEPS, self.particles)
-        return found.values, found.densities.sum(axis=1), dict(found.tuning.scale)
-
     def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
-        """Return the sampler with the places that `chains` populations have found together.
-
-        What one population misses another finds: every chain starts at one of the good places, chosen by its own
-        generator. The populations depend on the seed alone.
-        """
+        """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
         if self.population <= 1:
             return self
-        rngs = [np.random.default_rng([seed, 3, number]) for number in range(chains)]
-        with ThreadPoolExecutor(jobs) as pool:
-            explored = list(pool.map(self.explore, rngs))
-        values = np.concatenate([found[0] for found in explored])
-        densities = np.concatenate([found[1] for found in explored])
-        good = densities > np.max(densities) - GOOD
-        if not good.any():  # no population found anything possible: each chain starts from the prior on its own
+        local = [part for part in self.parts if part.type in LOCAL] or self.parts
+        total = sum(part.weight for part in local)
+        local = [part._replace(weight=part.weight / total) for part in local]
+        backends = [self.backend() for _ in range(chains)]
+        movers = [self.backend(local) for _ in range(chains)]
+        found = fly(self.target.space, backends, self.parts, movers, seed, jobs, self.thin, self.population,
+                    self.particles)  # fmt: skip
+        if found is None:  # nothing possible: each chain starts from the prior on its own
             return self
-        best = int(np.argmax([np.max(found[1]) for found in explored]))
         sampler = copy(self)
-        sampler.places = values[good]
-        sampler.learned = first_tuning(self.target.space, sampler.places[0])._replace(
-            scale=explored[best][2], archive=spread_out(sampler.places)
-        )
-        for stage, rounds in enumerate(PILOTS):
-            rngs = [np.random.default_rng([seed, 4, stage, number]) for number in range(chains)]
-            with ThreadPoolExecutor(jobs) as pool:
-                found = list(pool.map(lambda rng, rounds=rounds: sampler.pilot(rng, rounds), rngs))
-            sampler.places = np.concatenate([later for later, _ in found])
-            scale = {key: float(np.exp(np.mean([np.log(s.get(key, 1.0)) for _, s in found]))) for key in found[0][1]}
-            tuning = sampler.learned._replace(scale=scale, archive=spread_out(sampler.places))
-            sampler.learned = sampler._shape(tuning, sampler.places)
+        sampler.places, sampler.learned = found
         return sampler
-
-    def pilot(self, rng, rounds: int) -> tuple[np.ndarray, dict[str, float]]:
-        """Return the places (n, P) of the later half of a chain that adapts, and its kernels' scales."""
-        values, tuning = self.places[int(rng.random() * len(self.places))], self.learned
-        backend, kept = self.backend(), []
-        for number in range(0, rounds, 5):
-            stretch = backend.sweep(rng, values, tuning, 5, self.thin, number * self.thin)
-            values = stretch.values[-1]
-            kept.append(stretch.values)
-            gain = 3.0 / math.sqrt(1.0 + number / 5)
-            tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
-        history = np.concatenate(kept)
-        return history[len(history) // 2 :], dict(tuning.scale)
 
     def start(self, rng):
         space = self.target.space
@@ -180,15 +143,8 @@ class MixtureSampler:
             gain = 3.0 / math.sqrt(1.0 + 10.0 * done / total)
             tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
             history = np.concatenate([history, stretch.values])
-            tuning = self._shape(tuning, history[len(history) // 2 :])
+            tuning = shaped(self.target.space, tuning, history[len(history) // 2 :])
         return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
-
-    def _shape(self, tuning: Tuning, recent: np.ndarray) -> Tuning:
-        """Fit centre and covariance to where chains have been of late."""
-        if len(recent) < 20:
-            return tuning
-        centre = centre_of(self.target.space, recent)
-        return tuning._replace(mean=centre, covariance=covariance_of(self.target.space, recent, centre))
 
     def advance(self, rng, state, draws):
         values, tuning, history, counts, taken = _unpack(state)
@@ -196,11 +152,6 @@ class MixtureSampler:
         taken += draws * self.thin
         state = _pack(stretch.values[-1], tuning, history, self.parts, counts + stretch.counts, taken)
         return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
-
-
-def spread_out(places: np.ndarray) -> np.ndarray:
-    """Return at most ARCHIVE of the places, evenly spaced."""
-    return places[np.linspace(0, len(places) - 1, min(ARCHIVE, len(places))).round().astype(int)]
 
 
 def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:

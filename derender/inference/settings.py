@@ -26,7 +26,7 @@ class Settings(NamedTuple):
     population: int = 16
     chains: int = 4
     draws: int = 1000
-    warmup: int = 500
+    warmup: int = 200
     where: str | None = None
 
 

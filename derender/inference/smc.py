@@ -5,6 +5,7 @@ the exponent as far as half of the population's weight can bear, resamples, and 
 kernels that leaves the new stage invariant. It finds the one mode that matters among many, and estimates the evidence.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,13 @@ from derender.inference.space import Space
 LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
 
 
+class Stop(NamedTuple):
+    """A population on the way. values : (n, P) float64; tuning : with the temperature and the scales of then."""
+
+    values: np.ndarray
+    tuning: Tuning
+
+
 class Population(NamedTuple):
     """Particles of equal weight from the posterior.
 
@@ -25,6 +33,7 @@ class Population(NamedTuple):
     log_evidence : estimate of log p(image); unbiased on the natural scale but for the adaptation.
     tuning : scales that the moves ended with.
     temperatures : the exponents gone through.
+    stops : the populations at the exponents that were asked for, or just above.
     """
 
     values: np.ndarray
@@ -32,6 +41,7 @@ class Population(NamedTuple):
     log_evidence: float
     tuning: Tuning
     temperatures: tuple[float, ...]
+    stops: tuple[Stop, ...] = ()
 
 
 def next_temperature(log_likelihood: np.ndarray, present: float, share: float = 0.5) -> float:
@@ -68,6 +78,7 @@ def tempered(
     particles: int,
     steps: int,
     drawn: int | None = None,
+    stops: Sequence[float] = (),
 ) -> Population:
     """Run the sampler.
 
@@ -77,13 +88,14 @@ def tempered(
     parts : the mixture that moves the particles.
     particles : how many. steps : of the mixture for each particle and stage.
     drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
+    stops : exponents, rising, at which to keep the population.
     """
     count = max(particles, drawn or particles)
     values = np.array([space.sample(rng) for _ in range(count)])
     densities = np.array([backend.evaluate(value) for value in values])
     tuning = first_tuning(space, values[0])
     present, log_evidence = 0.0, 0.0
-    temperatures = [0.0]
+    temperatures, kept = [0.0], list[Stop]()
     while present < 1.0:
         following = next_temperature(densities[:, 1], present, 0.5 * particles / len(values))
         logs = (following - present) * densities[:, 1]
@@ -103,4 +115,6 @@ def tempered(
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts
         tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, 2.0))
-    return Population(values, densities, log_evidence, tuning, tuple(temperatures))
+        while len(kept) < len(stops) and present >= stops[len(kept)]:
+            kept.append(Stop(values.copy(), tuning))
+    return Population(values, densities, log_evidence, tuning, tuple(temperatures), tuple(kept))

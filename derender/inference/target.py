@@ -18,6 +18,7 @@ from derender.model.scene import SceneGraph
 from derender.model.shapes import shapes
 
 TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
+MOST_ARCHIVES = 16  # of which the placements are remembered
 NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
 
@@ -112,7 +113,7 @@ class SceneTarget:
         }
         self.bases = {name: base_of(graph, name.removesuffix(".contact"), set(self.space.addresses))
                       for name in self.space.relocations}  # fmt: skip
-        self._placements: dict[tuple[str, bytes], np.ndarray] = {}
+        self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
     def backend(self, parts: list[Part], cycle: bool = False):
@@ -221,10 +222,10 @@ class SceneTarget:
         """Return the period of a placement's angle."""
         return self.folds[f"{block.name}.theta"][1]
 
-    def _frames(self, graph: SceneGraph, block: Block) -> tuple[np.ndarray, np.ndarray]:
+    def _frames(self, graph: SceneGraph, block: str) -> tuple[np.ndarray, np.ndarray]:
         """Return (4, 4) to the camera: the face below everything, and the turned face that the object stands on."""
-        name = block.name.removesuffix(".contact")
-        base, face = self.bases[block.name]
+        name = block.removesuffix(".contact")
+        base, face = self.bases[block]
         vertex, poses = graph.vertex(name), graph.poses()
         below = poses[base] @ graph.body(base).face(face).frame
         return below, poses[name] @ vertex.body.face(vertex.contact.child_face).frame @ TURNED
@@ -232,30 +233,36 @@ class SceneTarget:
     def placement(self, values: np.ndarray, block: Block) -> tuple[np.ndarray, float]:
         """Return w = (angle, x, y) of an object on the lowest parallel face below it, and log |dw / d phi|."""
         graph = self.graph(values)
-        below, own = self._frames(graph, block)
-        relative = inverse(below) @ own
-        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.placement_period(block))
         vertex = graph.vertex(block.name.removesuffix(".contact"))
         numbers, log_area = vertex.contact.values, 0.0
         if f"{block.name}.u" in self._index:
             on, by = graph.body(vertex.parent), vertex.body
             outlines = on.face(vertex.contact.parent_face).outline, by.face(vertex.contact.child_face).outline
             log_area = math.log(area_element(numbers["u"], numbers["theta"], *outlines))
-        return np.array([angle, relative[0, 3], relative[1, 3]]), log_area
+        return self._place(graph, block.name), log_area
+
+    def _place(self, graph: SceneGraph, block: str) -> np.ndarray:
+        below, own = self._frames(graph, block)
+        relative = inverse(below) @ own
+        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.folds[f"{block}.theta"][1])
+        return np.array([angle, relative[0, 3], relative[1, 3]])
 
     def placements(self, block: Block, archive: np.ndarray) -> np.ndarray:
         """Return (K, 3), the placement of an object in each of (K, P) values."""
-        key = block.name, archive.tobytes()
-        if key not in self._placements:
-            if len(self._placements) > 8 * len(self.bases):
+        content = archive.tobytes()
+        if content not in self._placements:
+            graphs = [self.graph(values) for values in archive]
+            found = {name: np.array([self._place(graph, name) for graph in graphs]) for name in self.bases}
+            if len(self._placements) >= MOST_ARCHIVES:
                 self._placements.clear()
-            self._placements[key] = np.array([self.placement(values, block)[0] for values in archive])
-        return self._placements[key]
+            self._placements[content] = found
+            return found[block.name]
+        return self._placements[content][block.name]
 
     def put(self, values: np.ndarray, block: Block, place: np.ndarray) -> np.ndarray | None:
         """Return the values with an object at another placement, at its height; None where it would lose contact."""
         graph = self.graph(values)
-        below, own = self._frames(graph, block)
+        below, own = self._frames(graph, block.name)
         relative = inverse(below) @ own
         vertex = graph.vertex(block.name.removesuffix(".contact"))
         contact, on, by = vertex.contact, graph.body(vertex.parent), vertex.body

@@ -42,7 +42,7 @@ def tuning(space, temperature=1.0):
     for i, unknown in enumerate(space.unknowns):
         if unknown.distribution.size == 4:
             centre[space.offsets[i] : space.offsets[i] + 4] = (1.0, 0.0, 0.0, 0.0)
-    archive = np.array([space.sample(rng) for _ in range(9)])
+    archive = np.array([space.sample(rng) for _ in range(40)])
     return Tuning(centre, covariance, {}, temperature, archive)
 
 

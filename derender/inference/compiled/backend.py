@@ -3,7 +3,7 @@
 import numpy as np
 
 from derender.inference.compiled.evaluate import load
-from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS
+from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Kernels
 from derender.inference.compiled.program import NotCompiled, chain_of, kernels_of, model_of
 from derender.inference.compiled.steps import WINDOW, sweep
 from derender.inference.kernels import kernels
@@ -30,6 +30,7 @@ class CompiledBackend:
         evaluator = target.images.evaluator()
         evaluator.load(target.graph(self._somewhere()).solids())
         self.engine = evaluator.state
+        self._tuned: tuple[Tuning, Kernels] | None = None
 
     def _somewhere(self) -> np.ndarray:
         """Return values inside the support: the engine needs one scene to size its arrays."""
@@ -42,9 +43,15 @@ class CompiledBackend:
         load(self.model, self.chain, self.engine, np.ascontiguousarray(values, np.float64))
         return float(self.chain.values[NOW, PRIOR]), float(self.chain.values[NOW, DENSITY])
 
+    def program(self, tuning: Tuning) -> Kernels:
+        """Return the mixture's arrays under a tuning; those of the last one are kept."""
+        if self._tuned is None or self._tuned[0] is not tuning:
+            self._tuned = tuning, kernels_of(self.target, self.parts, tuning)
+        return self._tuned[1]
+
     def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
-        program = kernels_of(self.target, self.parts, tuning)
+        program = self.program(tuning)
         load(self.model, self.chain, self.engine, np.ascontiguousarray(values, np.float64))
         self.chain.flags[STEPS] = taken
         size = len(values)

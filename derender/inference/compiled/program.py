@@ -18,7 +18,7 @@ from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.kernels.drift import directions_of, factor_of
 from derender.inference.kernels.flip import flips_of
-from derender.inference.kernels.relocate import proposal_of
+from derender.inference.kernels.relocate import places_of
 from derender.inference.kernels.slide import marginal_factor
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME
@@ -161,8 +161,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
         elif kind.code == steps.RELOCATE:
             base, face = target.bases[part.block.name]
             moved = [*target.placed_by(part.block), target.template.names.index(base), FEATURE_CODES[face]]
-            centres, spread = proposal_of(target, part.block, tuning.places)
-            factor = np.concatenate([np.ravel(spread), np.ravel(centres)])
+            factor = places_of(target, part.block, tuning.places).flat()
         elif kind.code == steps.INDEPENDENCE:
             factor = part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
         elif kind.code == steps.WINDOW:

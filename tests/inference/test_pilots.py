@@ -1,0 +1,79 @@
+"""What pilots find together before any draw is kept."""
+
+import numpy as np
+import pytest
+from toy_worlds import World
+
+from derender.inference import pilots
+from derender.inference.kernels import mixture
+from derender.inference.kernels.place_mixture import fitted
+from derender.inference.sampler import MixtureSampler
+from derender.inference.space import Block, Unknown
+from derender.model.distributions import distributions
+
+
+class Narrow(World):
+    noise = 0.003
+
+
+def two_modes():
+    """A place seen through its square alone: two modes, a hundredth of the prior wide and far apart."""
+    unknowns = [Unknown("a.contact.x", distributions["uniform"](-1.0, 1.0))]
+    return Narrow(unknowns, [Block("a.contact", (0,))], lambda values: values**2)
+
+
+def test_pilots_find_every_mode():
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"window": {}}]), thin=3)
+    prepared = sampler.prepared(2, chains=3, jobs=2)
+    places = prepared.places[:, 0]
+    assert np.all(np.abs(np.abs(places) - 0.6) < 0.03)
+    assert 0.1 < np.mean(places > 0) < 0.9
+    again = sampler.prepared(2, chains=3, jobs=1)
+    np.testing.assert_array_equal(prepared.places, again.places)
+
+
+def test_pilots_climb_until_the_density_has_settled(monkeypatch):
+    """Stages go on while the mean log density rises, and end at the most of them."""
+    counted = []
+    genuine = pilots.climb
+
+    def rising(*arguments):
+        counted.append(1)
+        return genuine(*arguments)._replace(density=10.0 * len(counted))
+
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
+    monkeypatch.setattr(pilots, "climb", rising)
+    sampler.prepared(2, chains=1, jobs=1)
+    assert len(counted) == pilots.MOST_STAGES
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_place_mixture_is_a_density_around_the_seam(size):
+    """Drawn as the kernel draws, E[f / q] over a box is its volume: the same constant for any box, also at the seam."""
+    rng = np.random.default_rng(3)
+    period = np.pi / 2
+    centres = np.concatenate([rng.normal(0.0, 0.05, (40, size)), rng.normal(0.3, 0.02, (40, size))])
+    centres[:, 0] %= period
+    mixture_of_places = fitted(centres, period)
+    drawn = []
+    for _ in range(20_000):
+        k = int(rng.integers(len(centres)))
+        step = mixture_of_places.factors[k] @ rng.standard_normal(size) * np.sqrt(5 / rng.chisquare(5))
+        if abs(step[0]) <= period / 2:
+            drawn.append(centres[k] + step)
+    drawn = np.array(drawn)
+    drawn[:, 0] %= period
+    weights = np.array([1 / mixture_of_places.density(place) for place in drawn])
+    estimates = []
+    for low in (-0.02, 0.28):
+        turned = (drawn[:, 0] - low) % period < 0.04
+        inside = turned & np.all((drawn[:, 1:] > low) & (drawn[:, 1:] < low + 0.04), axis=1)
+        values = np.where(inside, weights, 0.0)
+        estimates.append((values.mean(), values.std() / np.sqrt(len(values))))
+    (first, error), (second, other) = estimates
+    assert abs(first - second) < 4.5 * np.hypot(error, other)
+    assert error < 0.1 * first and other < 0.1 * second
