@@ -1,5 +1,6 @@
 """Explain the image by a set of solids: greedy addition of polished hypotheses, then sweeps of local moves."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from derender.inference.structure.moves import aligned_pairs, find_places, merge
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
 from derender.inference.structure.state import State, carried_by, energy, held_out, in_the_way
 from derender.inference.structure.support import assign_supports
+from derender.inference.structure.threads import THREADS, in_threads
 from derender.model.solids import BOX, SPHERE
 
 # Of solids on real tables, as sensors see them.
@@ -238,24 +240,34 @@ def repair(rng, image, state, hypotheses, settings, pool=None):
     """
     best = total_energy(image, state, settings)
     places = find_places(image, state)
-    quiet = 0
-    for _ in range(settings.repairs):
-        if quiet >= settings.quiet + 3 * len(state) and places.blame.sum() < settings.clean:
-            break
-        quiet += 1
-        proposed = propose(rng, image, state, hypotheses, settings, places)
-        if proposed is None:
-            continue
-        _, new, changed = proposed
-        new = settle(rng, image, new, settings, 150, changed)
-        value = total_energy(image, new, settings)
-        if pool is not None:
-            pool.append((new, value))
-        if value < best:
-            quiet = quiet if value > best - settings.worthwhile else 0
-            state, best = new, value
-            places = find_places(image, state)
+    quiet = tried = 0
+    while tried < settings.repairs:
+        move = partial(moved, image=image, state=state, hypotheses=hypotheses, settings=settings, places=places)
+        for found in in_threads(rng, [move] * THREADS):
+            if quiet >= settings.quiet + 3 * len(state) and places.blame.sum() < settings.clean:
+                return state
+            quiet, tried = quiet + 1, tried + 1
+            if found is None:
+                continue
+            new, value = found
+            if pool is not None:
+                pool.append(found)
+            if value < best:
+                quiet = quiet if value > best - settings.worthwhile else 0
+                state, best = new, value
+                places = find_places(image, state)
+                break  # the other move was made from the former state
     return state
+
+
+def moved(rng, image, state, hypotheses, settings, places):
+    """Return (state, energy) after a random move between structures, or None where it does not apply."""
+    proposed = propose(rng, image, state, hypotheses, settings, places)
+    if proposed is None:
+        return None
+    _, new, changed = proposed
+    new = settle(rng, image, new, settings, 150, changed)
+    return new, total_energy(image, new, settings)
 
 
 def merge_all(rng, image, state, settings):
