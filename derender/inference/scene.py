@@ -13,6 +13,7 @@ from derender.errors import DerenderError
 from derender.inference import workers
 from derender.inference.chains import Plan
 from derender.inference.checkpoint import Record, fingerprint
+from derender.inference.equivalent import representative
 from derender.inference.images import ObservedImage
 from derender.inference.kernels import mixture
 from derender.inference.posterior import Posterior, StructurePosterior
@@ -58,6 +59,8 @@ def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> Ob
 def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
     """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
 
+    Structures that say the same of the world (see `equivalent.py`) are one.
+
     Raises
     ------
     DerenderError : nothing is unknown, or there are too many structures.
@@ -70,10 +73,7 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
     for _ in range(STRUCTURE_DRAWS if _is_open(document.prior) else 1):
         graph = document.prior.sample(rng)
         found.setdefault(graph.structure(), graph)
-    if len(found) > MOST_STRUCTURES:
-        what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
-        raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
-    result = []
+    shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
     for graph in found.values():
         free = document.prior.free_addresses(graph)
         numbers = {**graph.numbers(), **_root_values(cast(TreePrior, document.prior), graph)}
@@ -81,8 +81,13 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
         for address, law in free.items():
             value = numbers.get(address)
             density -= law.log_density(value) if value is not None and law.size == 1 else 0.0
-        result.append((SceneTarget(document.prior, graph, images, unknown), density))
-    return result
+        same = representative(cast(TreePrior, document.prior), graph) if len(found) > 1 else graph
+        shared.setdefault(same.structure(), (same, []))[1].append(density)
+    if len(shared) > MOST_STRUCTURES:
+        what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
+        raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
+    return [(SceneTarget(document.prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
+            for graph, densities in shared.values()]  # fmt: skip
 
 
 def _is_open(prior: Prior) -> bool:

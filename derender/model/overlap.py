@@ -203,6 +203,21 @@ def separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
 
 
 @njit(cache=True, nogil=True)
+def rest_residual(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z):
+    """Return how far solid a is from resting on solid b, metres: up is the unit vector (x, y, z).
+
+    The root of the sum of squares of the step between the bottom of a and the top of b, and of their distance: where
+    the step is none but a does not lie over b, they are apart.
+    """
+    rise = (
+        x * (pose_a[0, 3] - pose_b[0, 3]) + y * (pose_a[1, 3] - pose_b[1, 3]) + z * (pose_a[2, 3] - pose_b[2, 3])
+    )
+    step = rise - reach(kind_a, pose_a, size_a, x, y, z) - reach(kind_b, pose_b, size_b, x, y, z)
+    apart = max(0.0, separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b))
+    return math.sqrt(step * step + apart * apart)
+
+
+@njit(cache=True, nogil=True)
 def penetration_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     """Return the depth in metres by which two solids interpenetrate, 0 where they do not, far ones at once."""
     if kind_a != PLANE and kind_b != PLANE:

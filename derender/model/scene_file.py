@@ -6,6 +6,7 @@ are left to `derender.document`.
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from derender.model.priors.reading import (
     read_value,
 )
 from derender.model.priors.root import FixedRoot, FreeRoot, LookedAtRoot, RootPrior
-from derender.model.priors.terms import read_terms
+from derender.model.priors.terms import RestsOn, read_terms
 from derender.model.priors.tree import ROOT, TreeObject, TreePrior
 from derender.model.priors.values import QUATERNION
 from derender.model.shapes import shapes
@@ -58,7 +59,7 @@ def read_prior(top: Section, folder: Path) -> Prior:
                 raise top[key].fault(f"{key} belongs to a file with structure:", "add structure: {type: grammar, ...}")
         if "objects" not in top:
             raise top.fault("neither objects nor structure is given", "add objects: or structure:")
-        return TreePrior(root, objects, terms)
+        return with_supports(TreePrior(root, objects, terms))
     section = top["structure"].section()
     kind = section["type"].text(structures)
     kinds = {}
@@ -77,6 +78,14 @@ def read_prior(top: Section, folder: Path) -> Prior:
         if error.where is not None:
             raise
         raise section.fault(error.what, error.remedy) from None
+
+
+def with_supports(prior: TreePrior) -> TreePrior:
+    """Return the prior with a term for each second support that no `rests-on` names; a scene is what it is."""
+    named = {(term.child, term.support) for term in prior.constraints if isinstance(term, RestsOn)}
+    pairs = [(item.name, other) for item in prior.objects for other in item.supports]
+    wanted = tuple(RestsOn(*pair) for pair in pairs if pair not in named)
+    return prior if not wanted or prior.fixed else replace(prior, constraints=(*prior.constraints, *wanted))
 
 
 def check_name(name: str, node: Node) -> None:
@@ -216,8 +225,6 @@ def _default_face(pairs: list, wanted: list, index: int) -> str | None:
 
 def _on_rules(section: Section, parents: list[str], child: str) -> tuple[ContactRule, ...]:
     """Read `on`: every exact contact by which the child can rest on the parent's top is as likely as another."""
-    from dataclasses import replace
-
     rules = []
     for rule in read_rules(section, fill=True):
         counts = [

@@ -33,14 +33,16 @@ def verdict(
 
     Parameters
     ----------
-    world : has `space` and `target(rng, values)`, which draws data given the values and returns the posterior's target.
+    world : has `space` and `target(rng, values)`, which draws data given the values and returns the posterior's target;
+        and `sample(rng)` where the prior is more than that of the space.
     make_kernel : from a target to a kernel.
     """
+    draw = getattr(world, "sample", world.space.sample)
     differences = []
     moved = 0
     for child in np.random.SeedSequence(seed).spawn(replicates):
         rng = np.random.default_rng(child)
-        values = world.space.sample(rng)
+        values = draw(rng)
         target = world.target(rng, values)
         kernel = make_kernel(target)
         before = state = evaluate(target, values)

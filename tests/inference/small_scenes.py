@@ -6,6 +6,7 @@ from derender.document import document_from
 from derender.inference.images import ObservedImage
 from derender.inference.scene import observed_image
 from derender.inference.target import SceneTarget
+from derender.model.priors.terms import total_log_density
 from derender.vision.likelihoods import likelihoods
 from derender.vision.raycast.depth import render_depth
 from derender.yaml_tree import parse_yaml
@@ -67,7 +68,34 @@ likelihood: {type: gaussian, sigma: 0.05, background: 1.5}
 """
 )
 
-SCENES = {"tower": TOWER, "looked-at": LOOKED_AT, "floating": FLOATING}
+# Every kind of constraint: two boxes on a floor that must not meet, one end of a deck on each.
+BOUND = (
+    "derender: 1\n"
+    + CAMERA
+    + """
+root: {distance: 0.7, elevation: 30 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
+  left:
+    shape: {type: box, length: 0.08, width: 0.1, height: {uniform: [0.06, 0.1]}}
+    parent: floor
+    contact: {type: face-to-face, x: {normal: [-0.08, 0.03]}, y: 0.0, theta: {uniform: [-20 deg, 20 deg]}}
+  right:
+    shape: {type: cylinder, radius: {uniform: [0.03, 0.05]}, height: {uniform: [0.06, 0.1]}}
+    parent: floor
+    contact: {type: face-to-face, x: {normal: [0.08, 0.03]}, y: {normal: [0, 0.02]}}
+  deck:
+    shape: {type: box, length: 0.3, width: 0.08, height: 0.03}
+    parent: left
+    supports: [right]
+    contact: {type: face-to-face, theta: {uniform: [-10 deg, 10 deg]}, u: {uniform: [0.5, 0.9]}, v: 0.5}
+constraints: [no-overlap: {depth: 5 mm, scale: 10 mm}, does-not-touch: {objects: [left, right], margin: 2 cm},
+              rests-on: {objects: [deck, right], slack: 2 mm}, no-floating, at-most: 3]
+likelihood: {type: gaussian, sigma: 0.4, blur: 0.7, background: 1.5}
+"""
+)
+
+SCENES = {"tower": TOWER, "looked-at": LOOKED_AT, "floating": FLOATING, "bound": BOUND}
 
 
 def read(text: str):
@@ -88,6 +116,13 @@ class SceneWorld:
         blank = np.zeros((self.document.camera.height, self.document.camera.width))
         self.blank = self._target(blank)
         self.space = self.blank.space
+
+    def sample(self, rng) -> np.ndarray:
+        """Return values from the whole prior, its constraints too, by rejection."""
+        while True:
+            values = self.space.sample(rng)
+            if np.log(rng.random()) < total_log_density(self.blank.constraints, self.blank.graph(values)):
+                return values
 
     def _target(self, image) -> SceneTarget:
         images: ObservedImage = observed_image(image, self.document.camera, self.likelihood)

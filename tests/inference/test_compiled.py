@@ -1,6 +1,7 @@
 """The compiled sweep against the readable kernels: the same random numbers must give the same steps."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ def world(request):
 
 def both(world, names, cycle=False):
     rng = np.random.default_rng(2)
-    target = world.target(rng, world.space.sample(rng))
+    target = world.target(rng, world.sample(rng))
     parts = mixture(world.space, [{name: {}} for name in names])
     return target, parts, CompiledBackend(target, parts, cycle), ReadableBackend(target, parts, cycle)
 
@@ -32,8 +33,8 @@ def both(world, names, cycle=False):
 def test_same_random_numbers_same_steps(world, cycle):
     """Step by step, at several temperatures: the same kernel, the same decision, the same values to rounding."""
     target, parts, compiled, readable = both(world, COMPILED, cycle)
-    values = world.space.sample(np.random.default_rng(1))
-    archive = np.array([world.space.sample(np.random.default_rng(n)) for n in range(8)])
+    values = world.sample(np.random.default_rng(1))
+    archive = np.array([world.sample(np.random.default_rng(n)) for n in range(8)])
     moved = 0
     for number in range(400):
         tuning = first_tuning(world.space, values)._replace(
@@ -47,14 +48,14 @@ def test_same_random_numbers_same_steps(world, cycle):
         moved += int(slow.counts[:, 1].sum())
         values = slow.values[-1]
         if number % 40 == 39:  # the posterior is narrow: begin elsewhere, so that bold steps are accepted too
-            values = world.space.sample(np.random.default_rng(number))
+            values = world.sample(np.random.default_rng(number))
     assert moved > 60
 
 
 def test_long_sweep_equals_fresh_evaluation(world):
     """After thousands of incremental steps the density carried along is still that of the values."""
     target, parts, compiled, readable = both(world, COMPILED)
-    values = world.space.sample(np.random.default_rng(1))
+    values = world.sample(np.random.default_rng(1))
     tuning = first_tuning(world.space, values)._replace(temperature=0.01)
     stretch = compiled.sweep(np.random.default_rng(3), values, tuning, 50, 200)
     for place in (10, 49):
@@ -72,17 +73,21 @@ def test_every_compiled_kernel_was_met():
     assert met == set(COMPILED)
 
 
-def test_scene_posterior_is_invariant(world):
-    """The invariance test of the kernels, on images, through the compiled sweep."""
+def verdict_of_sweeps(world, without_terms=False):
+    """Return the invariance test's verdict on compiled sweeps; `without_terms` the sweep forgets the constraints."""
     parts = mixture(world.space, [{name: {}} for name in COMPILED])
 
     def make(target):
         backend = CompiledBackend(target, parts)
+        if without_terms:
+            backend.model = backend.model._replace(terms=None)
         tuning = first_tuning(world.space, world.space.sample(np.random.default_rng(9)))
 
         def kernel(rng, state):
             stretch = backend.sweep(rng, state.values, tuning, 1, 25)
             prior, likelihood = stretch.densities[-1]
+            if without_terms:  # its own log prior is another function of the values: the test is of one
+                prior = max(target.log_prior(stretch.values[-1]), -1e3)
             accepted = bool(stretch.counts[:, 1].sum())
             return state._replace(
                 values=stretch.values[-1], log_prior=float(prior), log_likelihood=float(likelihood)
@@ -90,16 +95,27 @@ def test_scene_posterior_is_invariant(world):
 
         return kernel
 
-    result = verdict(world, make, 250, steps=1)
+    return verdict(world, make, 250, steps=1)
+
+
+def test_scene_posterior_is_invariant(world):
+    """The invariance test of the kernels, on images, through the compiled sweep."""
+    result = verdict_of_sweeps(world)
     assert result.moved > 0.5
     assert result.worst < bound(len(result.z)), result
 
 
+def test_a_sweep_that_forgets_the_constraints_is_caught():
+    world = SceneWorld(SCENES["bound"])
+    result = verdict_of_sweeps(world, without_terms=True)
+    assert result.worst > bound(len(result.z))
+
+
 def test_what_has_no_compiled_form_says_so():
-    text = TOWER.replace("objects:", "constraints: [no-overlap]\nobjects:")
-    world = SceneWorld(text)
+    world = SceneWorld(TOWER)
+    world.blank.constraints = (SimpleNamespace(name="harmony"),)
     parts = mixture(world.space, [{"resimulate": {}}])
-    with pytest.raises(NotCompiled, match="constraints"):
+    with pytest.raises(NotCompiled, match="the constraint harmony"):
         CompiledBackend(world.blank, parts)
     assert isinstance(world.blank.backend(parts), ReadableBackend)
     robust = SceneWorld(LOOKED_AT.replace("type: gaussian,", "type: robust,"))

@@ -24,6 +24,7 @@ from derender.inference.compiled.layout import (
 )
 from derender.inference.compiled.poses import place, place_root
 from derender.inference.compiled.prior import log_prior
+from derender.inference.compiled.terms import log_terms
 from derender.kernel_cache import njit
 from derender.vision.raycast.engine import load_state, log_likelihood_of, propose_state, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, SIGMA
@@ -83,6 +84,9 @@ def evaluate(model, chain, engine):
     fill(model.places, values, chain.numbers, chain.marks, engine.parameters, False)
     moved = arrange(model.vertices, model.extents, chain.numbers, chain.pose, chain.marks, chain.relative,
                     chain.moved_pose, chain.moved_size)  # fmt: skip
+    values[NEXT, PRIOR] += log_terms(model.terms, model.vertices, chain.numbers, chain.pose)
+    if values[NEXT, PRIOR] == -math.inf:
+        return
     if moved:
         values[NEXT, DENSITY] = propose_state(engine, moved, chain.marks[MOVED], chain.moved_pose, chain.moved_size)
         chain.flags[PENDING] = 1
@@ -132,6 +136,7 @@ def _place_all(model, chain, parameters, start):
     arrange(model.vertices, model.extents, chain.numbers, chain.pose, marks, chain.relative, chain.moved_pose,
             chain.moved_size)  # fmt: skip
     values[NEXT, PRIOR] = log_prior(model.unknowns, model.laws, start)
+    values[NEXT, PRIOR] += log_terms(model.terms, model.vertices, chain.numbers, chain.pose)
     copy_marked(chain.numbers, chain.pose, marks, NEXT)
 
 

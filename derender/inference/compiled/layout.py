@@ -35,6 +35,7 @@ class Model(NamedTuple):
         among the solids or -1. The last column is the root's; its contact code says how its numbers give its pose
         (poses.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
+    terms : (T, 9) float64, the constraints, see terms.py; None where there are none.
     """
 
     unknowns: np.ndarray
@@ -42,6 +43,7 @@ class Model(NamedTuple):
     places: np.ndarray
     vertices: np.ndarray
     extents: np.ndarray
+    terms: np.ndarray | None
 
 
 class Kernels(NamedTuple):

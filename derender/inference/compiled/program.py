@@ -14,6 +14,7 @@ from derender.inference.compiled.layout import (
     Kernels,
     Model,
 )
+from derender.inference.compiled.terms import table_of
 from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.kernels.drift import directions_of, factor_of
@@ -36,8 +37,10 @@ class NotCompiled(Exception):
 def model_of(target) -> Model:
     """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
     graph, space = target.template, target.space
-    if target.constraints:
-        raise NotCompiled("constraints between objects")
+    try:
+        terms = table_of(target.constraints, graph)
+    except NotImplementedError as error:
+        raise NotCompiled(f"the constraint {error}") from None
     codes, laws = [], []
     for unknown in space.unknowns:
         law = unknown.distribution
@@ -71,6 +74,7 @@ def model_of(target) -> Model:
         places=np.ascontiguousarray(np.array(places, np.int64).T),
         vertices=vertices,
         extents=extents,
+        terms=terms,
     )
 
 

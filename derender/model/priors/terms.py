@@ -123,6 +123,43 @@ class DoesNotTouch:
         return 0.0 if apart > self.relation.margin else -math.inf
 
 
+class RestsOn:
+    """An object rests on another one besides its parent, as a bridge on its second pier.
+
+    The log density is -(residual / slack)^2 / 2, see `overlap.rest_residual`: up is the normal of the face that it
+    rests on, so its other support ends at the same height and lies below it.
+
+    Parameters
+    ----------
+    name, support : of the two. slack : metres.
+    """
+
+    name = "rests-on"
+
+    def __init__(self, child: str, support: str, slack: float = 0.001) -> None:
+        self.child, self.support, self.slack = child, support, slack
+
+    def bearing(self, graph: SceneGraph) -> tuple[str, np.ndarray]:
+        """Return the parent, and the direction (3,) that is up in its axes."""
+        vertex = graph.vertex(self.child)
+        face = vertex.contact.parent_face
+        if face is None:
+            what = f"{self.child} has a second support and hangs on {vertex.parent} without resting on a face"
+            raise DerenderError(what, remedy="give it a parent and a contact such as face-to-face")
+        return vertex.parent, graph.body(vertex.parent).face(face).frame[:3, 2]
+
+    def log_density(self, graph):
+        from derender.model.overlap import rest_residual
+
+        parent, axis = self.bearing(graph)
+        solids, names = graph.solids(), graph.solid_names
+        a, b = names.index(self.child), names.index(self.support)
+        up = graph.poses()[parent][:3, :3] @ axis
+        away = rest_residual(int(solids.kind[a]), solids.pose[a], solids.size[a],
+                             int(solids.kind[b]), solids.pose[b], solids.size[b], *up)  # fmt: skip
+        return -0.5 * (away / self.slack) ** 2
+
+
 class AtMost:
     """No more than so many objects of finite size.
 
@@ -182,6 +219,28 @@ class NoFloatingType(TermType):
         if node is not None:
             raise node.fault("no-floating takes no value", "write no-floating alone")
         return NoFloating()
+
+
+@term_types.register("rests-on")
+class RestsOnType(TermType):
+    """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
+
+    `supports: [pier]` in an object's entry says the same, with a slack of 1 mm.
+    """
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("rests-on names no objects", remedy="write rests-on: [deck, pier]")
+        slack = 0.001
+        pair = node
+        if isinstance(node, Section):
+            node.allow("objects", "slack")
+            pair = node["objects"]
+            slack = node["slack"].number("m", lower=1e-6) if "slack" in node else slack
+        child, support = (item.text(names) for item in pair.sequence(2))
+        if child == support:
+            raise node.fault("an object cannot rest on itself", "name two objects")
+        return RestsOn(child, support, slack)
 
 
 @term_types.register("does-not-touch")
