@@ -21,8 +21,9 @@ demo: .venv/installed osmesa  ## See one depth image become a scene graph; IMAGE
 test: .venv/developed osmesa lint  ## Check style, types and tests, in under 5 minutes
 	$(BIN)/python -m pytest -n $(JOBS)
 
-test-all: .venv/developed osmesa lint  ## The slow tests too, such as simulation-based calibration
+test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
 	$(BIN)/python -m pytest -n $(JOBS) -m ''
+	$(BIN)/python scripts/calibrate.py -n 500 --jobs $(JOBS) --strict -o figures/calibration.png
 
 lint: .venv/developed  ## Check style and types only
 	$(BIN)/ruff check derender tests scripts

@@ -12,6 +12,9 @@ from derender.atomic import atomic_path
 from derender.errors import DerenderError
 
 
+FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
+
+
 class Record(NamedTuple):
     """A chain up to now.
 
@@ -47,7 +50,7 @@ def fingerprint(*parts: bytes | str) -> str:
 
 def save(path: Path, record: Record, run: str) -> None:
     """Write `record` of the run with fingerprint `run`; a kill at any moment leaves the former file or this one."""
-    header = {"run": run, "warmed": record.warmed, "generator": record.generator}
+    header = {"format": FORMAT, "run": run, "warmed": record.warmed, "generator": record.generator}
     arrays: dict[str, Any] = {f"state.{name}": value for name, value in record.state.items()}
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez(
@@ -63,7 +66,7 @@ def save(path: Path, record: Record, run: str) -> None:
 def load(path: Path, run: str) -> Record | None:
     """Return the record in `path`, or None where there is none yet.
 
-    Raises DerenderError if the file is no checkpoint or belongs to another run.
+    Raises DerenderError if the file is no checkpoint, or belongs to another run or another version of derender.
     """
     if not path.exists():
         return None
@@ -76,6 +79,8 @@ def load(path: Path, run: str) -> Record | None:
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as fault:
         raise DerenderError("not a checkpoint of a chain", path, "remove it, or run without --resume") from fault
+    if header.get("format") != FORMAT:
+        raise DerenderError("was written by another version of derender", path, "run without --resume")
     if header["run"] != run:
         raise DerenderError(
             "was written by a run with another image, prior, seed or settings",

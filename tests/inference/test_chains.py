@@ -73,6 +73,14 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
         workers.run(plan(folder=tmp_path, resume=True))
 
 
+def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as older:
+        older.setattr(checkpoint, "FORMAT", 1)
+        run_chain(plan(folder=tmp_path, checkpoint_seconds=-1), 0, NEVER, SILENT)
+    with pytest.raises(DerenderError, match="another version of derender"):
+        workers.run(plan(folder=tmp_path, resume=True))
+
+
 def test_fingerprint_knows_where_parts_end():
     assert checkpoint.fingerprint("ab", "c") != checkpoint.fingerprint("a", "bc")
 
