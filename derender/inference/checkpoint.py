@@ -11,7 +11,6 @@ import numpy as np
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
 
-
 FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
 
 

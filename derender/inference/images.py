@@ -1,5 +1,6 @@
 """A likelihood bound to one observed image: what a scene's target asks of the vision side."""
 
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +21,7 @@ class ObservedImage:
     def __init__(self, camera, observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None):
         self.camera, self.observed, self.type = camera, np.ascontiguousarray(observed, np.float64), type
         self.values = dict(values or {})
-        self._evaluator: Any = None
+        self._evaluators = threading.local()
 
     def evaluator(self):
         """Return a new DepthEvaluator: each chain, which may run in a thread of its own, has one."""
@@ -30,9 +31,12 @@ class ObservedImage:
 
     def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
         """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
-        if self._evaluator is None:
-            self._evaluator = self.evaluator()
-        return self._evaluator.log_likelihood(graph.solids(), parameters)
+        if not hasattr(self._evaluators, "own"):
+            self._evaluators.own = self.evaluator()
+        return self._evaluators.own.log_likelihood(graph.solids(), parameters)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_evaluator": None}
+        return {name: value for name, value in self.__dict__.items() if name != "_evaluators"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _evaluators=threading.local())

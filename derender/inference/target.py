@@ -127,6 +127,15 @@ class SceneTarget:
         except NotCompiled:
             return ReadableBackend(self, parts, cycle)
 
+    def derivative(self):
+        """Return a new derivative of the log posterior, for one thread.
+
+        Raises DerenderError where the scene has none.
+        """
+        from derender.inference.derivative import SceneDerivative
+
+        return SceneDerivative(self)
+
     def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         """Return the values by address."""
         return {address: float(value) for address, value in zip(self.space.addresses, values, strict=True)}

@@ -12,6 +12,7 @@ from derender.inference.adaptation import first_tuning
 from derender.inference.compiled.backend import CompiledBackend
 from derender.inference.compiled.program import NotCompiled
 from derender.inference.kernels.base import Info, kernels, mixture
+from derender.inference.kernels.newton import Newton
 from derender.inference.sampler import ReadableBackend
 
 COMPILED = [name for name in kernels.names() if kernels[name].code is not None]
@@ -50,6 +51,49 @@ def test_same_random_numbers_same_steps(world, cycle):
         if number % 40 == 39:  # the posterior is narrow: begin elsewhere, so that bold steps are accepted too
             values = world.sample(np.random.default_rng(number))
     assert moved > 60
+
+
+def test_readable_kernels_take_their_turns():
+    """A kernel without a compiled form in a compiled mixture: the steps of the readable mixture all the same.
+
+    (Beside it kernels whose compiled proposals are equal to the last bit: its derivative magnifies a difference.)
+    """
+    world = SceneWorld(TOWER)
+    target, parts, compiled, readable = both(world, ["newton", "resimulate", "jump", "langevin"])
+    values, moved = world.space.sample(np.random.default_rng(1)), 0
+    for number in range(30):
+        tuning = first_tuning(world.space, values)._replace(temperature=(0.01, 0.001)[number % 2])
+        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 4, 3, number)
+        slow = readable.sweep(np.random.default_rng(number), values, tuning, 4, 3, number)
+        np.testing.assert_array_equal(fast.counts, slow.counts)
+        np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
+        moved += int(slow.counts[0, 1])
+        values = slow.values[-1]
+    assert moved > 5
+
+
+class NewtonTakenForSymmetric(Newton):
+    """Forgets that where it goes depends on where it is."""
+
+    def log_proposal(self, tangent, mean, factor):
+        return 0.0
+
+
+@pytest.mark.parametrize("twin", [None, NewtonTakenForSymmetric])
+def test_newton_on_a_scene_is_invariant(twin):
+    """On images, whose likelihood is not quite the one that the derivative is of; the twin must be seen."""
+    world = SceneWorld(TOWER.replace("sigma: 0.05", "sigma: 0.2"))
+
+    def make(target):
+        block, tuning = world.space.everything, first_tuning(world.space, world.space.sample(np.random.default_rng(9)))
+        kernel = kernels["newton"].build(target, block, tuning, {"scale": 0.5})
+        kernel.__class__ = twin or Newton
+        return kernel
+
+    result = verdict(world, make, 500, steps=12)
+    assert result.moved > 0.05
+    assert (result.worst > bound(len(result.z))) == bool(twin), result
 
 
 def test_long_sweep_equals_fresh_evaluation(world):

@@ -41,18 +41,8 @@ class Target:
     def summary(self):
         return self.data
 
-    def gradient(self, values, temperature):
-        step = 1e-5
-        gradient = []
-        for i in range(self.space.directions[-1]):
-            tangent = np.zeros(self.space.directions[-1])
-            tangent[i] = step
-            high = self.space.move(values, self.space.everything, tangent)
-            low = self.space.move(values, self.space.everything, -tangent)
-            density = [self.space.log_prior(place) + temperature * self.log_likelihood(place) for place in (high, low)]
-            difference = (density[0] - density[1]) / (2 * step)
-            gradient.append(difference if math.isfinite(difference) else 0.0)
-        return np.array(gradient)
+    def derivative(self):
+        return Slope(self)
 
     def keep_children(self, values, moved, block):
         """The child's place in the world is x + s(x) u; u becomes what keeps it there."""
@@ -78,6 +68,29 @@ class Target:
         root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * place[1]) / 3)  # of x + x^3 = place[1]
         moved[0], moved[1] = place[0], root
         return moved
+
+
+class Slope:
+    """Gradient by differences of the log posterior, Gauss-Newton precision by differences of the model."""
+
+    def __init__(self, target):
+        self.target = target
+
+    def at(self, values, temperature):
+        target, space = self.target, self.target.space
+        step = 1e-5
+        gradient, images = [], []
+        for i in range(space.directions[-1]):
+            tangent = np.zeros(space.directions[-1])
+            tangent[i] = step
+            places = [space.move(values, space.everything, sign * tangent) for sign in (1, -1)]
+            density = [space.log_prior(place) + temperature * target.log_likelihood(place) for place in places]
+            difference = (density[0] - density[1]) / (2 * step)
+            gradient.append(difference if math.isfinite(difference) else 0.0)
+            high, low = (target.world.model(place) / target.world.noise for place in places)
+            images.append((high - low) / (2 * step))
+        precision = temperature * np.array(images) @ np.array(images).T + np.diag(1 / space.scales**2)
+        return np.array(gradient), precision
 
 
 def _stretch(x):

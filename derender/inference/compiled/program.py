@@ -154,8 +154,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
     first = factor_first = 0
     for part in parts:
         kind = kernels[part.type]
-        if kind.code is None:
-            raise NotCompiled(f"the kernel {part.type}")
+        code = steps.READABLE if kind.code is None else kind.code
         scale, count, reach, factor = 1.0, 0.0, 0.0, np.empty(0)
         moved: list[int] = list(part.block.unknowns)
         if kind.code == steps.DRIFT:
@@ -174,7 +173,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
         keep = target.template.names.index(part.block.name.removesuffix(".contact")) if kind.keeps_children else -1
-        table.append((kind.code, first, factor_first, keep))
+        table.append((code, first, factor_first, keep))
         numbers.append((weight, scale, count, reach))
         members += moved
         factors.append(np.ravel(factor))

@@ -44,6 +44,7 @@ from derender.inference.kernels.window import FINEST
 from derender.kernel_cache import njit
 
 RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE = range(7)
+READABLE = -1  # a kernel without a compiled form: the caller takes its step
 
 
 @njit(cache=True, nogil=True)
@@ -144,17 +145,20 @@ def choose(rng, row, count, present):
 
 
 @njit(cache=True, nogil=True)
-def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, counts):
-    """Take draws * thin steps and keep every `thin`-th state.
+def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, kept, counts):
+    """Take draws * thin steps, of which `done` are done, and keep every `thin`-th state.
 
+    Returns early where the next step is a readable kernel's: how many are done, and that kernel's number; else -1.
     kept : (draws, P + 3) float64, written: values, log prior, log likelihood, a spare.
     counts : (K, 2) int64 (steps, accepted ones), added to.
     """
     unknowns, laws, values, row = model.unknowns, model.laws, chain.values, chain.row
     size = model.places.shape[1]
-    for taken in range(draws * thin):
+    for taken in range(done, draws * thin):
         k = pick(rng, kernels.table, kernels.numbers, chain.flags)
         code = kernels.table[KERNEL, k]
+        if code == READABLE:
+            return taken, k
         members = kernels.members[kernels.table[FIRST, k] : kernels.table[FIRST, k + 1]]
         factor = kernels.factors[kernels.table[FACTOR_FIRST, k] : kernels.table[FACTOR_FIRST, k + 1]]
         scale = kernels.numbers[k, SCALE]
@@ -220,6 +224,7 @@ def sweep(rng, model, kernels, chain, engine, draws, thin, temperature, kept, co
         if (taken + 1) % thin == 0:
             for p in range(size + 3):
                 kept[taken // thin, p] = values[NOW, p]
+    return draws * thin, -1
 
 
-__all__ = ["DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "RELOCATE", "RESIMULATE", "WINDOW", "sweep"]
+__all__ = ["DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "READABLE", "RELOCATE", "RESIMULATE", "WINDOW", "sweep"]

@@ -7,6 +7,7 @@ from derender.inference.kernels import (  # noqa: F401  (importing registers)
     independence,
     jump,
     langevin,
+    newton,
     relocate,
     resimulate,
     slide,

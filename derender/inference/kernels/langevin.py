@@ -17,12 +17,12 @@ class Langevin:
 
     name = "langevin all"
 
-    def __init__(self, target, block, factor, scale, temperature=1.0):
-        self.target, self.block, self.factor = target, block, factor
+    def __init__(self, target, block, derivative, factor, scale, temperature=1.0):
+        self.target, self.block, self.derivative, self.factor = target, block, derivative, factor
         self.scale, self.temperature = scale, temperature
 
     def _mean(self, values):
-        gradient = self.target.gradient(values, self.temperature)
+        gradient, _ = self.derivative.at(values, self.temperature)
         return 0.5 * self.scale**2 * (self.factor @ (self.factor.T @ gradient))
 
     def _log_proposal(self, tangent, mean):
@@ -61,4 +61,5 @@ class LangevinType(KernelType):
     def build(self, target, block, tuning, options):
         size = len(tuning.covariance)
         scale = options["scale"] * tuning.scale.get("langevin all", 1.0) * 1.2 / size ** (1 / 6)
-        return Langevin(target, block, np.linalg.cholesky(tuning.covariance), scale, tuning.temperature)
+        factor = np.linalg.cholesky(tuning.covariance)
+        return Langevin(target, block, target.derivative(), factor, scale, tuning.temperature)
