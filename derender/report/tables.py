@@ -1,12 +1,13 @@
 """Tables: each free number of a posterior with its mean, spread and the health of its chains."""
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-ANGLES = ("theta", "tilt_x", "tilt_y", "angle")
-PURE_NUMBERS = ("u", "v", "qw", "qx", "qy", "qz", "scale", "blur", "outlier_fraction", "temper")
+READ_AS = {"rad": ("°", 180 / np.pi), "m": ("mm", 1000.0)}  # what people read, and how many of it make one of ours
+ROOT_ANGLES = ("elevation", "azimuth", "roll")
 
 # Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
 # 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
@@ -18,12 +19,29 @@ COLUMNS = ("address", "mean", "sd", "5 %", "95 %", "R-hat", "ESS", "tail ESS")
 
 def unit_of(address: str) -> tuple[str, float]:
     """Return the unit in which people read a number, and how many of it make one of ours (radian, metre)."""
-    last = address.rsplit(".", 1)[-1]
-    if last in ANGLES:
-        return "°", 180 / np.pi
-    if last in PURE_NUMBERS:
-        return "", 1.0
-    return "mm", 1000.0
+    name, _, rest = address.partition(".")
+    last = rest.rpartition(".")[2]
+    if name == "root":
+        ours = "rad" if last in ROOT_ANGLES else "" if last.startswith("q") else "m"
+    else:
+        ours = _units("likelihood" if name == "likelihood" else "contact" if rest != last else "shape").get(last, "")
+    return READ_AS.get(ours, (ours, 1.0))
+
+
+@functools.cache
+def _units(room: str) -> dict[str, str]:
+    """Return the units of all numbers of the registered likelihoods, contacts or shapes by name."""
+    from derender.model.contacts import contacts
+    from derender.model.priors.reading import contact_parameters
+    from derender.model.shapes import shapes
+    from derender.vision.likelihoods import likelihoods
+
+    if room == "contact":
+        found = [parameter for name in contacts.names() for parameter in contact_parameters(name).values()]
+    else:
+        owners: Any = likelihoods if room == "likelihood" else shapes
+        found = [parameter for name in owners.names() for parameter in owners[name].parameters]
+    return {parameter.name: parameter.unit for parameter in found}
 
 
 def parameter_rows(

@@ -72,16 +72,19 @@ def _contact(graph: SceneGraph, vertex: Vertex) -> str:
         turn = 2 * math.degrees(math.acos(min(1.0, abs(values.get("qw", 1.0)))))
         return f"{contact.type}, at ({position}) m, turned {turn:.1f} deg"
     faces = contact.parent_face, contact.child_face
-    units = {p.name: p.unit for p in kind.parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)}
-    numbers = [_number(name, value, units.get(name, "")) for name, value in values.items()]
+    known = {p.name: p for p in kind.parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)}
+    numbers = [_number(name, value, known.get(name)) for name, value in values.items()]
     where = f" {faces[1]} on {faces[0]}" if faces != (None, None) else ""
     return ", ".join([f"{contact.type}{where}", *numbers])
 
 
-def _number(name: str, value: float, unit: str) -> str:
-    if unit == "rad":
-        return f"{name} {math.degrees(value):.1f} deg"
-    return f"{name} {value:.3f} {unit}".rstrip()
+def _number(name: str, value: float, parameter: Any) -> str:
+    """Return a contact's number as people read it; an angle within half a period of 0, as in the tables."""
+    if parameter is None or parameter.unit != "rad":
+        return f"{name} {value:.3f} {parameter.unit if parameter else ''}".rstrip()
+    if parameter.period:
+        value -= parameter.period * math.floor(value / parameter.period + 0.5)
+    return f"{name} {math.degrees(value):.1f} deg"
 
 
 def _probabilities(vertex: Vertex, posterior: Any) -> str:

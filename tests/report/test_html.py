@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from derender.model.pose import rotation_x, rotation_z, translation
+from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.report import pictures, svg, tables
 from derender.report.html import Report, page
+from derender.report.tables import cells, parameter_rows, unit_of
+from derender.report.tree_text import scene_lines
 from derender.vision.camera import Camera
 from derender.vision.raycast.depth import render_depth
 
@@ -191,3 +194,33 @@ def test_doubtful_chains_are_marked():
         tables.parameter_rows(["a.x", "b.contact.theta"], np.concatenate([good] * 2, axis=2))
     )
     assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
+
+
+def test_numbers_are_read_in_their_own_units():
+    for address, unit in {
+        "can.contact.lean": "°", "can.contact.roll": "°", "can.contact.theta": "°", "can.contact.gap": "mm",
+        "can.contact.u": "", "can.contact.x": "mm", "can.contact.qw": "", "can.radius": "mm", "carton.scale": "",
+        "root.distance": "mm", "root.elevation": "°", "root.qx": "", "likelihood.sigma": "mm", "likelihood.blur": "",
+        "likelihood.sigma_growth": "1/m", "likelihood.outlier": "",
+    }.items():  # fmt: skip
+        assert unit_of(address)[0] == unit, address
+    assert unit_of("can.contact.lean")[1] == pytest.approx(180 / np.pi) and unit_of("can.radius")[1] == 1000.0
+
+
+def test_angles_are_shown_as_the_table_has_them():
+    """A cube at 348 degrees is one at -12; half a period either way is what both print."""
+    floor = Vertex("floor", "plane", {}, "root", Contact("6dof"))
+
+    def theta(shape, parameters, degrees):
+        values = {"theta": np.radians(degrees), "x": 0.0, "y": 0.0}
+        thing = Vertex("thing", shape, parameters, "floor", Contact("face-to-face", "+z", "-z", values))
+        graph = SceneGraph(np.eye(4), (floor, thing))
+        return next(line for line in scene_lines(graph) if "thing" in line)
+
+    cube, box = ("cube", {"side": 0.1}), ("box", {"length": 0.1, "width": 0.2, "height": 0.1})
+    assert "theta -12.0 deg" in theta(*cube, 348) and "theta -12.0 deg" in theta(*cube, 78)
+    assert "theta -12.0 deg" in theta(*box, 348) and "theta 78.0 deg" in theta(*box, 78)
+    assert "theta -80.0 deg" in theta(*box, 100)
+    address = "thing.contact.theta"
+    rows = parameter_rows([address], np.full((1, 4, 1), np.radians(348)), {address: np.pi / 2})
+    assert cells(rows[0])[1] == "-12.00"

@@ -75,7 +75,7 @@ def numbers_of_draws(chart, draws, graph, names):
             if parameter.name in contact.values:
                 address = f"{name}.contact.{parameter.name}"
                 found[address] = phi[:, k, slot]
-                periods[address] = 2.0 * np.pi if parameter.name == "theta" else None
+                periods[address] = parameter.period
     addresses = tuple(a for a in graph.numbers() if a in found)
     values = np.stack([found[a] for a in addresses], axis=1) if addresses else np.empty((len(draws), 0))
     return addresses, values, tuple(periods.get(a) for a in addresses), root
