@@ -1,5 +1,8 @@
 """The one exception for faults that a user can cause and mend."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class DerenderError(Exception):
     """A fault in what the user gave: printed as one line, exit status 1.
@@ -25,3 +28,14 @@ class DerenderError(Exception):
         if self.remedy:
             line += f"; {self.remedy}"
         return " ".join(line.split())
+
+
+@contextmanager
+def at_fault(where: object) -> Iterator[None]:
+    """Name `where` in every DerenderError of the block that does not say where: the file that a user gave."""
+    try:
+        yield
+    except DerenderError as error:
+        if error.where is not None:
+            raise
+        raise DerenderError(error.what, where, error.remedy) from error

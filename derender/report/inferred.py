@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.atomic import make_folder
 from derender.document import LikelihoodPrior, prior_as_seen_from, read_prior_document
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.inference.posterior import Posterior
 from derender.inference.settings import read_settings
 from derender.inference.structure.scene_density import BARE_IMAGE
@@ -69,8 +69,9 @@ def infer_to_folder(
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     try:
-        return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
-                      made, progress, warn, started)  # fmt: skip
+        with at_fault(prior if document is not None and has_objects(document) else image):
+            return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs,
+                          resume, made, progress, warn, started)  # fmt: skip
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
             say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")
@@ -97,6 +98,9 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
         )
         posterior, interrupted, lost = result
     else:
+        for option, given in (("--resume", resume), ("--warmup", warmup is not None)):
+            if given:
+                warn(f"{option} says nothing here: it is for chains of a scene given with --scene")
         posterior = _structure(seen, document, method, found, chains, draws, seed, progress)
         fitted = dict(posterior.meta["likelihood"])
         likelihood = LikelihoodPrior(fitted.pop("type"), fitted)
@@ -130,7 +134,7 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
 
     chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"],
               "may_overlap": found["may_overlap"], "may_float": found["may_float"]}  # fmt: skip
-    if found["shapes"]:
+    if found["shapes"] is not None:
         chosen["shapes"] = [name.strip() for name in found["shapes"].split(",")]
         for name in chosen["shapes"]:
             if name not in KINDS:
@@ -143,6 +147,8 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
         if value is not None:
             chosen[key] = value
     if method in ("mcmc", "smc"):
+        if found["known"] is not None:
+            raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
         from derender.inference.structure.jumps.run import infer_by_jumps
 
         return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)

@@ -98,3 +98,72 @@ def test_an_image_with_holes_is_fine(folder, tmp_path):
     out = tmp_path / "out"
     infer(tmp_path / "holes.npz", "--scene", "figure-5", "--draws", 50, "--method", "map", "-o", out, "-q")
     assert (out / "scene.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--shapes", "bx"], "--shapes: 'bx' is no shape to look for; did you mean 'box'?"),
+        (["--shapes", ""], "--shapes: '' is no shape to look for; choose from"),
+        (["--floor", "1,2"], "--floor: this is no floor; give auto, none, or four numbers"),
+        (["--only-known"], "--only-known: nothing is known; give a library"),
+        (["--known", "no.yaml"], "no.yaml: there is no such file"),
+        (["--known", "sizes.yaml", "--method", "mcmc"], "--known: --method mcmc does not know of libraries"),
+        (["--scene", "figure-5", "--known", "sizes.yaml"], "figure-5: --known is for images without a scene"),
+        (["--scene", "figure-5", "--allow-floating"], "leave out --allow-floating or --scene"),
+        (["--scene", "fixed.yaml"], "fixed.yaml: nothing is unknown: every number is fixed; give some number a"),
+    ],
+)
+def test_wrong_options_are_one_line_with_the_remedy(folder, tmp_path, options, message, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sizes.yaml").write_text("known:\n  brick: {type: box, length: 0.1, width: 0.1, height: 0.1}\n")
+    shutil.copy(folder / "sample_000.yaml", tmp_path / "fixed.yaml")
+    with pytest.raises(DerenderError) as caught:
+        infer(folder / "sample_000.npz", *options, "-o", "out")
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_too_few_pixels_names_the_image(tmp_path):
+    depth = np.full((20, 20), np.nan)
+    depth[:5, :5] = 0.8
+    np.save(tmp_path / "few.npy", depth)
+    for floor in ([], ["--floor", "none"]):
+        with pytest.raises(DerenderError, match=r"few\.npy: the image has .*25"):
+            infer(tmp_path / "few.npy", *floor, "-o", tmp_path / "out")
+
+
+def test_options_that_say_nothing_here_are_told(folder, tmp_path):
+    result = infer(folder / "sample_000.npz", "--resume", "--warmup", 3, "--method", "map", "-o", tmp_path / "out")
+    assert result.stderr.count("says nothing here") == 2
+
+
+def test_an_older_result_is_replaced_as_a_whole_or_not_at_all(folder, tmp_path, monkeypatch):
+    from derender.report import result_folder
+
+    out = tmp_path / "out"
+    arguments = (folder / "sample_000.npz", "--scene", "figure-5", "--draws", 20, "--warmup", 20, "-o", out, "-q")
+    infer(*arguments)
+    (out / "notes.txt").write_text("mine")
+    first = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+
+    def full_disk(*_):
+        raise DerenderError("No space left", out)
+
+    monkeypatch.setattr(result_folder, "write_depth", full_disk)
+    with pytest.raises(DerenderError, match="No space left"):
+        infer(*arguments, "--seed", 2)
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == first
+    monkeypatch.undo()
+    (out / "posterior.nc").write_text("of an older run")
+    monkeypatch.setattr("derender.inference.netcdf.write_netcdf", lambda *_: False)  # as where h5netcdf is missing
+    infer(*arguments, "--seed", 2)
+    assert not (out / "posterior.nc").exists() and (out / "notes.txt").read_text() == "mine"
+    seeds = [json.loads((out / "summary.json").read_text())["seed"], read_made(out / "scene.yaml")["seed"]]
+    assert seeds == [2, 2]
+
+
+def read_made(path):
+    from derender.document import read_document
+
+    return read_document(path).made

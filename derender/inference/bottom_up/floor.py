@@ -68,7 +68,8 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
         inner = np.abs(residual) < max(3 * scale, 0.001)
         chosen = flat[good[inner]]
         if len(chosen) < max(20, 0.05 * len(good)):
-            raise DerenderError("no plane holds a tenth of the pixels", remedy="give the floor, or crop the image")
+            remedy = "say --floor none, give the plane with --floor, or crop the image"
+            raise DerenderError("no plane holds a tenth of the pixels", remedy=remedy)
         weight = 1.0 / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
         centre = np.average(chosen, axis=0, weights=weight)
         _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(weight)[:, None]), full_matrices=False)

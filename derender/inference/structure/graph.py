@@ -8,6 +8,7 @@ from derender.errors import DerenderError
 from derender.inference.structure.image import rotation_of
 from derender.inference.structure.state import FLOOR, State
 from derender.inference.structure.touch import lowest
+from derender.model.contacts import contacts
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, SPHERE
 
@@ -43,8 +44,6 @@ def vertex_of(row, cube, name):
 
 def floating(pose):
     """Return the 6dof Contact of a pose (4, 4) under the root."""
-    from derender.model.contacts import contacts
-
     return Contact("6dof", values=contacts["6dof"].invert(pose).phi)
 
 
@@ -123,6 +122,21 @@ def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> 
         for t in TILTS:
             values.pop(t, None)
     return replace(contact, values=values)
+
+
+def periods_of(graph, addresses):
+    """Return the period of each of a graph's numbers by address, None for those that are no angles."""
+    found = []
+    for address in addresses:
+        name, _, rest = address.partition(".")
+        vertex, key = graph.vertex(name), rest.removeprefix("contact.")
+        parameters = ()
+        if key != rest and not key.startswith("q"):
+            contact = vertex.contact
+            on, faces = graph.body(vertex.parent).shape, (contact.parent_face, contact.child_face)
+            parameters = contacts[contact.type].parameters(on, vertex.body.shape, *faces)
+        found.append(next((p.period for p in parameters if p.name == key), None))
+    return tuple(found)
 
 
 def without_floor(part):

@@ -15,7 +15,7 @@ import numpy as np
 
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import from_search, merges, of_one_solid, supports_within
-from derender.inference.structure.graph import names_of, pose_of, scene_graph
+from derender.inference.structure.graph import names_of, periods_of, pose_of, scene_graph
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.polish import walk
 from derender.inference.structure.refined import (
@@ -157,7 +157,8 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
         numbers = numbers_of(graph, state, rows[chain, draw], names, floor_pose)
         values[chain, draw] = [numbers[a] for a in addresses]
     return StructurePosterior(
-        graph, addresses, values, np.zeros(energies.shape), -energies / settings.temper, weight
+        graph, addresses, values, np.zeros(energies.shape), -energies / settings.temper, weight,
+        periods_of(graph, addresses),
     )
 
 

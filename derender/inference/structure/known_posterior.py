@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from derender.inference.posterior import StructurePosterior
-from derender.inference.structure.graph import FLOOR_NAME, best_contact, floating, order_of, pose_of, vertex_of
+from derender.inference.structure.graph import (
+    FLOOR_NAME,
+    best_contact,
+    floating,
+    order_of,
+    periods_of,
+    pose_of,
+    vertex_of,
+)
 from derender.inference.structure.graph_posterior import parameters_of
 from derender.inference.structure.image import make_row, rotation_of
 from derender.inference.structure.known import SCALES, SHRUNK, Placed, Placement, identity_probabilities
@@ -126,7 +134,8 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
                 numbers = numbers_of_known(graph, now, names, floor_pose)
                 values[chain, draw] = [numbers[a] for a in addresses]
                 density[chain, draw] = -placement.view(now)[2].sum() / placement.settings.temper
-    return StructurePosterior(graph, addresses, values, np.zeros((chains, draws)), density, 1.0)
+    return StructurePosterior(graph, addresses, values, np.zeros((chains, draws)), density, 1.0,
+                              periods_of(graph, addresses))  # fmt: skip
 
 
 def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.posterior import Posterior
 from derender.inference.structure.jumps import mixture
 from derender.inference.structure.jumps.base import Target
@@ -92,8 +93,8 @@ def sample_structures(
 def infer_by_jumps(image, camera, options, document=None, rng=None, progress=None) -> Posterior:
     """Infer what there is from an image alone, or under a document's open prior, by jumps from the fast search's scene.
 
-    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, chains,
-        draws, seed.
+    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, floor, may_overlap, may_float,
+        chains, draws, seed.
     """
     from derender.inference.structure.graph import scene_graph
     from derender.inference.structure.infer import point_estimate, settings_of
@@ -103,7 +104,7 @@ def infer_by_jumps(image, camera, options, document=None, rng=None, progress=Non
         progress(0.0, "searching for solids")
     settings = settings_of(options if document is None else {**options, "prior": document.prior})
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    state, seen = point_estimate(rng, depth, camera, settings)
+    state, seen = point_estimate(rng, depth, camera, settings, plane=read_floor(options.get("floor")))
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
     prior = document.prior if document is not None else default_prior(
         seen.floor.pose, settings.shapes, settings.may_overlap, settings.may_float)  # fmt: skip
