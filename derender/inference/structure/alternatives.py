@@ -24,7 +24,7 @@ from derender.inference.structure.refined import (
 )
 from derender.inference.structure.search import cube_of, spaced
 from derender.inference.structure.state import FLOOR
-from derender.inference.structure.support import flat_top, shadows_overlap, with_bottom
+from derender.inference.structure.support import final_parents, flat_top, shadows_overlap, with_bottom
 from derender.inference.structure.threads import in_threads
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, SPHERE
@@ -177,6 +177,8 @@ def from_search(rng, best, pool, energy, rules):
     for state, value in sorted(pool, key=lambda pair: pair[1]):
         if value > energy + WITHIN or len(near) >= FROM_SEARCH:
             break
+        state = state.copy()
+        state.parents = final_parents(state)
         key = structure_key(state, matched_names(state, best.state, names))
         if key not in seen:
             seen.add(key)

@@ -246,9 +246,8 @@ def solid_log_prior(chart, rows, k):
         turns = EIGHT_PI_SQUARED / 24.0 if kind == BOX else 2.0 * np.pi
     total -= np.log(turns)
     if not flag[HELD] and not (chart.floating and parent == FLOOR):
-        bottom = 0.0 if parent == FLOOR else highest(rows[parent])
-        gap = (lowest(row) - bottom) / chart.slack
-        # on a face in general, but something may lean: the tails are those of Cauchy's density
+        # it touches what bears it somewhere; the tails are those of Cauchy's density
+        gap = (lowest(row) if parent == FLOOR else -penetration(row, rows[parent])) / chart.slack
         total -= np.log(np.pi * chart.slack * (1.0 + gap * gap))
     return total
 

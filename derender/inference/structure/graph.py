@@ -7,6 +7,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.inference.structure.image import rotation_of
 from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.support import LEAST_GAP
 from derender.inference.structure.touch import lowest
 from derender.model.contacts import contacts
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
@@ -78,9 +79,9 @@ def scene_graph(
     """Return the scene graph of a state, its solids called `names` (default: see names_of).
 
     Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
-    made exact, one that does not keeps the rest as slack; where none fits at all the solid stays on its parent with
-    whatever slack face to face needs, and floats under the root only where even that is impossible. Where `floating` is
-    allowed, what nothing holds floats, however near it is to the floor.
+    made exact, one that does not keeps the rest as slack. Where none fits, and over a gap in which something that is
+    not seen must stand, the solid floats under the root. Where `floating` is allowed, what nothing holds floats,
+    however near it is to the floor.
     """
     parents = list(state.parents)
     order = order_of(parents)
@@ -111,7 +112,7 @@ def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> 
         cost = gap + reach * (tilt + left.angle) + left.outside + 0.002 * place
         if cost < best:
             best, chosen = cost, (contact, gap, tilt, left)
-    if chosen is None or best > 0.06:
+    if chosen is None or best > 0.06 or chosen[1] > LEAST_GAP:
         return None
     contact, gap, tilt, left = chosen
     values = dict(contact.values)

@@ -27,8 +27,8 @@ from derender.inference.structure.refined import (
     settled,
     structure_posterior,
 )
-from derender.inference.structure.search import run_polish, sweep, total_energy, try_cube
-from derender.inference.structure.state import FLOOR, State, carried_by, held_out, in_the_way
+from derender.inference.structure.search import sweep, total_energy, try_cube
+from derender.inference.structure.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.inference.structure.support import with_bottom
 from derender.inference.structure.threads import THREADS, in_threads
 from derender.inference.structure.touch import highest

@@ -14,8 +14,8 @@ from derender.inference.structure.image import draw, make_row, misfit_map, rotat
 from derender.inference.structure.known_image import draw_known, known_misfit, walk_known
 from derender.inference.structure.library import Known, turn
 from derender.inference.structure.polish import FREE
-from derender.inference.structure.search import Settings, run_polish
-from derender.inference.structure.state import FLOOR, State, blank, in_the_way
+from derender.inference.structure.search import Settings
+from derender.inference.structure.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.inference.structure.support import standing_on
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, MESH, SPHERE

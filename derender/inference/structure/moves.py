@@ -1,70 +1,26 @@
-"""Moves between structures: take out and explain anew, split, merge, put a support under what floats.
+"""Moves between structures: take out and explain anew, split, merge, and those of supporting.py and shaping.py.
 
 Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
 None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
 energy.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from derender.inference.structure.image import rotation_of
-from derender.inference.structure.polish import FREE, UPRIGHT
-from derender.inference.structure.state import FLOOR, held_out
-from derender.inference.structure.touch import highest, lowest, penetration
+from derender.inference.structure.places import pick
+from derender.inference.structure.search import greedy
+from derender.inference.structure.shaping import appear, shake, stretch, tilt
+from derender.inference.structure.state import held_out, run_polish
+from derender.inference.structure.supporting import lift, put_under, raise_support
+from derender.inference.structure.touch import penetration
 from derender.model.solids import BOX
 
-
-class Places(NamedTuple):
-    """Where the image is badly explained.
-
-    Attributes
-    ----------
-    blame : (N + 1,) bad pixels about each solid (last: about none).
-    pairs : (N + 1, N + 1) how many bad pixels two solids share.
-    points : (B, 3) float64, the observed points of the bad pixels, floor frame.
-    """
-
-    blame: np.ndarray
-    pairs: np.ndarray
-    points: np.ndarray
-
-
-def find_places(image, state, limit=4.5):
-    """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
-    depth, label, misfit, _ = held_out(image, state, -1)
-    bad = misfit > limit
-    crowd = np.zeros(bad.shape, int)
-    crowd[1:] += bad[:-1]
-    crowd[:-1] += bad[1:]
-    crowd[:, 1:] += bad[:, :-1]
-    crowd[:, :-1] += bad[:, 1:]
-    rows, columns = np.nonzero(bad & (crowd > 0))
-    count = len(state)
-    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
-    for j, i in zip(rows, columns, strict=True):
-        near = np.unique(label[max(j - 2, 0) : j + 3, max(i - 2, 0) : i + 3])
-        near = near[near >= 0]
-        if len(near) == 0:
-            near = np.array([count])
-        blame[near] += 1.0 / len(near)
-        pairs[np.ix_(near, near)] += 1
-    np.fill_diagonal(pairs, 0)
-    points = image.origin + image.depth[rows, columns, None] * image.direction[rows, columns]
-    return Places(blame, pairs, points)
-
-
-def pick(rng, weight):
-    """Return an index drawn with probability proportional to weight (a little for those with none)."""
-    weight = np.asarray(weight, float) + 1e-2
-    return int(rng.choice(len(weight), p=weight / weight.sum()))
+NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
 
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
     """Take out one solid with some of those that share its badly explained pixels, and explain what they showed."""
-    from derender.inference.structure.search import greedy
-
     seed = pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
     out |= {j for j in range(len(state)) if places.pairs[seed, j] > 0 and rng.random() < 0.5}
@@ -78,8 +34,6 @@ def explain_anew(rng, image, state, hypotheses, settings, places):
 
 def split(rng, image, state, hypotheses, settings, places):
     """Cut a box in two across one of its axes, at a badly explained point or anywhere, and polish both pieces."""
-    from derender.inference.structure.search import run_polish
-
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
     if not boxes or len(state) >= settings.max_objects:
         return None
@@ -118,7 +72,7 @@ def corners_of(row):
 
 def merge(rng, image, state, hypotheses, settings, places):
     """Put one box in place of two near and aligned ones, spanning both along the axes of one."""
-    near = aligned_pairs(state, 0.06)
+    near = aligned_pairs(state, NEIGHBOURS)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
@@ -141,8 +95,6 @@ def merge_pair(rng, image, state, settings, i, j, spread):
 
     spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
     """
-    from derender.inference.structure.search import run_polish
-
     row = state.rows[i]
     along = (np.vstack([corners_of(row), corners_of(state.rows[j])]) - row[10:13]) @ rotation_of(row)
     low, high = along.min(axis=0), along.max(axis=0)
@@ -174,61 +126,8 @@ def grown(row, by=0.008):
     return new
 
 
-def put_under(rng, image, state, hypotheses, settings, places):
-    """Put a box under a solid that floats, from the floor or the next solid below up to its lowest point."""
-    from derender.inference.structure.search import run_polish
-
-    floating = [i for i in range(len(state)) if np.isnan(state.bottoms[i]) and lowest(state.rows[i]) > 0.015]
-    if not floating or len(state) >= settings.max_objects:
-        return None
-    i = floating[int(rng.integers(len(floating)))]
-    row = state.rows[i]
-    ceiling = lowest(row)
-    below = [0.0] + [highest(r) for r in state.rows if highest(r) < ceiling - 0.012]
-    bottom = below[int(rng.integers(len(below)))]
-    box = row.copy()
-    box[0] = BOX
-    if state.forms[i] == FREE:
-        box[1:10] = np.eye(3).ravel()
-    box[13:15] = np.minimum(row[13:15], row[13:16].min()) * rng.uniform(0.5, 1.0, 2)
-    box[10:12] += rng.uniform(-0.3, 0.3, 2) * row[13:15]
-    box[15] = ceiling - bottom
-    box[12] = 0.5 * (ceiling + bottom)
-    view = held_out(image, state, -1)
-    box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, 300, 0.006)
-    new = state.add(box, UPRIGHT, False, FLOOR, bottom)
-    return new, {i, len(new) - 1}
-
-
-def raise_support(rng, image, state, hypotheses, settings, places):
-    """Raise the top of a box to the bottom of one that floats above it."""
-    from derender.inference.structure.search import run_polish
-    from derender.inference.structure.support import shadows_overlap
-
-    pairs = []
-    for i in range(len(state)):
-        if np.isnan(state.bottoms[i]) or state.bottoms[i] < lowest(state.rows[i]) - 0.008:
-            for j in range(len(state)):
-                row = state.rows[j]
-                if j != i and state.forms[j] == UPRIGHT and row[12] < lowest(state.rows[i]) \
-                        and shadows_overlap(state.rows[i], row):  # fmt: skip
-                    pairs.append((i, j))
-    if not pairs:
-        return None
-    i, j = pairs[int(rng.integers(len(pairs)))]
-    new = state.copy()
-    row = new.rows[j]
-    bottom = lowest(row)
-    row[15] = lowest(state.rows[i]) - bottom
-    row[12] = bottom + 0.5 * row[15]
-    if int(row[0]) == BOX:
-        new.cubes[j] = False
-    view = held_out(image, new, j)
-    new.rows[j], _, _ = run_polish(rng, image, new, j, row, new.forms[j], False, view, bottom, settings, 250)
-    return new, {i, j}
-
-
-MOVES = ((explain_anew, 0.45), (split, 0.2), (merge, 0.15), (put_under, 0.1), (raise_support, 0.1))
+MOVES = ((explain_anew, 0.26), (split, 0.14), (merge, 0.1), (put_under, 0.08), (raise_support, 0.08), (lift, 0.08),
+         (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
 
 
 def propose(rng, image, state, hypotheses, settings, places):

@@ -130,11 +130,28 @@ def tangent(normal):
     return first, np.cross(normal, first)
 
 
-def box_axes(surface, group):
-    """Return (rotation (3, 3), form) of the box whose faces are these patches."""
-    snapped = [snap(surface.normal[k]) for k in group]
-    kinds = [kind for _, kind in snapped]
-    if "tilted" not in kinds:
+def leans(surface, k):
+    """Whether a patch is off the vertical or the horizontal by more than a degree and the accuracy of its normal."""
+    snapped, _ = snap(surface.normal[k])
+    points = surface.points[k]
+    spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(points.T))[1], 1e-12)) if len(points) > 3 else 1e-6
+    accuracy = surface.sigma / (np.sqrt(len(points)) * spread)
+    return snapped @ surface.normal[k] < np.cos(max(np.radians(1.0), 4.0 * accuracy))
+
+
+def axes_of(surface, group):
+    """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other."""
+    level = all(snap(surface.normal[k])[1] != "tilted" for k in group)
+    if level:
+        yield box_axes(surface, group, UPRIGHT)
+    if not level or any(leans(surface, k) for k in group):
+        yield box_axes(surface, group, FREE)
+
+
+def box_axes(surface, group, form):
+    """Return (rotation (3, 3), form) of the box of this form whose faces are these patches."""
+    if form == UPRIGHT:
+        snapped = [snap(surface.normal[k]) for k in group]
         weight, turn = 0.0, 0.0 + 0.0j
         for k, (normal, kind) in zip(group, snapped, strict=True):
             if kind == "side":
@@ -170,7 +187,12 @@ def boxes(surface, group):
     A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
     each is tried as well as that of all of them.
     """
-    rotation, form = box_axes(surface, group)
+    for rotation, form in axes_of(surface, group):
+        yield from boxes_along(surface, group, rotation, form)
+
+
+def boxes_along(surface, group, rotation, form):
+    """Yield the same with these axes."""
     margin = 0.25 * surface.footprint
     ends = []  # (low (3,), high (3,)) of each face's points
     fixed_low, fixed_high = np.full(3, np.nan), np.full(3, np.nan)

@@ -1,21 +1,22 @@
-"""Explain the image by a set of solids: greedy addition of polished hypotheses, then sweeps of local moves."""
+"""Explain the image by a set of solids: greedy addition of polished hypotheses, then sweeps of local moves.
 
-from functools import partial
+Whole searches are put together from these in searches.py.
+"""
+
 from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.focus import refocused
 from derender.inference.structure.image import added_misfit
-from derender.inference.structure.moves import aligned_pairs, find_places, merge_pair, propose
-from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, polish, size_energy, tilt_energy
-from derender.inference.structure.state import State, carried_by, energy, held_out, in_the_way
+from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
+from derender.inference.structure.state import State, energy, held_out, in_the_way, run_polish
 from derender.inference.structure.support import assign_supports
-from derender.inference.structure.threads import THREADS, in_threads
+from derender.inference.structure.touch import highest
 from derender.model.solids import BOX, SPHERE
 
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
+UNEVEN = 0.01  # metres: real tables and their images are off the plane by half as much over half a metre
 
 
 class Settings(NamedTuple):
@@ -62,9 +63,9 @@ class Settings(NamedTuple):
         return Rules(self.slack, np.inf if self.may_overlap else OVERLAP, self.may_float)
 
     @property
-    def height_price(self):
-        """Nats that a solid's height costs where it may float: it lies anywhere in a metre, not within the slack."""
-        return self.temper * np.log(1.0 / self.slack)
+    def price_of_floating(self):
+        """Nats that standing on nothing costs; where solids may float, what a height anywhere in a metre costs."""
+        return self.temper * np.log(1.0 / self.slack) if self.may_float else self.floating_price
 
     def for_correlation(self, correlation):
         """Return the settings for an image whose neighbouring residuals have this correlation.
@@ -80,15 +81,6 @@ class Settings(NamedTuple):
         return self._replace(price=self.price * factor, cube_bonus=self.cube_bonus * factor,
                              free_price=self.free_price * factor, floating_price=self.floating_price * factor,
                              clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK, temper=factor)  # fmt: skip
-
-
-def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
-    """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
-    depth, _, misfit, _ = view
-    return polish(
-        rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
-        carried_by(state, index), settings.slack, settings.tilt, rounds, step, heat,
-    )  # fmt: skip
 
 
 def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
@@ -189,9 +181,15 @@ def cube_of(row, side, origin, form):
 
 
 def prune(image, state, settings):
-    """Remove solids whose removal costs less than their price; return a new state."""
+    """Remove solids whose removal costs less than their price, and what is no higher than floors are uneven.
+
+    Returns a new state.
+    """
     i = 0
     while i < len(state):
+        if highest(state.rows[i]) < UNEVEN:
+            state, i = state.without(i), 0
+            continue
         depth, _, misfit, _ = held_out(image, state, i)
         kept = added_misfit(image, state.rows[i], depth, misfit) + size_energy(state.rows[i], state.cubes[i])
         if kept + complexity(int(state.rows[i][0]), state.forms[i], state.cubes[i], settings) > 0:
@@ -211,84 +209,6 @@ def settle(rng, image, state, settings, rounds=200, only=None):
     return assign_supports(image, state, settings)
 
 
-def search(rng, image, hypotheses, settings, pool=None):
-    """Return (best State found, Image with the blur that it shows).
-
-    (state, energy) of all that were tried are appended to the list `pool`.
-    """
-    state = greedy(rng, image, hypotheses, settings)
-    image, gained = refocused(image, state.rows, settings.price)
-    if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
-        state = greedy(rng, image, hypotheses, settings)
-        image, _ = refocused(image, state.rows, settings.price)
-    state = settle(rng, image, state, settings)
-    image, _ = refocused(image, state.rows, settings.price)
-    state = repair(rng, image, state, hypotheses, settings, pool)
-    state = merge_all(rng, image, state, settings)
-    again = settle(rng, image, state, settings, 300)
-    if total_energy(image, again, settings) < total_energy(image, state, settings):
-        state = again
-    sweep(rng, image, state, settings, 300, 0.001, 0.0)
-    return prune(image, state, settings), image
-
-
-def repair(rng, image, state, hypotheses, settings, pool=None):
-    """Try moves between structures where the image is badly explained, and keep what lowers the energy.
-
-    Ends after settings.repairs rounds, or after settings.quiet rounds without success when hardly any misfit is left
-    that noise would not leave.
-    """
-    best = total_energy(image, state, settings)
-    places = find_places(image, state)
-    quiet = tried = 0
-    while tried < settings.repairs:
-        move = partial(moved, image=image, state=state, hypotheses=hypotheses, settings=settings, places=places)
-        for found in in_threads(rng, [move] * THREADS):
-            if quiet >= settings.quiet + 3 * len(state) and places.blame.sum() < settings.clean:
-                return state
-            quiet, tried = quiet + 1, tried + 1
-            if found is None:
-                continue
-            new, value = found
-            if pool is not None:
-                pool.append(found)
-            if value < best:
-                quiet = quiet if value > best - settings.worthwhile else 0
-                state, best = new, value
-                places = find_places(image, state)
-                break  # the other move was made from the former state
-    return state
-
-
-def moved(rng, image, state, hypotheses, settings, places):
-    """Return (state, energy) after a random move between structures, or None where it does not apply."""
-    proposed = propose(rng, image, state, hypotheses, settings, places)
-    if proposed is None:
-        return None
-    _, new, changed = proposed
-    new = settle(rng, image, new, settings, 150, changed)
-    return new, total_energy(image, new, settings)
-
-
-def merge_all(rng, image, state, settings):
-    """Try to make one box of each two that touch and are aligned, as long as that lowers the energy."""
-    best = total_energy(image, state, settings)
-    merged = True
-    while merged:
-        merged = False
-        for i, j in aligned_pairs(state, 0.004):
-            for spread in ((False, False, False), (True, True, True)):
-                new, changed = merge_pair(rng, image, state, settings, i, j, spread)
-                new = settle(rng, image, new, settings, 200, changed)
-                value = total_energy(image, new, settings)
-                if value < best:
-                    state, best, merged = new, value, True
-                    break
-            if merged:
-                break
-    return state
-
-
 def complexity(kind, form, cube, settings):
     """Return the price in nats of a solid: more for each number that a simpler solid would not need."""
     price = settings.price
@@ -306,5 +226,5 @@ def total_energy(image, state, settings):
         total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
         total += tilt_energy(state.rows[k], state.forms[k], settings.tilt)
         if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
-            total += settings.height_price if settings.may_float else settings.floating_price
+            total += settings.price_of_floating
     return total

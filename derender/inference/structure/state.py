@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from derender.inference.structure.image import ROW, blank, draw, misfit_map
-from derender.inference.structure.polish import contact_energy, size_energy
+from derender.inference.structure.polish import contact_energy, polish, size_energy
 from derender.inference.structure.touch import lowest
 
 FLOOR = -1
@@ -90,3 +90,12 @@ def energy(image, state, slack, per_object, in_the_way):
         total += size_energy(state.rows[k], state.cubes[k])
         total += contact_energy(state.rows[k], in_the_way, k, state.bottoms[k], NOTHING, slack)
     return total + per_object * len(state)
+
+
+def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
+    """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
+    depth, _, misfit, _ = view
+    return polish(
+        rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
+        carried_by(state, index), settings.slack, settings.tilt, rounds, step, heat,
+    )  # fmt: skip

@@ -3,12 +3,15 @@
 import numpy as np
 
 from derender.inference.structure.image import added_misfit
+from derender.inference.structure.loads import shares_of_load
 from derender.inference.structure.polish import UPRIGHT, contact_energy, size_energy
 from derender.inference.structure.state import FLOOR, NOTHING, held_out, in_the_way
 from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
 NEAR = 0.006
+TOUCHING = 0.003  # metres between surfaces of polished solids that bear a load: twice the slack of contacts
+LEAST_GAP = 0.012  # metres under a solid in which another may stand
 LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
 
 
@@ -46,7 +49,7 @@ def touches(row, other, reach=NEAR):
 def assign_supports(image, state, settings):
     """Choose each solid's support, and for upright boxes and cylinders move the bottom onto it. Returns a new state.
 
-    Where solids may float, standing on nothing, as the solid is, competes with the supports.
+    Its bottom where it is, over nothing, competes with the supports: what carries it may be hidden, or it may float.
     """
     state = state.copy()
     others = in_the_way(state.rows, settings)
@@ -55,7 +58,12 @@ def assign_supports(image, state, settings):
         row = state.rows[i]
         if state.forms[i] == UPRIGHT and int(row[0]) in (BOX, CYLINDER) and not state.cubes[i]:
             depth, _, misfit, _ = held_out(image, state, i)
-            best, choice, best_row = np.inf, FLOOR, row
+            best, choice, best_row, bottom = np.inf, FLOOR, row, np.nan
+            if lowest(row) > (NEAR if settings.may_float else LEAST_GAP):
+                best = (
+                    added_misfit(image, row, depth, misfit) + size_energy(row, False) + settings.price_of_floating
+                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack)
+                )  # fmt: skip
             for j in [FLOOR, *[k for k in range(len(state)) if k != i]]:
                 height = 0.0
                 if j != FLOOR:
@@ -70,18 +78,8 @@ def assign_supports(image, state, settings):
                     + contact_energy(trial, others, i, height, NOTHING, settings.slack) - 0.5 * (j != FLOOR)
                 )  # fmt: skip
                 if value < best:
-                    best, choice, best_row = value, j, trial
-            if settings.may_float and lowest(row) > NEAR:
-                value = (
-                    added_misfit(image, row, depth, misfit) + size_energy(row, False) + settings.height_price
-                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack)
-                )  # fmt: skip
-                if value < best:
-                    state.parents[i], state.bottoms[i] = FLOOR, np.nan
-                    continue
-            state.rows[i] = best_row
-            state.parents[i] = choice
-            state.bottoms[i] = 0.0 if choice == FLOOR else highest(state.rows[choice])
+                    best, choice, best_row, bottom = value, j, trial, height
+            state.rows[i], state.parents[i], state.bottoms[i] = best_row, choice, bottom
         else:
             state.parents[i], state.bottoms[i] = standing_on(state, i)
     return state
@@ -108,14 +106,17 @@ def standing_on(state, i, reach=0.012):
 
 
 def final_parents(state):
-    """Return the parent of each solid by contact: of several supports, the one nearest under the centre of mass."""
+    """Return the parent of each solid by contact: of several supports, the one that bears the most of its weight."""
     parents = []
     for i in range(len(state)):
         row = state.rows[i]
         below = [j for j in range(len(state)) if j != i and state.rows[j][12] < row[12]]
         carriers = [j for j in below if touches(row, state.rows[j])]
         on_floor = lowest(row) < NEAR
-        if on_floor or not carriers:
+        shares = shares_of_load(state.rows, i, TOUCHING) if len(carriers) + on_floor > 1 else {}
+        if shares:
+            parents.append(max(shares, key=lambda j: shares[j]))
+        elif on_floor or not carriers:
             parents.append(FLOOR if on_floor or state.parents[i] in (FLOOR, i) else state.parents[i])
         elif state.parents[i] in carriers:
             parents.append(state.parents[i])

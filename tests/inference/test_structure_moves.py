@@ -1,0 +1,149 @@
+"""The moves of the search over structures, and what they are for."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from scene_makers import SETS, make_scene  # noqa: E402
+
+from derender.inference.structure.graph import scene_graph  # noqa: E402
+from derender.inference.structure.image import make_row  # noqa: E402
+from derender.inference.structure.infer import point_estimate  # noqa: E402
+from derender.inference.structure.moves import MOVES  # noqa: E402
+from derender.inference.structure.places import find_places  # noqa: E402
+from derender.inference.structure.polish import FREE, UPRIGHT  # noqa: E402
+from derender.inference.structure.search import Settings, total_energy  # noqa: E402
+from derender.inference.structure.shaping import shake, stretch, tilt  # noqa: E402
+from derender.inference.structure.state import FLOOR, State  # noqa: E402
+from derender.inference.structure.supporting import lift  # noqa: E402
+from derender.model.scene import ROOT  # noqa: E402
+from derender.model.solids import BOX  # noqa: E402
+
+
+def scene_of(name, seed):
+    return make_scene(np.random.default_rng([seed, SETS.index(name)]), name)
+
+
+@pytest.fixture(scope="module")
+def explained():
+    """Return (image, state) of a tower with its graph, as the search leaves it."""
+    scene = scene_of("cubes", 3)
+    state, seen = point_estimate(np.random.default_rng(3), scene["depth"], scene["camera"])
+    assert len(state) == 3
+    return seen.image, state
+
+
+def with_other(state, index, **numbers):
+    """Return the state with some of the numbers of a row changed: {column: value added}."""
+    new = state.copy()
+    new.cubes[index] = False
+    for column, value in numbers.items():
+        new.rows[index, int(column[1:])] += value
+    return new
+
+
+@pytest.mark.parametrize("move", [move for move, _ in MOVES], ids=lambda move: move.__name__)
+def test_moves_leave_what_they_are_given_as_it_was(explained, move):
+    image, state = explained
+    state = with_other(state, 0, c13=-0.04, c10=0.02)
+    kept, places = state.copy(), find_places(image, state)
+    applied = 0
+    for seed in range(12):
+        result = move(np.random.default_rng(seed), image, state, [], Settings(), places)
+        assert np.array_equal(state.rows, kept.rows) and state.parents == kept.parents and state.cubes == kept.cubes
+        if result is not None:
+            new, changed = result
+            sizes = {len(each) for each in (new.rows, new.forms, new.cubes, new.parents, new.bottoms)}
+            assert sizes == {len(new)} and all(0 <= k < len(new) for k in changed)
+            assert np.isfinite(new.rows).all() and (new.rows[:, 13:16] > 0).all()
+            applied += 1
+    # nothing floats in this state: these two have nothing to do
+    assert applied > 0 or move.__name__ in ("put_under", "raise_support")
+
+
+def best_of(move, image, state, tries=20):
+    """Return the least energy that a move reaches from a state, and the energy of the state."""
+    places = find_places(image, state)
+    results = [move(np.random.default_rng(k), image, state, [], Settings(), places) for k in range(tries)]
+    energies = [total_energy(image, result[0], Settings()) for result in results if result is not None]
+    return min(energies), total_energy(image, state, Settings())
+
+
+def test_a_box_that_is_too_short_is_stretched(explained):
+    image, state = explained
+    top = int(np.argmax(state.rows[:, 12]))
+    reached, started = best_of(stretch, image, with_other(state, top, c13=-0.04, c10=0.02))
+    least = total_energy(image, state, Settings())
+    assert reached - least < 0.1 * (started - least)
+
+
+def test_a_box_turned_wrongly_is_shaken_right(explained):
+    image, state = explained
+    top = int(np.argmax(state.rows[:, 12]))
+    wrong = state.copy()
+    c, s = np.cos(0.6), np.sin(0.6)
+    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ wrong.rows[top, 1:10].reshape(3, 3)
+    wrong.rows[top, 1:10] = turned.ravel()
+    reached, started = best_of(shake, image, wrong)
+    least = total_energy(image, state, Settings())
+    assert reached - least < 0.1 * (started - least)
+
+
+def test_a_tilted_solid_is_put_upright_and_the_reverse(explained):
+    image, state = explained
+    top = int(np.argmax(state.rows[:, 12]))
+    free = state.copy()
+    free.forms = [FREE] * 3
+    places = find_places(image, free)
+    for given, form in ((free, UPRIGHT), (state, FREE)):
+        new, changed = tilt(np.random.default_rng(0), image, given, [], Settings(), places)
+        (index,) = changed
+        assert new.forms[index] == form
+    del top
+
+
+def test_a_box_drawn_down_to_the_floor_is_lifted_off_it():
+    """Scene 22 of the towers: two pixels show what carries the lowest box that can be seen."""
+    scene = scene_of("tower", 22)
+    state, seen = point_estimate(np.random.default_rng(22), scene["depth"], scene["camera"])
+    sizes = sorted(tuple(np.round(np.sort(row[13:16]), 2)) for row in state.rows)
+    truth = sorted(tuple(np.round(np.sort(item["size"]), 2)) for item in scene["objects"][1:])
+    assert sizes == truth
+    graph = scene_graph(state, seen.floor.pose)
+    assert [v.contact.type for v in graph.vertices if v.parent == ROOT] == ["6dof", "6dof"]  # the floor, and that box
+
+
+def test_lifting_puts_something_into_the_gap(explained):
+    image, state = explained
+    bottom = int(np.argmin(state.rows[:, 12]))
+    # a cube drawn down by as much as it is high, through what is the floor now
+    lowered = state.without(bottom)
+    lowest_left = int(np.argmin(lowered.rows[:, 12]))
+    lowered.rows[lowest_left, 12] -= 0.05
+    lowered.rows[lowest_left, 15] += 0.1
+    lowered.cubes[lowest_left] = False
+    lowered.bottoms[lowest_left] = 0.0
+    reached, started = best_of(lift, image, lowered)
+    assert reached < started - 100
+
+
+def test_a_cube_that_leans_a_little_is_one_cube_on_what_bears_it():
+    """Scene 29 of the settled: 5 degrees off the vertical, on a corner of one box and an edge of another."""
+    scene = scene_of("settled", 29)
+    state, _ = point_estimate(np.random.default_rng(29), scene["depth"], scene["camera"])
+    assert len(state) == len(scene["objects"])
+    (leaning,) = [k for k in range(len(state)) if state.forms[k] == FREE]
+    (true,) = [item for item in scene["objects"] if item["parent"] != "floor"]
+    assert state.rows[leaning, 13:16] == pytest.approx(true["size"], abs=0.003)
+    support = state.rows[state.parents[leaning], 13:16]
+    assert np.sort(support) == pytest.approx(np.sort(scene["objects"][true["parent"]]["size"]), abs=0.003)
+
+
+def test_over_a_gap_a_solid_floats():
+    for gap, parent in ((0.003, "floor"), (0.05, ROOT)):
+        state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.05 + gap], np.full(3, 0.1)), UPRIGHT, True, FLOOR)
+        assert scene_graph(state, np.eye(4)).vertex("cube_1").parent == parent
