@@ -6,10 +6,11 @@ from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.structure.image import make_image
 from derender.inference.structure.observation import observe, patches_of
-from derender.inference.structure.proposals import all_hypotheses, make_surface
+from derender.inference.structure.proposals import all_hypotheses
 from derender.inference.structure.search import Settings
 from derender.inference.structure.searches import search
 from derender.inference.structure.support import final_parents
+from derender.inference.structure.surface import make_surface
 
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
