@@ -14,7 +14,7 @@ from derender.cli.options import Talk
 @click.argument("predicted", metavar="PREDICTED")
 @click.argument("truth", metavar="TRUTH")
 @click.option("--frame", metavar="KEY", help="Frame of BOP's scene_gt.json, where it has several.")
-@click.option("--models", metavar="FILE", help="BOP's models_info.json, where it is not near the scene.")
+@click.option("--models", metavar="FILE", help="BOP's models_info.json or its folder, where it is not near the scene.")
 @click.option(
     "--background", default="0", show_default=True, metavar="N,N", help="Labels of a label image that are no object."
 )

@@ -59,7 +59,8 @@ def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any])
     """Return errors of position, rotation and size of one solid, up to the symmetry of its shape.
 
     A box's axes may be named in 24 ways: the naming taken brings the corners closest together. A cylinder is the same
-    turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand.
+    turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand, or turned
+    by one of the true one's `symmetries` (K, 3, 3).
 
     Returns
     -------
@@ -79,7 +80,8 @@ def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any])
         rotation = float(np.arctan2(np.linalg.norm(np.cross(axis_p, axis_t)), abs(axis_p @ axis_t)))
         size = size_p - size_t
     elif kinds == {"mesh"}:
-        rotation, size = _angle(pose_p[:3, :3], pose_t[:3, :3]), size_p - size_t
+        same = np.asarray(truth.get("symmetries", [np.eye(3)]), float)
+        rotation, size = min(_angle(pose_p[:3, :3], pose_t[:3, :3] @ turn) for turn in same), size_p - size_t
     else:
         best = min(relabellings(size_p), key=lambda way: _corner_gap(pose_p, way, pose_t, size_t))
         size = best[1] - size_t

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.evaluation.bop import bop_scene, is_bop_frame, numbers_of
 
-MILLIMETRE = 1e-3
 LABEL_SUFFIXES = (".png", ".npy", ".tiff", ".tif")
 
 
@@ -34,7 +34,7 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
         raise DerenderError("this is not JSON", path, "give a scene, or BOP's scene_gt.json") from fault
     if isinstance(tree, Mapping) and isinstance(tree.get("objects"), list):
         return checked_scene(tree, path)
-    if isinstance(tree, Mapping) and tree and all(_is_bop_frame(value) for value in tree.values()):
+    if isinstance(tree, Mapping) and tree and all(is_bop_frame(value) for value in tree.values()):
         return bop_scene(tree, path, frame, models)
     raise DerenderError("neither a scene of `derender show --json` nor a scene_gt.json of BOP", path)
 
@@ -56,14 +56,14 @@ def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, An
         seen.add(name)
         if not isinstance(item.get("type"), str):
             raise DerenderError(f"{name} has no type", where)
-        pose = _array(item.get("pose"), (4, 4))
+        pose = numbers_of(item.get("pose"), (4, 4))
         if pose is None or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4):
             raise DerenderError(
                 f"the pose of {name} is not a rigid 4x4 matrix", where, "rows, object to camera, metres"
             )
         size = item.get("size")
         if size is not None:
-            extents = _array(size, (3,))
+            extents = numbers_of(size, (3,))
             if extents is None or not np.all(extents > 0):
                 raise DerenderError(
                     f"the size of {name} is not three positive lengths", where, "metres; null for a plane"
@@ -71,62 +71,9 @@ def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, An
         elif item["type"] not in ("plane", "frame"):
             raise DerenderError(f"{name} has no size", where, "three lengths in metres")
     scene = dict(tree)
-    gravity = _array(tree.get("gravity", (0.0, 0.0, 0.0)), (3,))
+    gravity = numbers_of(tree.get("gravity", (0.0, 0.0, 0.0)), (3,))
     scene["gravity"] = [0.0, 0.0, 0.0] if gravity is None else gravity.tolist()
     return scene
-
-
-def bop_scene(
-    tree: Mapping[str, Any], path: str | Path, frame: str | None = None, models: str | Path | None = None
-) -> dict[str, Any]:
-    """Return one frame of BOP's scene_gt.json as a scene: a mesh for each object, without supports (BOP has none).
-
-    Poses are moved from the models' origins to the middles of their boxes, sizes are the boxes' of models_info.json.
-    """
-    if frame is None:
-        if len(tree) > 1:
-            some = ", ".join(list(tree)[:5])
-            raise DerenderError(f"{len(tree)} frames are in this file", path, f"choose one with --frame: {some} ...")
-        frame = next(iter(tree))
-    if frame not in tree:
-        raise DerenderError(f"no frame {frame!r}", path, "choose from " + ", ".join(list(tree)[:8]))
-    information = read_models_info(path, models)
-    objects, count = [], {}
-    for entry in tree[frame]:
-        number = str(entry["obj_id"])
-        rotation = _array(entry["cam_R_m2c"], (9,))
-        position = _array(entry["cam_t_m2c"], (3,))
-        if rotation is None or position is None:
-            raise DerenderError(f"object {number} has no pose", path)
-        if number not in information:
-            raise DerenderError(f"no model {number} in models_info.json", path, "give the right one with --models")
-        model = information[number]
-        low = np.array([model[f"min_{axis}"] for axis in "xyz"], float) * MILLIMETRE
-        size = np.array([model[f"size_{axis}"] for axis in "xyz"], float) * MILLIMETRE
-        pose = np.eye(4)
-        pose[:3, :3] = rotation.reshape(3, 3)
-        pose[:3, 3] = position * MILLIMETRE + pose[:3, :3] @ (low + 0.5 * size)
-        count[number] = count.get(number, 0) + 1
-        name = f"object_{number}" + (f"_{count[number]}" if count[number] > 1 else "")
-        objects.append({"name": name, "type": "mesh", "size": size.tolist(), "pose": pose.tolist()})
-    return {"frame": "camera", "gravity": [0.0, 0.0, 0.0], "objects": objects}
-
-
-def read_models_info(path: str | Path, models: str | Path | None = None) -> dict[str, Any]:
-    """Read BOP's models_info.json: as given, or in models/ or models_eval/ beside the scene or some folders above."""
-    if models is not None:
-        given = Path(models)
-        candidates = [given / "models_info.json" if given.is_dir() else given]
-    else:
-        folders = list(Path(path).resolve().parents)[:4]
-        candidates = [folder / name for folder in folders for name in ("models_info.json", *_model_files())]
-    for candidate in candidates:
-        if candidate.is_file():
-            try:
-                return json.loads(candidate.read_text(encoding="utf-8"))
-            except ValueError as fault:
-                raise DerenderError("this is not JSON", candidate) from fault
-    raise DerenderError("sizes of the models are needed: no models_info.json", path, "give it with --models")
 
 
 def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
@@ -161,22 +108,3 @@ def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
     if labels.ndim != 2:
         raise DerenderError(f"a label image has one channel, not {labels.shape[2:]}", path)
     return labels.astype(np.int64) // divisor
-
-
-def _model_files() -> tuple[str, ...]:
-    return tuple(f"{folder}/models_info.json" for folder in ("models", "models_eval", "models_cad"))
-
-
-def _is_bop_frame(value: object) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(entry, Mapping) and {"cam_R_m2c", "cam_t_m2c", "obj_id"} <= set(entry) for entry in value
-    )
-
-
-def _array(value: object, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return finite numbers of that shape, or None."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        return None
-    return array if array.shape == shape and np.all(np.isfinite(array)) else None

@@ -98,8 +98,8 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
         )
         posterior, interrupted, lost = result
     else:
-        for option, given in (("--resume", resume), ("--warmup", warmup is not None)):
-            if given:
+        for option, present in (("--resume", resume), ("--warmup", warmup is not None)):
+            if present:
                 warn(f"{option} says nothing here: it is for chains of a scene given with --scene")
         posterior = _structure(seen, document, method, found, chains, draws, seed, progress)
         fitted = dict(posterior.meta["likelihood"])

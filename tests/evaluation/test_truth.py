@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 from derender.errors import DerenderError
 from derender.evaluation.condition import condition_of
-from derender.evaluation.metrics import compare_scenes
+from derender.evaluation.metrics import add_s, compare_scenes, pose_and_size_errors
 from derender.evaluation.truth import checked_scene, read_json_scene, read_labels
 
 
@@ -51,6 +52,33 @@ def test_bop_frame(tmp_path):
         read_json_scene(path, frame="4")
     with pytest.raises(DerenderError, match="--models"):
         read_json_scene(path, frame="3", models=tmp_path / "nowhere.json")
+
+
+def test_bop_models_and_symmetries(tmp_path):
+    """Beside models_info.json lies the model, a wedge; and the former says what turns leave it as it is."""
+    path = write_bop(tmp_path)
+    wedge = trimesh.convex.convex_hull(np.array([[0, y, z] for y in (-20, 20) for z in (0, 60)] + [[100, 20, 0]]))
+    wedge.export(tmp_path / "models" / "obj_000005.ply")
+    information = tmp_path / "models" / "models_info.json"
+    info = json.loads(information.read_text())
+    info["5"]["symmetries_discrete"] = [np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist()]
+    information.write_text(json.dumps(info))
+    scene = read_json_scene(path, frame="3")
+    (item,) = scene["objects"]
+    np.testing.assert_allclose(item["vertices"].min(axis=0), [-0.05, -0.02, -0.03], atol=1e-9)
+    half = {**item, "pose": (np.array(item["pose"]) @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist()}
+    assert pose_and_size_errors(half, item)["rotation"] == pytest.approx(0.0, abs=1e-9)
+    assert pose_and_size_errors(half, {**item, "symmetries": [np.eye(3)]})["rotation"] == pytest.approx(np.pi)
+    # ADD-S: of the wedge against itself none, of its box some
+    box = {key: value for key, value in item.items() if key != "vertices"}
+    assert add_s(item, item) < 5e-4 < 2e-3 < add_s(box, item)
+    info["5"] |= {"symmetries_discrete": [], "symmetries_continuous": [{"axis": [0, 0, 1], "offset": [0, 0, 0]}]}
+    information.write_text(json.dumps(info))
+    (round_item,) = read_json_scene(path, frame="3")["objects"]
+    assert pose_and_size_errors(half, round_item)["rotation"] < 0.05
+    (tmp_path / "models" / "obj_000005.ply").write_text("nothing")
+    with pytest.raises(DerenderError, match="this is no mesh"):
+        read_json_scene(path, frame="3")
 
 
 def test_scene_of_show_json(tmp_path):
