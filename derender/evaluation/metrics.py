@@ -58,9 +58,9 @@ def relabellings(size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
     """Return errors of position, rotation and size of one solid, up to the symmetry of its shape.
 
-    A box's axes may be named in 24 ways: the naming taken brings the corners closest together. A cylinder is
-    the same turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand, or
-    turned by one of the true one's `symmetries` (K, 3, 3).
+    A box's axes may be named in 24 ways: the naming taken brings the corners closest together. A cylinder is the same
+    turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand, turned
+    by each of the true one's `symmetries` (K, 3, 3).
 
     Returns
     -------
