@@ -62,12 +62,13 @@ def next_temperature(log_likelihood: np.ndarray, present: float, share: float = 
     return min(1.0, max(low, present * LEAST_STEP))
 
 
-def systematic(rng: np.random.Generator, weights: np.ndarray) -> np.ndarray:
-    """Return (n,) indices: systematic resampling, which copies each particle n w or n w + 1 times."""
-    count = len(weights)
+def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None = None) -> np.ndarray:
+    """Return (count,) indices (default: as many as there are weights): systematic resampling, which copies each
+    particle n w or n w + 1 times."""
+    count = len(weights) if count is None else count
     places = (rng.random() + np.arange(count)) / count
     cumulative = np.cumsum(weights) / np.sum(weights)
-    return np.minimum(np.searchsorted(cumulative, places, side="right"), count - 1)
+    return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
 
 
 def tempered(

@@ -99,9 +99,11 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
         posterior, interrupted, lost = result
     else:
         for option, present in (("--resume", resume), ("--warmup", warmup is not None)):
-            if present:
-                warn(f"{option} says nothing here: it is for chains of a scene given with --scene")
-        posterior = _structure(seen, document, method, found, chains, draws, seed, progress)
+            if present and method in ("auto", "map"):
+                warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
+        run = {"folder": folder, "resume": resume, "jobs": jobs, "warmup": warmup}
+        posterior = _structure(seen, document, method, found, chains, draws, seed, progress, run)
+        interrupted = bool(posterior.meta.get("interrupted"))
         fitted = dict(posterior.meta["likelihood"])
         likelihood = LikelihoodPrior(fitted.pop("type"), fitted)
     meta = {
@@ -126,8 +128,11 @@ def has_objects(document) -> bool:
     return isinstance(document.prior, TreePrior)
 
 
-def _structure(seen, document, method, found, chains, draws, seed, progress) -> Posterior:
-    """Infer what there is from the image alone; `found` holds the options that say what is known of it."""
+def _structure(seen, document, method, found, chains, draws, seed, progress, run) -> Posterior:
+    """Infer what there is from the image alone; `found` holds the options that say what is known of it.
+
+    run : folder, resume, jobs and warmup, which chains over structures heed.
+    """
     from derender.inference.structure.image import KINDS
     from derender.inference.structure.infer import infer_structure
     from derender.inference.structure.library import read_library
@@ -146,12 +151,15 @@ def _structure(seen, document, method, found, chains, draws, seed, progress) -> 
     for key, value in (("max_objects", found["max_objects"]), ("chains", chains), ("draws", draws)):
         if value is not None:
             chosen[key] = value
-    if method in ("mcmc", "smc"):
-        if found["known"] is not None:
-            raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
+    if method in ("mcmc", "smc") and found["known"] is not None:
+        raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
+    if method in ("mcmc", "smc") and document is not None:
         from derender.inference.structure.jumps.run import infer_by_jumps
 
+        chosen |= {"resume": run["resume"], "warmup": run["warmup"]}
         return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)
     if document is not None:
         chosen["prior"] = document.prior
+    if method in ("mcmc", "smc"):
+        chosen |= run
     return infer_structure(seen.depth, seen.camera, chosen, np.random.default_rng(seed), progress)

@@ -14,6 +14,7 @@ from derender.inference.posterior import Posterior
 from derender.vision.depth_file import DepthImage, write_depth
 
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
+APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,13 @@ def doubts_of(posterior: Posterior, rows, lost: int) -> tuple[str, ...]:
     if draws < 4:
         return tuple(doubts)
     largest, smallest = limits(chains * draws)
+    agreement = posterior.meta.get("structure_chains", {})
+    evidence = agreement.get("log_evidence", [0.0])
+    if max(evidence) - min(evidence) > APART:
+        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
+    over = agreement.get("r_hat")
+    if over is not None and over > largest:
+        doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
     worst = max(rows, key=lambda row: np.nan_to_num(row["r_hat"]), default=None)
     if worst and worst["r_hat"] > largest:
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")

@@ -11,7 +11,6 @@ from derender.errors import DerenderError
 from derender.inference.structure.chart import Rules, log_prior, make_chart, place_rows
 from derender.inference.structure.image import ROW
 from derender.inference.structure.infer import infer_structure, settings_of
-from derender.inference.structure.jumps.start import default_prior
 from derender.inference.structure.scene_density import state_of
 from derender.model.overlap import overlaps
 from derender.vision.raycast.depth import render_depth
@@ -101,11 +100,3 @@ def test_no_floating_rules_out_what_is_placed_freely():
     assert prior.constraints[0].log_density(read(CROSS).graph) == 0.0
     with pytest.raises(DerenderError, match="no-floating takes no value"):
         read(HANGING + "constraints: [no-floating: 3]\n")
-
-
-def test_the_jumps_prior_has_the_same_switches():
-    cross, hanging = read(CROSS).graph, read(HANGING).graph
-    floor = cross.poses()["floor"]
-    for graph, switch in ((cross, {"may_overlap": True}), (hanging, {"may_float": True})):
-        densities = [default_prior(floor, **options).log_density(graph) for options in ({}, switch)]
-        assert densities[0] < -200 and densities[1] > -50, switch

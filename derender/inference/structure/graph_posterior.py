@@ -176,43 +176,15 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
 def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
     """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
-    first = best = refine(rng, seen, state, settings.rules)
+    first = refine(rng, seen, state, settings.rules)
     if only_best:
-        return [structure_posterior(best, names_of(best.state), 1.0, [only_draw(best)])]
-    energy = total_energy(seen.image, state, settings)
-    best, others = leading(best, from_search(rng, best, pool, energy, settings.rules))
-    for _ in range(MOST_MERGES):
-        former = best
-        best, others = leading(best, [*others, *merges(rng, best, settings.rules)])
-        if best is former:
-            break
-    for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
-        former = best
-        k = 0
-        while k < len(best.state):  # it may lose one on the way
-            ahead = range(k, min(k + THREADS, len(best.state)))
-            tasks = [partial(of_one_solid, best=best, i=i, rules=settings.rules) for i in ahead]
-            for weighed in in_threads(rng, tasks):
-                k, against = k + 1, best
-                best, others = leading(best, [*others, *weighed])
-                if best is not against:  # what the next solids' changes were weighed against
-                    break
-        if best is former:
-            break
-    if best is not first:
-        best = settled(rng, best)
-    names = names_of(best.state)
-    found = {structure_key(best.state, names): (best, 0.0)}
-    for trial, odds in others:
-        key = structure_key(trial.state, matched_names(trial.state, best.state, names))
-        if odds > -NEGLIGIBLE and (key not in found or odds > found[key][1]):
-            found[key] = (trial, odds)
-    kept = sorted(found.values(), key=lambda pair: -pair[1])[:MOST_PARTS]
-    weights = np.exp([odds - kept[0][1] for _, odds in kept])
+        return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
+    kept = weighed_structures(rng, first, total_energy(seen.image, state, settings), pool, settings.rules)
+    kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
+    weights = np.exp([odds - kept[0][1] for _, odds, _ in kept])
     weights /= weights.sum()
     parts = []
-    for place, ((trial, _), weight) in enumerate(zip(kept, weights, strict=True)):
-        own = names if trial is best else matched_names(trial.state, best.state, names)
+    for place, ((trial, _, own), weight) in enumerate(zip(kept, weights, strict=True)):
         if place == 0:
             drawn = chains_of(rng, trial, chains, draws)
         elif weight > WORTH_DRAWING and len(trial.state):
@@ -223,6 +195,44 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
             drawn = [only_draw(trial)]
         parts.append(structure_posterior(trial, own, float(weight), drawn))
     return parts
+
+
+def weighed_structures(rng, first, energy, pool, rules):
+    """Return (Refined, log odds, names) of the structures that the search met and of those one step from the best.
+
+    The likeliest comes first, with odds 0; a solid has the same name in all.
+
+    first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
+    """
+    best, others = leading(first, from_search(rng, first, pool, energy, rules))
+    for _ in range(MOST_MERGES):
+        former = best
+        best, others = leading(best, [*others, *merges(rng, best, rules)])
+        if best is former:
+            break
+    for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
+        former = best
+        k = 0
+        while k < len(best.state):  # it may lose one on the way
+            ahead = range(k, min(k + THREADS, len(best.state)))
+            tasks = [partial(of_one_solid, best=best, i=i, rules=rules) for i in ahead]
+            for weighed in in_threads(rng, tasks):
+                k, against = k + 1, best
+                best, others = leading(best, [*others, *weighed])
+                if best is not against:  # what the next solids' changes were weighed against
+                    break
+        if best is former:
+            break
+    if best is not first:
+        best = settled(rng, best)
+    names = names_of(best.state)
+    found = {structure_key(best.state, names): (best, 0.0, names)}
+    for trial, odds in others:
+        own = matched_names(trial.state, best.state, names)
+        key = structure_key(trial.state, own)
+        if key not in found or odds > found[key][1]:
+            found[key] = (trial, odds, own)
+    return sorted(found.values(), key=lambda each: -each[1])
 
 
 def leading(best, others):

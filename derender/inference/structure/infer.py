@@ -73,8 +73,9 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     image : (H, W) float metres, NaN or 0 = no return.
     camera : Camera, or a dict with fx, fy, cx, cy.
     options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
-        draws under the best structures), "map" (the best scene only); floor ("auto", "none", or a plane in camera
-        axes), known (a library of known objects or its file), others (whether there may be solids besides them),
+        draws under the best structures), "map" (the best scene only), "mcmc" or "smc" (chains or populations over
+        structures, see leaps/; also warmup, jobs, folder of checkpoints, resume); floor ("auto", "none", or a plane in
+        camera axes), known (a library of known objects or its file), others (whether there may be solids besides them),
         may_overlap and may_float (whether solids may interpenetrate and float), prior (see settings_of).
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
@@ -92,6 +93,11 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
+    plan = None
+    if options.get("method") in ("mcmc", "smc"):
+        from derender.inference.structure.leaps.run import leap_parts, read_plan
+
+        plan = read_plan(options, depth)
     pool: list = []
     plane = read_floor(options.get("floor"))
     library = chosen_library(options["known"]) if options.get("known") else ()
@@ -101,12 +107,15 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
     only_best = options.get("method") == "map"
+    told: dict = {}
     if library:
         from derender.inference.structure.known_posterior import known_posterior
 
         many = (1, 1) if only_best else (chains, draws)
         others = bool(options.get("others", True))
         parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
+    elif plan is not None and len(state):
+        parts, told = leap_parts(rng, seen, state, pool, settings, plan, progress)
     else:
         parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best)
     parts = with_bridges(parts, settings.slack)
@@ -115,7 +124,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
-            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
+            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
     return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
 
 

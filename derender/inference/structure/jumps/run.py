@@ -1,4 +1,5 @@
-"""Scene graphs sampled behind an image by jump chains or structure SMC: `derender infer --method mcmc` or `smc`."""
+"""Scene graphs under a prior of open structure, sampled by jump chains or structure SMC: `infer --scene PRIOR --method
+mcmc` or `smc`. Without a prior see structure/leaps."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,6 @@ from derender.inference.structure.jumps.slots import SlotImage
 from derender.inference.structure.jumps.smc import structure_smc
 from derender.inference.structure.jumps.start import (
     base_graph,
-    default_prior,
     hypotheses_of,
     root_pose_near,
     start_graph,
@@ -90,39 +90,49 @@ def sample_structures(
     return posterior_of(Vocabulary(prior), found)
 
 
-def infer_by_jumps(image, camera, options, document=None, rng=None, progress=None) -> Posterior:
-    """Infer what there is from an image alone, or under a document's open prior, by jumps from the fast search's scene.
+def infer_by_jumps(image, camera, options, document, rng=None, progress=None) -> Posterior:
+    """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
-    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, floor, may_overlap, may_float,
-        chains, draws, seed.
+    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
+        chains, draws, warmup (steps of a chain before its first draw), seed.
+
+    Raises
+    ------
+    DerenderError : an option that these jumps know nothing about.
     """
     from derender.inference.structure.graph import scene_graph
     from derender.inference.structure.infer import point_estimate, settings_of
 
+    method, chain = options["method"], options["method"] == "mcmc"
+    if options.get("resume"):
+        raise DerenderError("jumps under a prior of open structure keep no checkpoints", "--resume", "leave it out")
+    if not chain and options.get("warmup") is not None:
+        raise DerenderError("populations have no warm-up", "--warmup", "leave it out, or take --method mcmc")
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
     if progress:
         progress(0.0, "searching for solids")
-    settings = settings_of(options if document is None else {**options, "prior": document.prior})
+    prior = document.prior
+    settings = settings_of({**options, "prior": prior})
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     state, seen = point_estimate(rng, depth, camera, settings, plane=read_floor(options.get("floor")))
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
-    prior = document.prior if document is not None else default_prior(
-        seen.floor.pose, settings.shapes, settings.may_overlap, settings.may_float)  # fmt: skip
     words = Vocabulary(prior)
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)
     likelihood, values = _likelihood_of(document, seen, settings, depth)
-    count = int(options.get("draws") or (DRAWS if options["method"] == "mcmc" else PARTICLES))
+    warmup = options.get("warmup")
     posterior = sample_structures(
-        rng, prior, likelihood, camera, depth, [start], hypotheses_of(words, graph), options["method"], count,
-        int(options.get("chains") or CHAINS), most=options.get("max_objects"), values=values, progress=progress,
+        rng, prior, likelihood, camera, depth, [start], hypotheses_of(words, graph), method,
+        int(options.get("draws") or (DRAWS if chain else PARTICLES)), int(options.get("chains") or CHAINS),
+        warmup=WARMUP if warmup is None else int(warmup), most=options.get("max_objects"), values=values,
+        progress=progress,
     )  # fmt: skip
     return replace(posterior, meta={**posterior.meta, "likelihood": {"type": likelihood, **(values or {})}})
 
 
 def _likelihood_of(document, seen, settings, depth) -> tuple[str, dict[str, float]]:
     """Return the likelihood's name and numbers: the document's, else a robust one with the noise seen on the floor."""
-    if document is not None and document.likelihood is not None:
+    if document.likelihood is not None:
         given = document.likelihood.values
         return document.likelihood.type, {k: v if isinstance(v, float) else float(v.mean()) for k, v in given.items()}
     sigma = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.002

@@ -1,73 +1,15 @@
-"""Where jumps start: a default prior, and what the fast search has found written in a prior's own words."""
+"""Where jumps start: what the fast search has found, written in a prior's own words."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from derender.inference.structure.jumps.proposal import Hypothesis, HypothesisProposal, _vertex
 from derender.inference.structure.jumps.recast import renamed
 from derender.inference.structure.jumps.vocabulary import Vocabulary
-from derender.model.priors.grammar import GrammarPrior
-from derender.model.priors.root import FixedRoot, FreeRoot, LookedAtRoot
+from derender.model.priors.root import FreeRoot, LookedAtRoot
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
 from derender.model.shapes.cube import ROTATIONS
-from derender.yaml_tree import parse_yaml
-
-# Boxes, cubes, cylinders and balls on a floor and on each other, their sizes open over a decade and a half.
-DEFAULT = """
-derender: 1
-objects: {floor: {shape: plane, contact: {type: 6dof}}}
-structure:
-  type: grammar
-  offspring: {floor: {poisson: 3}, box: {categorical: {0: 0.75, 1: 0.2, 2: 0.05}},
-              cube: {categorical: {0: 0.75, 1: 0.2, 2: 0.05}}, cylinder: {categorical: {0: 0.9, 1: 0.1}}}
-shapes: {SHAPES}
-contacts:
-  standing: {type: face-to-face, parent_face: top, child_face: -z, weight: 3, x: {normal: [0, 0.3]},
-             y: {normal: [0, 0.3]}}
-  lying: {type: side-on-face, parent_face: top, x: {normal: [0, 0.3]}, y: {normal: [0, 0.3]}}
-  rolling: {type: point-on-face, parent_face: top, x: {normal: [0, 0.3]}, y: {normal: [0, 0.3]}}
-"""
-SOLID = "constraints: [no-overlap: {depth: 2 mm, scale: 1 mm}]\n"
-FLOATING = """  floating: {type: 6dof, quat_wxyz: uniform-rotation,
-             position: [{normal: [0, 0.3]}, {normal: [0, 0.3]}, {uniform: [0, HIGH]}]}
-"""
-SIZES = {
-    "box": "box: {weight: 2, length: LAW, width: LAW, height: LAW}",
-    "cube": "cube: {weight: 2, side: LAW}",
-    "cylinder": "cylinder: {radius: HALF, height: LAW}",
-    "sphere": "sphere: {weight: 0.5, radius: HALF}",
-}
-
-
-def default_prior(
-    floor_pose: np.ndarray, shapes: Sequence[str] = tuple(SIZES), may_overlap: bool = False, may_float: bool = False
-) -> GrammarPrior:
-    """Return a grammar on a floor at `floor_pose` (4, 4), root to camera, with sizes in scale with its distance.
-
-    may_overlap : leave out the term against interpenetration. may_float : let objects hang in the air.
-    """
-    from pathlib import Path
-
-    from derender.document import document_from
-
-    distance = float(np.linalg.norm(floor_pose[:3, 3]))
-    low, high = 0.012 * distance, 0.6 * distance
-    law = f"{{log-uniform: [{low:.6f}, {high:.6f}]}}"
-    half = f"{{log-uniform: [{0.5 * low:.6f}, {0.5 * high:.6f}]}}"
-    text = ", ".join(SIZES[name].replace("LAW", law).replace("HALF", half) for name in SIZES if name in shapes)
-    rules = DEFAULT.replace("SHAPES", text)
-    if may_float:
-        rules = rules.replace("offspring: {", "offspring: {root: {poisson: 0.3}, ")
-        rules += FLOATING.replace("HIGH", f"{high:.6f}")
-    if not may_overlap:
-        rules += SOLID
-    top, folder = parse_yaml(rules.encode(), "the default prior"), Path.cwd()
-    prior = cast(GrammarPrior, document_from(top, folder).prior)
-    return replace(prior, root=FixedRoot(floor_pose))
 
 
 def root_pose_near(root, floor_pose: np.ndarray) -> np.ndarray:
