@@ -26,7 +26,8 @@ from derender.model.priors.values import QUATERNION, ROTATION, Value, draw, log_
 from derender.model.scene import SceneGraph
 from derender.model.scene_file import KEYS, read_prior
 from derender.registry import suggest
-from derender.vision.camera import Camera, read_camera
+from derender.vision.camera import Camera
+from derender.vision.camera_file import read_camera
 from derender.yaml_tree import Node, Section, parse_yaml, read_yaml
 from derender.yaml_writer import to_yaml
 

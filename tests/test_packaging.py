@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from derender import data_path
-from derender.vision.camera import read_camera
+from derender.vision.camera_file import read_camera
 from derender.vision.depth_file import read_depth
 
 ROOT = Path(__file__).parent.parent

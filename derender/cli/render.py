@@ -110,7 +110,8 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
     from dataclasses import replace
 
     from derender.inference.forward import HEIGHT, WIDTH
-    from derender.vision.camera import Camera, read_camera
+    from derender.vision.camera import Camera
+    from derender.vision.camera_file import read_camera
 
     camera = read_camera(given) if given is not None else document.camera
     if camera is None:

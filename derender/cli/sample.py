@@ -68,7 +68,7 @@ def _stream(draws) -> None:
 def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, renderer: str, talk: Talk) -> None:
     """Write each scene, and its image, into the folder."""
     from derender.atomic import all_or_none, make_folder
-    from derender.vision.camera import read_camera
+    from derender.vision.camera_file import read_camera
     from derender.vision.renderers import find_renderer
 
     engine = find_renderer(renderer) if images else None

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.vision.camera import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera, camera_from_tree, read_camera
+from derender.vision.camera import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera
+from derender.vision.camera_file import camera_from_tree, read_camera
 from derender.vision.depth_formats import (
     DAMAGE,
     MOST_BYTES,
@@ -24,6 +25,7 @@ from derender.vision.depth_formats import (
     recognise,
 )
 from derender.vision.exr import encode_exr
+from derender.vision.file_bytes import read_bytes
 
 FARTHEST = 1000.0  # metres; farther than any depth camera sees
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
@@ -63,7 +65,7 @@ def read_depth(
     ------
     DerenderError : anything that makes the image unusable, in one line.
     """
-    data = _read_bytes(path)
+    data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
     decoder, name = recognise(data, path)
     try:
         decoded = decoder(data)
@@ -129,23 +131,6 @@ def check_suffix(path: str | Path) -> None:
 # Checks that all formats share
 
 
-def _read_bytes(path: str | Path) -> bytes:
-    try:
-        if str(path) == "-":
-            data = sys.stdin.buffer.read(MOST_BYTES + 1)
-        else:
-            with open(path, "rb") as file:
-                data = file.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise DerenderError(f"cannot read the depth image: {reason}", path, "check the path") from None
-    if len(data) > MOST_BYTES:
-        raise DerenderError("too large for a depth image", path)
-    if not data:
-        raise DerenderError("the file is empty", path, "write it again")
-    return data
-
-
 def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
     if array.ndim == 3 and 1 in (array.shape[0], array.shape[2]):
         array = array[0] if array.shape[0] == 1 else array[..., 0]
@@ -180,7 +165,7 @@ def _camera(path: str | Path, given: Camera | str | Path | None, inside: object,
 
 def _camera_of_npz(path: str | Path, shape: tuple[int, int]) -> Camera:
     try:
-        tree = decode_npz(_read_bytes(path)).camera
+        tree = decode_npz(read_bytes(path, MOST_BYTES, "the depth image", "check the path")).camera
     except DAMAGE:
         tree = None
     if tree is None:

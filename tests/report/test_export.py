@@ -140,7 +140,7 @@ def test_bop_round_trip(graph, tmp_path):
     for item, name in zip(scene["objects"], ["big box", "can", "ball"], strict=True):
         np.testing.assert_allclose(item["pose"], graph.poses()[name], atol=1e-12)
         np.testing.assert_allclose(item["size"], graph.body(name).size())
-    from derender.vision.camera import read_camera
+    from derender.vision.camera_file import read_camera
 
     assert read_camera(written[2], shape=(48, 64)).fy == 101
     assert json.loads(written[1].read_text())["1"]["size_x"] == pytest.approx(200)

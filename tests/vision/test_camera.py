@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from derender.errors import DerenderError
-from derender.vision.camera import Camera, camera_from_tree, read_camera, write_camera
+from derender.vision.camera import Camera
+from derender.vision.camera_file import camera_from_tree, read_camera, write_camera
 
 BOP = '{"cx": 325.2611, "cy": 242.04899, "depth_scale": 0.1,'
 BOP += ' "fx": 572.4114, "fy": 573.57043, "height": 480, "width": 640}'

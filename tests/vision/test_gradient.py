@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from derender.inference.optimise.solids import UPRIGHT, refine_solids
 from derender.model.pose import rotation_x, rotation_z, translation, twist_exp
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.vision.blur import blur, blur_taps
@@ -143,26 +142,3 @@ def test_forward_and_reverse_agree():
     residual = (antialiased_depth(solids, CAMERA, BACKGROUND, BLUR) - observed)[np.isfinite(observed)]
     expected = -np.sum(0.5 * (residual / 0.01) ** 2 + np.log(0.01 * np.sqrt(2 * np.pi)))
     assert np.isclose(value, expected, rtol=1e-12)
-
-
-def test_refining_solids_reaches_the_truth():
-    """From 6 mm off, a fifth of the pixels missing: as likely as the truth or more so, in all scenes but one.
-
-    Not in each: the robust cost has local optima, where one corner is taken for outliers.
-    """
-    reached = 0
-    for seed in range(6):
-        solids, rng = scene(seed), np.random.default_rng(seed)
-        observed = render_depth(solids, CAMERA, antialias=8, background=BACKGROUND)[0] + rng.normal(0, 0.002, (64, 64))
-        observed[rng.random((64, 64)) < 0.2] = np.nan
-        up = solids.pose[0, :3, 2]
-        start = solids
-        for k in range(1, 5):
-            start = moved(start, k, np.concatenate([0.006 * np.cross(up, [1, 0, 0]), np.zeros(6)]), 1.0)
-        ties = dict(form=[0] + [UPRIGHT] * 4, sized=[0] + [2] * 4, supports=[-1] * 5, up=up)
-        result = refine_solids(start, CAMERA, observed, **ties, sigma=0.003)
-        truth = refine_solids(solids, CAMERA, observed, **ties, sigma=0.003, iterations=0)
-        assert result.cost_before - truth.cost_before > 300.0
-        assert result.cost_before - result.cost > 0.9 * (result.cost_before - truth.cost_before)
-        reached += result.cost < truth.cost_before + 3.0
-    assert reached >= 5

@@ -1,4 +1,4 @@
-"""Where parameters may be, and where a descent ended."""
+"""Where parameters may be."""
 
 from typing import NamedTuple
 
@@ -17,20 +17,3 @@ class Domain(NamedTuple):
         clipped = np.clip(values, self.lower, self.upper)
         period = np.where(self.period > 0, self.period, 1.0)
         return np.where(self.period > 0, values - period * np.floor(values / period), clipped)
-
-
-class Minimum(NamedTuple):
-    """Where a descent ended.
-
-    Attributes
-    ----------
-    values : (P,) float64. cost : float. gradient : (P,), hessian : (P, P) Gauss-Newton, both at `values`.
-    costs : of every accepted state, the first one at the start. steps : how many steps were tried.
-    """
-
-    values: np.ndarray
-    cost: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-    costs: tuple[float, ...]
-    steps: int
