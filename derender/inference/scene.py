@@ -113,6 +113,7 @@ def infer_scene(
     progress: Progress | None = None,
     command: str = "",
     gradient: str = "exact",
+    warn: Callable[[str], None] | None = None,
 ) -> Result:
     """Infer the unknown numbers of a document's scene from a depth image.
 
@@ -125,6 +126,7 @@ def infer_scene(
     resume : go on from the checkpoints there.
     gradient : "exact" or "finite-difference", the derivative by which "map" climbs in the end.
     progress : called with the fraction that is done and a word on what is being done.
+    warn : called with a line on what makes it slow.
 
     Raises
     ------
@@ -145,6 +147,9 @@ def infer_scene(
         if method == "smc":
             parts.append(_particles(target, mixed, settings, seed, number, weight, tell))
             continue
+        target.backend(mixed)
+        if target.uncompiled and warn is not None and not parts:
+            warn(f"chains run uncompiled, a hundred times slower: there is no compiled form of {target.uncompiled}")
         sampler = MixtureSampler(
             target, mixed, settings.thin, settings.cycle, settings.particles, settings.population
         )

@@ -113,6 +113,7 @@ class SceneTarget:
         }
         self.bases = {name: base_of(graph, name.removesuffix(".contact"), set(self.space.addresses))
                       for name in self.space.relocations}  # fmt: skip
+        self.uncompiled = ""  # what had no compiled form when a backend was asked for
         self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
@@ -124,7 +125,8 @@ class SceneTarget:
 
         try:
             return CompiledBackend(self, parts, cycle)
-        except NotCompiled:
+        except NotCompiled as reason:
+            self.uncompiled = str(reason)
             return ReadableBackend(self, parts, cycle)
 
     def derivative(self):

@@ -94,7 +94,7 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
         settings = settings._replace(**{key: value for key, value in given.items() if value is not None})
         result = infer_scene(
             document, seen.depth, seen.camera, settings, method, seed, jobs, folder, resume, progress, command,
-            gradient,
+            gradient, warn,
         )
         posterior, interrupted, lost = result
     else:

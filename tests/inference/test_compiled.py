@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from invariance import bound, verdict
-from small_scenes import LOOKED_AT, SCENES, TOWER, SceneWorld, read
+from small_scenes import SCENES, TOWER, SceneWorld
 
 from derender.inference.adaptation import first_tuning
 from derender.inference.compiled.backend import CompiledBackend
@@ -14,6 +14,9 @@ from derender.inference.compiled.program import NotCompiled
 from derender.inference.kernels.base import Info, kernels, mixture
 from derender.inference.kernels.newton import Newton
 from derender.inference.sampler import ReadableBackend
+from derender.inference.scene import infer_scene
+from derender.inference.settings import Settings
+from derender.model.contacts import contacts
 
 COMPILED = [name for name in kernels.names() if kernels[name].code is not None]
 
@@ -155,17 +158,49 @@ def test_a_sweep_that_forgets_the_constraints_is_caught():
     assert result.worst > bound(len(result.z))
 
 
-def test_what_has_no_compiled_form_says_so():
+BLURRED = TOWER.replace("sigma: 0.05, blur: 0.7", "sigma: {log-uniform: [0.02, 0.2]}, blur: {uniform: [0.3, 2]}")
+ROBUST = TOWER.replace(
+    "type: gaussian, sigma: 0.05",
+    "type: robust, sigma: {log-uniform: [0.02, 0.2]}, outlier: {beta: [2, 8]}, missing: {uniform: [0.001, 0.2]}",
+)
+
+
+@pytest.mark.parametrize("text", [BLURRED, ROBUST], ids=["blurred", "robust"])
+def test_likelihood_numbers_change_in_between(text):
+    """Numbers that mean to draw or score the image anew, and rows of steps: those of the readable mixture."""
+    world = SceneWorld(text)
+    target, parts, compiled, readable = both(world, COMPILED)
+    values, moved = world.space.sample(np.random.default_rng(5)), 0
+    for number in range(120):
+        tuning = first_tuning(world.space, values)._replace(temperature=(1.0, 0.1, 0.003)[number % 3])
+        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
+        slow = readable.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
+        np.testing.assert_array_equal(fast.counts, slow.counts)
+        np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
+        moved += int(slow.counts[:, 1].sum())
+        values = slow.values[-1]
+    assert moved > 60
+    assert isinstance(target.backend(parts), CompiledBackend)
+
+
+def test_what_has_no_compiled_form_says_so(monkeypatch):
     world = SceneWorld(TOWER)
-    world.blank.constraints = (SimpleNamespace(name="harmony"),)
     parts = mixture(world.space, [{"resimulate": {}}])
-    with pytest.raises(NotCompiled, match="the constraint harmony"):
+    with monkeypatch.context() as ruled:
+        ruled.setattr(world.blank, "constraints", (SimpleNamespace(name="harmony"),))
+        with pytest.raises(NotCompiled, match="the constraint harmony"):
+            CompiledBackend(world.blank, parts)
+    monkeypatch.setattr(contacts["face-to-face"], "compiled_code", None)
+    with pytest.raises(NotCompiled, match="the contact type face-to-face"):
         CompiledBackend(world.blank, parts)
     assert isinstance(world.blank.backend(parts), ReadableBackend)
-    robust = SceneWorld(LOOKED_AT.replace("type: gaussian,", "type: robust,"))
-    with pytest.raises(NotCompiled, match="likelihood.sigma of a robust"):
-        CompiledBackend(robust.blank, mixture(robust.space, [{"resimulate": {}}]))
-    assert read(TOWER).camera.width == 24
+    told = []
+    settings = Settings(kernels=[{"resimulate": {}}], draws=5, warmup=0, chains=1, population=1)
+    image = np.full((18, 24), 0.7)
+    infer_scene(world.document, image, world.document.camera, settings, warn=told.append)
+    assert told == ["chains run uncompiled, a hundred times slower: there is no compiled form of the contact type "
+                    "face-to-face"]  # fmt: skip
 
 
 def test_compiled_is_fast():

@@ -6,8 +6,9 @@ import numpy as np
 
 from derender.inference.compiled.evaluate import load
 from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Kernels
-from derender.inference.compiled.program import chain_of, kernels_of, model_of
+from derender.inference.compiled.program import chain_of, held, is_readable, kernels_of, model_of
 from derender.inference.compiled.steps import WINDOW, sweep
+from derender.inference.compiled.view import LoadedTarget
 from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, State, Tuning
 from derender.inference.sampler import Stretch
@@ -16,7 +17,8 @@ from derender.inference.sampler import Stretch
 class CompiledBackend:
     """Runs a mixture on a SceneTarget compiled; one object per thread.
 
-    Kernels without a compiled form take their steps as they stand, in between.
+    What has no compiled form takes its steps as it stands, in between: kernels, and likelihood numbers whose change
+    means to draw or score the whole image anew.
 
     Raises
     ------
@@ -28,30 +30,44 @@ class CompiledBackend:
         self.model = model_of(target)
         counts = [int(part.options["count"]) for part in parts if kernels[part.type].code == WINDOW]
         self.chain = chain_of(target, self.model, max(counts, default=1), cycle)
-        evaluator = target.images.evaluator()
-        evaluator.load(target.graph(self._somewhere()).solids())
-        self.engine = evaluator.state
+        self.evaluator = target.images.evaluator()
+        self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
+        self.evaluator.load(self._first)
+        self.held = held(target)
+        self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
         self._readable: tuple[Tuning, dict[int, Any]] | None = None
 
     def _somewhere(self) -> np.ndarray:
-        """Return values inside the support: the engine needs one scene to size its arrays."""
         return self.target.space.sample(np.random.default_rng(0))
+
+    def load(self, values: np.ndarray) -> None:
+        """Make (P,) values inside the prior's support the current ones."""
+        if np.array_equal(values, self._loaded):
+            return
+        if self.held:
+            self.evaluator.set_values({name: float(values[at]) for name, at in self.held.items()}, rescore=False)
+            if self.evaluator.state is None:
+                self.evaluator.load(self._first)
+        load(self.model, self.chain, self.evaluator.state, np.ascontiguousarray(values, np.float64))
+        self._loaded = np.array(values)
 
     def evaluate(self, values):
         """Return log prior and log likelihood; -inf and -inf outside the prior's support."""
-        if self.target.log_prior(values) == -np.inf:
+        if self.target.space.log_prior(values) == -np.inf:
             return -np.inf, -np.inf
-        load(self.model, self.chain, self.engine, np.ascontiguousarray(values, np.float64))
-        return float(self.chain.values[NOW, PRIOR]), float(self.chain.values[NOW, DENSITY])
+        self.load(values)
+        prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
+        return (float(prior), float(likelihood)) if prior > -np.inf else (-np.inf, -np.inf)
 
     def readable(self, tuning: Tuning) -> dict[int, Any]:
-        """Return the kernels without a compiled form by their numbers, tuned; those of the last tuning are kept."""
+        """Return the kernels that take their steps as they stand by their numbers, as tuned last."""
         if self._readable is None or self._readable[0] is not tuning:
+            target = LoadedTarget(self)
             self._readable = tuning, {
-                k: kernels[part.type].build(self.target, part.block, tuning, part.options)
+                k: kernels[part.type].build(target, part.block, tuning, part.options)
                 for k, part in enumerate(self.parts)
-                if kernels[part.type].code is None
+                if is_readable(self.target, part)
             }
         return self._readable[1]
 
@@ -63,24 +79,22 @@ class CompiledBackend:
 
     def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
-        program = self.program(tuning)
-        load(self.model, self.chain, self.engine, np.ascontiguousarray(values, np.float64))
+        program, size = self.program(tuning), len(values)
+        kept, counts = np.empty((draws, size + 3)), np.zeros((len(self.parts), 2), np.int64)
+        self.load(values)
         self.chain.flags[STEPS] = taken
-        size = len(values)
-        kept = np.empty((draws, size + 3))
-        counts = np.zeros((len(self.parts), 2), np.int64)
+        now = self.chain.values[NOW]
         done, k = 0, -1
         while done < draws * thin:
-            done, k = sweep(rng, self.model, program, self.chain, self.engine, done, draws, thin, tuning.temperature,
-                            kept, counts)  # fmt: skip
+            done, k = sweep(rng, self.model, program, self.chain, self.evaluator.state, done, draws, thin,
+                            tuning.temperature, kept, counts)  # fmt: skip
+            self._loaded = now[:size].copy()
             if k >= 0:
-                now = self.chain.values[NOW]
                 state = State(now[:size].copy(), float(now[PRIOR]), float(now[DENSITY]))
                 state, info = self.readable(tuning)[k](rng, state)
                 counts[k] += 1, info.accepted
-                if info.accepted:
-                    load(self.model, self.chain, self.engine, state.values)
+                self.load(state.values)
                 done += 1
                 if done % thin == 0:
-                    kept[done // thin - 1] = self.chain.values[NOW]
+                    kept[done // thin - 1] = now
         return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)

@@ -6,6 +6,7 @@ from derender.inference.compiled.layout import (
     CONTACT,
     DENSITY,
     DIRTY,
+    HELD,
     KEPT,
     LIKELIHOOD,
     MOVED,
@@ -43,7 +44,7 @@ def fill(places, values, numbers, marks, parameters, everything):
             elif table == ROOT:
                 numbers[NEXT, root, slot] = value
                 marks[DIRTY, root] = 1
-            else:
+            elif table != HELD:
                 numbers[NEXT, vertex, slot if table == CONTACT else SHAPES + slot] = value
                 if not marks[KEPT, vertex]:
                     marks[DIRTY, vertex] = 1

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 ROTATION = 100  # code of the uniform distribution over rotations; smaller codes are those of model.distributions
-CONTACT, SHAPE, ROOT, LIKELIHOOD = range(4)  # tables that a value can go into
+CONTACT, SHAPE, ROOT, LIKELIHOOD, HELD = range(5)  # tables that a value can go into; HELD: none, the caller sets it
 CODE, OFFSET, DIRECTION = range(3)  # rows of Model.unknowns
 PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places

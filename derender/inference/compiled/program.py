@@ -5,6 +5,7 @@ import numpy as np
 from derender.inference.compiled import poses, steps
 from derender.inference.compiled.layout import (
     CONTACT,
+    HELD,
     LIKELIHOOD,
     ROOT,
     ROTATION,
@@ -127,9 +128,7 @@ def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int
     """Return (table, vertex, slot) of a value."""
     name, _, rest = address.partition(".")
     if name == "likelihood":
-        if rest != "sigma" or target.images.type != "gaussian":
-            raise NotCompiled(f"an unknown {address} of a {target.images.type} likelihood")
-        return LIKELIHOOD, 0, 0
+        return (LIKELIHOOD if rest == "sigma" and target.images.type == "gaussian" else HELD), 0, 0
     if name == "root":
         return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
     vertex = target.template.vertex(name)
@@ -154,7 +153,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
     first = factor_first = 0
     for part in parts:
         kind = kernels[part.type]
-        code = steps.READABLE if kind.code is None else kind.code
+        code = steps.READABLE if is_readable(target, part) else kind.code
         scale, count, reach, factor = 1.0, 0.0, 0.0, np.empty(0)
         moved: list[int] = list(part.block.unknowns)
         if kind.code == steps.DRIFT:
@@ -187,6 +186,28 @@ def kernels_of(target, parts: list[Part], tuning: Tuning) -> Kernels:
         spread=space.scales,
         mean=np.array(tuning.mean, float),
     )
+
+
+def held(target) -> dict[str, int]:
+    """Return which likelihood numbers compiled steps cannot change, and where their values are."""
+    names = dict.fromkeys(target.template.names, 0)
+    return {
+        address.removeprefix("likelihood."): offset
+        for offset, address in enumerate(target.space.addresses)
+        if place_of(target, names, address)[0] == HELD
+    }
+
+
+def is_readable(target, part: Part) -> bool:
+    """Return whether a kernel has to take its steps as it stands.
+
+    That is: it has no compiled form, or it moves a number that compiled steps cannot change.
+    """
+    kind = kernels[part.type]
+    if kind.code is None:
+        return True
+    moved = {target.space.offsets[i] for i in kind.moves(target.space, part.block)}
+    return not moved.isdisjoint(held(target).values())
 
 
 def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:

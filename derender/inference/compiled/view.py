@@ -1,0 +1,21 @@
+"""A scene's target as kernels without a compiled form see it beside compiled ones."""
+
+import numpy as np
+
+
+class LoadedTarget:
+    """A SceneTarget whose densities are those of a backend's engine, a tenth of the readable ones' cost."""
+
+    def __init__(self, backend) -> None:
+        self._backend, self._target = backend, backend.target
+
+    def __getattr__(self, name: str):
+        return getattr(self._target, name)
+
+    def log_prior(self, values: np.ndarray) -> float:
+        """Return the log prior of (P,) values."""
+        return self._backend.evaluate(values)[0]
+
+    def log_likelihood(self, values: np.ndarray) -> float:
+        """Return the log likelihood of values inside the prior's support."""
+        return self._backend.evaluate(values)[1]
