@@ -43,15 +43,19 @@ from derender.cli.options import Talk
 )
 @click.option("--known", metavar="FILE", help="Without --scene: a library of known objects, by size or by mesh.")
 @click.option("--only-known", is_flag=True, help="There is nothing but what --known lists.")
-@click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4.")
-@click.option("--draws", type=click.IntRange(1, 10_000_000), help="Kept draws of each chain. Default 1000.")
-@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 200.")
 @click.option("--allow-interpenetration", "may_overlap", is_flag=True, help="Without --scene: solids may enter others.")
 @click.option("--allow-floating", "may_float", is_flag=True, help="Without --scene: solids may hang in the air.")
+@click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4, without --scene 2.")
+@click.option(
+    "--draws",
+    type=click.IntRange(1, 10_000_000),
+    help="Kept draws of each chain. Default 1000; without --scene 100, with --method mcmc 400.",
+)
+@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 200.")
 @options.jobs
 @click.option("--resume", is_flag=True, help="Go on where the same command was stopped.")
 @options.seed
-@options.output("Folder for the results.", None, "DIR")
+@options.output("Folder for the results. Default: the image's name with _inferred.", None, "DIR")
 @options.strict
 @options.verbosity
 def command(talk: Talk, **arguments) -> int | None:

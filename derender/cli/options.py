@@ -63,11 +63,21 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+
+
+class Seed(click.IntRange):
+    """A whole number from 0 up that 63 bits can hold: so many that the help need not say how many."""
+
+    def _describe_range(self) -> str:
+        return "x>=0"
+
+
 seed = click.option(
     "--seed",
-    type=click.IntRange(0, 2**63 - 1),
+    type=Seed(0, 2**63 - 1),
     default=0,
     show_default=True,
+    metavar="N",
     help="Of the random numbers; a seed gives the same bytes, whatever --jobs is.",
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON on stdout.")

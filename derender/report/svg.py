@@ -50,7 +50,7 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     def middle(name: str) -> tuple[float, float]:
         return (column[name] + 0.5) * (width + 18), (deepest - row[name]) * (height + gap) + 0.5 * height + 6
 
-    parts = []
+    parts, labels = [], []
     for name, item in objects.items():
         x, y = middle(name)
         px, py = middle(item.get("parent") if item.get("parent") in objects else "root")
@@ -66,7 +66,8 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
                     f'<path d="M{ox:.1f} {oy - 0.5 * height:.1f}L{x:.1f} {top:.1f}" fill="none" stroke="#9aa0a8" '
                     'stroke-width="1.6" stroke-dasharray="5 4"/>'
                 )
-        parts.append(_text(x, top + 14, _edge_words(item), size=10.5, colour="#6a7078", halo=True))
+        labels.append(_text(x, top + 14, _edge_words(item), size=10.5, colour="#6a7078", halo=True))
+    parts += labels  # after all lines, which would strike them through
     for name in column:
         x, y = middle(name)
         shown = objects.get(name)
@@ -77,7 +78,11 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
         )
         parts.append(_text(x, y - 4, name, size=13, weight=600))
         parts.append(_text(x, y + 13, _node_words(shown), size=11, colour="#4a4f57"))
-    return _svg(total_width, total_height, parts, "The scene graph", scale=min(1.0, 720 / total_width))
+    scale = min(1.0, 720 / total_width)
+    picture = _svg(total_width, total_height, parts, "The scene graph", scale)
+    # in a narrow window it is scrolled before its words get too small to read
+    narrowest = f'<svg style="min-width:{0.6 * total_width:.0f}px" '
+    return f'<div class="scroll">{picture.replace("<svg ", narrowest, 1)}</div>'
 
 
 def trace_svg(draws: np.ndarray, width: int = 200, height: int = 34) -> str:
