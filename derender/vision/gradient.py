@@ -9,7 +9,8 @@ from derender.vision.blur import blur, blur_taps
 from derender.vision.raycast.antialias import draw_antialiased
 from derender.vision.raycast.canvas import new_canvas
 from derender.vision.raycast.normal_equations import BACKGROUND, cost, cost_gradient, new_misfit, normal_equations
-from derender.vision.raycast.records import MOTION
+from derender.vision.raycast.records import MOTION, new_records, spread
+from derender.vision.raycast.sensitivity import record
 
 
 def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sigma: float = 0.0) -> np.ndarray:
@@ -18,6 +19,27 @@ def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sig
     window = np.array([0, camera.width, 0, camera.height], np.int64)
     draw_antialiased(canvas, *_arrays(solids), float(background), window)  # type: ignore[call-arg]
     return blur(canvas.depth, blur_sigma)
+
+
+def derivative_image(
+    solids: Solids, camera, moving: int, motion, background: float = 10.0, blur_sigma: float = 0.0, edges: bool = True
+) -> np.ndarray:
+    """Return the derivative (height, width) of `antialiased_depth` by a motion (9,) of one solid.
+
+    A motion is a twist (v, w) about the camera's centre and the growth of the three extents.
+    edges : False leaves out the occlusion edges, which makes it wrong: for comparison only.
+    """
+    count, width, height = len(solids.kind), camera.width, camera.height
+    canvas, records = new_canvas(camera, count), new_records(camera, count)
+    window, motions = np.array([0, width, 0, height]), np.zeros((1, count, MOTION))
+    images = np.zeros((1, width * height))
+    kinds, poses, sizes = _arrays(solids)
+    draw_antialiased(canvas, kinds, poses, sizes, float(background), window)
+    active = np.arange(count) == moving
+    record(canvas, records, kinds, poses, sizes, active, float(background), window, edges)
+    motions[0, moving] = motion
+    spread(records, motions, active[None], images)
+    return blur(images[0].reshape(height, width), blur_sigma)
 
 
 class SmoothLikelihood:

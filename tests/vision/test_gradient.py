@@ -1,116 +1,83 @@
-"""Derivatives of the antialiased image against differences of one that is supersampled 16 x 16 and more."""
+"""The antialiased image against many rays a pixel, and its derivatives against its differences."""
 
 import numpy as np
 import pytest
 
-from derender.model.pose import rotation_x, rotation_z, translation, twist_exp
-from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
+from derender.model.solids import BOX, CYLINDER, SPHERE
 from derender.vision.blur import blur, blur_taps
-from derender.vision.camera import Camera
-from derender.vision.gradient import SmoothLikelihood, antialiased_depth
+from derender.vision.gradient import SmoothLikelihood, antialiased_depth, derivative_image
 from derender.vision.raycast.antialias import draw_antialiased
 from derender.vision.raycast.canvas import new_canvas
 from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.records import MOTION, new_records, spread
-from derender.vision.raycast.sensitivity import record
+from derender.vision.raycast.records import MOTION
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
+from scripts.measure_gradient import BACKGROUND, BLUR, CAMERA, central, errors, moved, random_motion, random_scene
 
-CAMERA = Camera.from_field_of_view(64, 64)
 WINDOW = np.array([0, 64, 0, 64])
-BACKGROUND, BLUR = 10.0, 1.0
 
 
-def scene(seed: int, kind: int = BOX, stacked: bool = False) -> Solids:
-    """A plane and four solids, scattered or in a stack; the camera looks down, so no horizon is seen."""
-    rng = np.random.default_rng(seed)
-    root = translation(0, 0.05, 0.9) @ rotation_x(np.pi / 2 + rng.uniform(0.7, 1.1))
-    poses, sizes = [root], [np.zeros(3)]
-    for i in range(4):
-        size = rng.uniform(0.06, 0.14, 3)
-        size[1] = size[0] if kind != BOX else size[1]
-        size[2] = size[0] if kind == SPHERE else size[2]
-        on_top = stacked and i > 0
-        base, lift = (poses[-1], sizes[-1][2] / 2) if on_top else (root, 0.0)
-        x, y = rng.uniform(-0.3, 0.3, 2) * sizes[-1][:2] if on_top else rng.uniform(-0.2, 0.2, 2)
-        poses.append(base @ translation(x, y, lift + size[2] / 2) @ rotation_z(rng.uniform(0, 7)))
-        sizes.append(size)
-    kinds = np.array([PLANE, *[kind] * 4], np.int32)
-    return Solids(kinds, np.array(poses), np.array(sizes), np.full(5, -1, np.int32))
+def own_errors(kind: int, scenes: int = 20, **settings) -> list[float]:
+    return [errors(kind, seed, rays=False, **settings)["own"] for seed in range(scenes)]
 
 
-def motion_of(solids: Solids, k: int, seed: int) -> np.ndarray:
-    """A random motion of solid k with turns about its own centre and, keeping it what it is, growth."""
-    rng = np.random.default_rng([seed, 7])
-    motion = rng.normal(size=MOTION)
-    motion[3:6] /= 0.08  # as much movement at a surface from turning as from shifting
-    motion[:3] -= np.cross(motion[3:6], solids.pose[k, :3, 3])
-    if solids.kind[k] != BOX:
-        motion[7] = motion[6]
-    if solids.kind[k] == SPHERE:
-        motion[8] = motion[6]
-    return motion
+@pytest.mark.parametrize(("kind", "most"), [(BOX, 0.01), (SPHERE, 0.03), (CYLINDER, 0.1)])
+def test_derivative_of_the_image(kind, most):
+    """A per cent of its norm in the middle, for boxes in every scene. Where chords of two curved outlines meet one of
+    them jumps now and then."""
+    found = own_errors(kind)
+    assert np.median(found) < 0.01
+    assert max(found) < most
 
 
-def moved(solids: Solids, k: int, motion: np.ndarray, step: float) -> Solids:
-    pose, size = solids.pose.copy(), solids.size.copy()
-    pose[k] = twist_exp(step * motion[:3], step * motion[3:6]) @ pose[k]
-    size[k] += step * motion[6:]
-    return solids._replace(pose=pose, size=size)
+@pytest.mark.parametrize(("kind", "most"), [(BOX, 0.02), (SPHERE, 0.07), (CYLINDER, 0.05)])
+def test_antialiased_image(kind, most):
+    """The mean over pixels' areas: as good as the 32 x 32 rays that it is compared with, and better than 4 x 4."""
+    for seed in range(5):
+        solids = random_scene(seed, kind, stacked=seed % 2 == 1 and kind == BOX)
+        reference, grid, one = (
+            render_depth(solids, CAMERA, antialias=n, background=BACKGROUND)[0] for n in (32, 4, 1)
+        )
+        away = np.linalg.norm(antialiased_depth(solids, CAMERA, BACKGROUND) - reference)
+        assert away < most * np.linalg.norm(one - reference)
+        assert away < np.linalg.norm(grid - reference)
 
 
-def differences(solids: Solids, k: int, motion: np.ndarray, step: float, supersampling: int = 32) -> np.ndarray:
-    """Fourth-order central differences of the blurred supersampled image."""
+def test_derivative_against_rays():
+    """Differences of 32 x 32 rays a pixel: 5 %, what is known of an edge's place from 32 rows of rays over the step."""
+    for kind in (BOX, SPHERE, CYLINDER):
+        solids = random_scene(0, kind)
+        motion = random_motion(solids, 1, 0)
+        step = 0.1 * solids.pose[1, 2, 3] / CAMERA.fx
 
-    def image(h):
-        shown, _ = render_depth(moved(solids, k, motion, h), CAMERA, antialias=supersampling, background=BACKGROUND)
-        return blur(shown, BLUR)
+        def cast(h, solids=solids, motion=motion):
+            shown, _ = render_depth(moved(solids, 1, motion, h), CAMERA, antialias=32, background=BACKGROUND)
+            return blur(shown, BLUR)
 
-    return (8 * (image(step) - image(-step)) - (image(2 * step) - image(-2 * step))) / (12 * step)
-
-
-def jacobian(solids: Solids, k: int, motion: np.ndarray, edges: bool = True) -> np.ndarray:
-    canvas, records = new_canvas(CAMERA, 5), new_records(CAMERA, 5)
-    draw_antialiased(canvas, solids.kind, solids.pose, solids.size, BACKGROUND, WINDOW)
-    record(canvas, records, solids.kind, solids.pose, solids.size, np.ones(5, bool), BACKGROUND, WINDOW, edges)
-    motions = np.zeros((1, 5, MOTION))
-    motions[0, k] = motion
-    images = np.zeros((1, 64 * 64))
-    spread(records, motions, np.any(motions != 0, axis=2), images)
-    return blur(images[0].reshape(64, 64), BLUR)
+        reference = central(cast, step, 2)
+        exact = derivative_image(solids, CAMERA, 1, motion, BACKGROUND, BLUR)
+        assert np.linalg.norm(exact - reference) < 0.05 * np.linalg.norm(reference)
 
 
-def errors(kind: int, edges: bool = True) -> list[float]:
-    found = []
-    for seed in range(6):
-        solids = scene(seed, kind, stacked=seed % 2 == 1 and kind == BOX)
-        k = 1 + seed % 4
-        motion = motion_of(solids, k, seed)
-        pixel = solids.pose[k, 2, 3] / CAMERA.fx
-        reference = differences(solids, k, motion, 0.05 * pixel)
-        found.append(np.linalg.norm(jacobian(solids, k, motion, edges) - reference) / np.linalg.norm(reference))
-    return found
-
-
-@pytest.mark.parametrize(("kind", "median"), [(BOX, 0.03), (SPHERE, 0.06), (CYLINDER, 0.07)])
-def test_derivative_of_the_image(kind, median):
-    """The reference itself moves by about 1 % between steps of .03 and .06 pixels (32 rays a pixel side: an edge's
-    place is known to 1/32 / sqrt(12) of a pixel a ray row, over steps of a tenth of a pixel)."""
-    assert np.median(errors(kind)) < median
+def test_areas_add_up():
+    """Every pixel's parts make a pixel, and the borders of a piece inside and outside an outline are as long."""
+    for kind in (BOX, SPHERE, CYLINDER):
+        solids = random_scene(1, kind, stacked=kind == BOX)
+        canvas = new_canvas(CAMERA, 5)
+        draw_antialiased(canvas, solids.kind, solids.pose, solids.size, BACKGROUND, WINDOW)
+        count = canvas.count[0]
+        shares = np.add.reduceat(canvas.parts[: canvas.part_ends[count - 1], 0], [0, *canvas.part_ends[: count - 1]])
+        assert count > 100
+        # the chords of a curved outline leave out, or take in, a hundredth of a pixel
+        assert np.all(np.abs(shares - 1.0) < (1e-9 if kind == BOX else 0.02))
+        length = np.linalg.norm(np.diff(canvas.borders.reshape(-1, 2, 2), axis=1)[:, 0], axis=1)
+        edge, end = canvas.border_code[:, 0], canvas.border_ends[count - 1]
+        inner, outer = (length[:end][edge[:end] & 1 == side].sum() for side in (0, 1))
+        assert np.isclose(inner, outer, rtol=1e-9)
 
 
 def test_without_occlusion_edges_it_is_wrong():
     """The broken twin: the derivative inside silhouettes alone."""
-    assert np.median(errors(BOX, edges=False)) > 0.3
-
-
-def test_antialiased_image():
-    """The mean over pixels' areas: nearer to 32 x 32 rays than a grid of 4 x 4 is, in every scene of boxes."""
-    for seed in range(5):
-        solids = scene(seed, BOX, stacked=seed % 2 == 1)
-        reference, _ = render_depth(solids, CAMERA, antialias=32, background=BACKGROUND)
-        grid, _ = render_depth(solids, CAMERA, antialias=4, background=BACKGROUND)
-        ours = antialiased_depth(solids, CAMERA, BACKGROUND)
-        assert np.linalg.norm(ours - reference) < np.linalg.norm(grid - reference)
+    assert np.median(own_errors(BOX, 6, edges=False)) > 0.3
 
 
 def test_blur_and_its_adjoint():
@@ -128,7 +95,7 @@ def test_blur_and_its_adjoint():
 
 def test_forward_and_reverse_agree():
     """One reverse pass gives what the Jacobian images give: the same sums in another order."""
-    solids = scene(3, BOX, stacked=True)
+    solids = random_scene(3, BOX, stacked=True)
     rng = np.random.default_rng(0)
     observed = antialiased_depth(solids, CAMERA, BACKGROUND, BLUR) + rng.normal(0, 0.02, (64, 64))
     observed[10:20, 5:30] = np.nan

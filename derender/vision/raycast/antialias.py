@@ -1,32 +1,36 @@
 """The antialiased depth image: the mean depth over each pixel's area, not the depth at its centre.
 
 A pixel that one face fills has the depth of its centre (the mean differs in second order only). A pixel that an
-outline or a crease may cross is *mixed*. If one straight line divides it, both parts are integrated exactly (area times
-depth at the centroid); otherwise (corners, curved solids) it is sampled at SAMPLES points of a rank-1 lattice, whose
-projections on any direction are nearly evenly spaced, so that an edge that sweeps over the pixel changes the image
-almost continuously (a 4 x 4 grid moves in quarters under an upright edge). Which pixels are mixed follows from the
-bounds of `convex.prepare_solid`: two of them may cross in a pixel if their difference at its centre is less than their
-range over it.
+outline, a crease or a limb may cross is *mixed*: it is cut into pieces that see one face each (`pieces`), and these are
+integrated (`integral`). Which pixels are mixed follows from the bounds of `convex.prepare_solid`: two of them may cross
+in a pixel if their difference at its centre is less than their range over it.
 """
 
 import math
 
-import numpy as np
-
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
-from derender.vision.raycast.canvas import (
-    FACE_BITS,
-    NOTHING,
-    QUADRIC,
-    SAMPLES,
-    prepare_all,
-)
-from derender.vision.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B, inverse_depth
-from derender.vision.raycast.split import split_pixel, which_face
+from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, draw_outlines, prepare_all
+from derender.vision.raycast.convex import DISCRIMINANT, FACES, inverse_depth
+from derender.vision.raycast.integral import integrate
+from derender.vision.raycast.pieces import curved_inverse_depth, insert_solid, whole_pixel
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _which_face(prepared, column, row):
+    """The face that the ray enters a prepared solid by: the least upper bound (QUADRIC for a curved one)."""
+    upper, face = 1e300, QUADRIC
+    for f in range(int(prepared[0])):
+        p = FACES + 3 * f
+        bound = prepared[p] + prepared[p + 1] * column + prepared[p + 2] * row
+        if bound < upper:
+            upper, face = bound, f
+    if prepared[2] != 0.0 and prepared[3] > 0.0 and curved_inverse_depth(prepared, column, row) < upper:
+        face = QUADRIC
+    return face
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _crossing(a, b, c, row, reach):
     """The interval of columns at which |a + b i + c row| <= reach."""
     value = a + c * row
@@ -37,7 +41,7 @@ def _crossing(a, b, c, row, reach):
     return min(max(first, -1e9), 1e9), min(max(second, -1e9), 1e9)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _draw_faces(k, prepared, row, first, end, inverse, code, mixed):
     """Draw one row of a solid with flat faces only and mark where two of its bounds may cross inside a pixel."""
     front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
@@ -94,13 +98,13 @@ def _draw_faces(k, prepared, row, first, end, inverse, code, mixed):
             code[row, column] = base + face
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _corner(prepared, column, row):
     """-1 where the ray misses, otherwise the face it enters by."""
-    return which_face(prepared, column, row) if inverse_depth(prepared, column, row) > 0.0 else -1
+    return _which_face(prepared, column, row) if inverse_depth(prepared, column, row) > 0.0 else -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
     """Draw one row of a sphere or cylinder; mixed where its corners disagree or the outline is within two pixels."""
     base = k << FACE_BITS
@@ -122,78 +126,48 @@ def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
         slope = abs(prepared[q + 1] + 2.0 * prepared[q + 3] * t + prepared[q + 4] * s) + abs(
             prepared[q + 2] + 2.0 * prepared[q + 5] * s + prepared[q + 4] * t
         )
-        if above != below or above != next_above or above != next_below or (above >= 0 and value < 2.0 * slope):
+        if above != below or above != next_above or above != next_below or -0.6 * slope < value < 2.0 * slope:
             mixed[row, column] = 1
         w = inverse_depth(prepared, column, row)
         if w > inverse[row, column]:
             inverse[row, column] = w
-            code[row, column] = base + which_face(prepared, column, row)
+            code[row, column] = base + _which_face(prepared, column, row)
         above, below = next_above, next_below
 
 
-@njit(cache=True, nogil=True)
-def _sample(k, prepared, column, row, offsets, best, codes, upper, face, lower):
-    """Take one solid into the samples of a mixed pixel: upper, face, lower are scratch of SAMPLES numbers."""
-    front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
-    base = k << FACE_BITS
-    for n in range(SAMPLES):
-        upper[n] = 1e300
-        lower[n] = 0.0
-        face[n] = 0
-    for f in range(faces):
-        p = FACES + 3 * f
-        b, c = prepared[p + 1], prepared[p + 2]
-        a = prepared[p] + b * column + c * row
-        if f < front:
-            for n in range(SAMPLES):
-                bound = a + b * offsets[n, 0] + c * offsets[n, 1]
-                smaller = bound < upper[n]
-                upper[n] = bound if smaller else upper[n]
-                face[n] = f if smaller else face[n]
-        else:
-            for n in range(SAMPLES):
-                lower[n] = max(lower[n], a + b * offsets[n, 0] + c * offsets[n, 1])
-    if prepared[2] != 0.0:
-        q = DISCRIMINANT
-        for n in range(SAMPLES):
-            t, s = column + offsets[n, 0] - prepared[4], row + offsets[n, 1] - prepared[5]
-            value = (
-                prepared[q]
-                + prepared[q + 1] * t
-                + prepared[q + 2] * s
-                + prepared[q + 3] * t * t
-                + prepared[q + 4] * t * s
-                + prepared[q + 5] * s * s
-            )
-            if value < 0.0:
-                upper[n] = 0.0
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _draw_mixed(canvas, kinds, wall, window):
+    """Divide and integrate the mixed pixels of a window: write their depths, parts and borders, and how many there are.
+
+    Arrays are handed on one by one: a whole canvas costs more to pass than most pixels to divide.
+    """
+    pieces, prepared, rectangle, order = canvas.pieces, canvas.prepared, canvas.rectangle, canvas.order
+    lines, line_counts, mixed, depth = canvas.lines, canvas.line_counts, canvas.mixed, canvas.depth
+    mixed_pixels, part_ends, border_ends = canvas.mixed_pixels, canvas.part_ends, canvas.border_ends
+    part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
+    width = depth.shape[1]
+    m, part, border = 0, 0, 0
+    for row in range(window[2], window[3]):
+        for column in range(window[0], window[1]):
+            if mixed[row, column] == 0:
                 continue
-            root = math.sqrt(value)
-            middle = prepared[QUADRIC_B] + prepared[QUADRIC_B + 1] * t + prepared[QUADRIC_B + 2] * s
-            lower[n] = max(lower[n], (middle - root) / prepared[3])
-            if prepared[3] > 0.0 and (middle + root) / prepared[3] < upper[n]:
-                upper[n] = (middle + root) / prepared[3]
-                face[n] = QUADRIC
-    for n in range(SAMPLES):
-        if upper[n] >= lower[n] and upper[n] > best[n] and upper[n] < 1e299:
-            best[n] = upper[n]
-            codes[n] = base + face[n]
-
-
-@njit(cache=True, nogil=True)
-def _sample_pixel(canvas, kinds, column, row, background, best, upper, face, lower, codes):
-    """Return the mean depth over the samples of one pixel; `codes` (SAMPLES,) says what each saw."""
-    for n in range(SAMPLES):
-        best[n] = 1.0 / background
-        codes[n] = NOTHING
-    for k in range(kinds.shape[0]):
-        rectangle = canvas.rectangle[k]
-        if kinds[k] != MESH and rectangle[0] <= column < rectangle[1] and rectangle[2] <= row < rectangle[3]:
-            _sample(k, canvas.prepared[k], float(column), float(row), canvas.offsets, best, codes, upper, face, lower)
-    total = 0.0
-    for n in range(SAMPLES):
-        total += 1.0 / best[n]
-    return total / SAMPLES
+            whole_pixel(pieces, 0, wall)
+            count = 1
+            for n in range(order.shape[0]):
+                k = order[n]
+                if (
+                    kinds[k] != MESH
+                    and rectangle[k, 0] <= column < rectangle[k, 1]
+                    and rectangle[k, 2] <= row < rectangle[k, 3]
+                ):
+                    count = insert_solid(pieces, prepared, lines, line_counts, k, float(column), float(row), count)
+            depth[row, column], part, border = integrate(
+                pieces, prepared, part_code, parts, border_code, borders, count, float(column), float(row), part, border
+            )
+            mixed_pixels[m] = row * width + column
+            part_ends[m], border_ends[m] = part, border
+            m += 1
+    canvas.count[0] = m
 
 
 @njit(cache=True, nogil=True)
@@ -208,6 +182,7 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
         of mixed pixels is that of this window.
     """
     prepare_all(canvas, kinds, poses, sizes)
+    draw_outlines(canvas, kinds, poses, sizes)
     inverse, code, mixed = canvas.inverse, canvas.code, canvas.mixed
     c0, c1, r0, r1 = window[0], window[1], window[2], window[3]
     for row in range(r0, r1):
@@ -240,24 +215,9 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
                 if row + 1 < r1 and mixed[row + 1, column] == 0 and code[row + 1, column] >> FACE_BITS != here:
                     mixed[row, column] = 1
                     mixed[row + 1, column] = 1
-    best, upper, lower = np.empty(SAMPLES), np.empty(SAMPLES), np.empty(SAMPLES)
-    face = np.empty(SAMPLES, np.int64)
-    line, latest, candidates = np.empty(3), np.empty(3), np.empty(kinds.shape[0], np.int64)
-    count = 0
-    width = inverse.shape[1]
     for row in range(r0, r1):
         for column in range(c0, c1):
-            if mixed[row, column] != 0:
-                canvas.mixed_pixels[count] = row * width + column
-                depth = split_pixel(canvas, kinds, column, row, background, count, line, latest, candidates)
-                if depth < 0.0:
-                    depth = _sample_pixel(
-                        canvas, kinds, column, row, background, best, upper, face, lower, canvas.samples[count]
-                    )
-                canvas.depth[row, column] = depth
-                count += 1
-            elif code[row, column] != NOTHING:
-                canvas.depth[row, column] = 1.0 / inverse[row, column]
-            else:
-                canvas.depth[row, column] = background
-    canvas.count[0] = count
+            if mixed[row, column] == 0:
+                seen = code[row, column] != NOTHING
+                canvas.depth[row, column] = 1.0 / inverse[row, column] if seen else background
+    _draw_mixed(canvas, kinds, wall, window)

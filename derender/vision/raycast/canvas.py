@@ -1,19 +1,43 @@
-"""What the antialiased renderer draws on: rows of inverse depth, codes of faces, pixels that a line divides."""
+"""What the antialiased renderer draws on: rows of inverse depth, codes of faces, and the pieces of divided pixels."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from derender.kernel_cache import njit
+from derender.model.solids import PLANE
 from derender.vision.raycast.convex import PREPARED, prepare_solid
+from derender.vision.raycast.outline import LINE, LINES, draw_outline
 
-SAMPLES = 64
-GENERATOR = 19  # of the lattice: spreads the projections on every direction
-QUADRIC = 3  # the "face" number of a curved surface; 0, 1, 2 are the front faces in the order of `prepared`
 FACE_BITS = 24
 FACE_MASK = (1 << FACE_BITS) - 1
+QUADRIC = FACE_MASK  # the "face" number of a curved surface; others count the front faces in the order of `prepared`
 NOTHING = -1
-SPLIT = -2  # the first of a mixed pixel's codes, if a straight line divides it: then `split` holds the parts
+PIECES, CORNERS = 192, 24  # most pieces of one pixel, and corners of one piece
+ROOM = 6  # parts and borders to a pixel, on average, that there is room for
+SPARE = 1 << 14  # and so many more
+
+
+class Pieces(NamedTuple):
+    """Scratch for one pixel cut into convex polygons, in pixels from its centre.
+
+    Attributes
+    ----------
+    corner : (PIECES, CORNERS, 2) float64, corners in order. edge : (PIECES, CORNERS) int64, what the edge from this
+        corner to the next is: -1, or 2 (solid * LINES + line) of an outline, one more on its outer side.
+    corners, code : (PIECES,) int64. plane : (PIECES, 3) float64, inverse depth at the centre and its slopes, of flat
+        ones. lines : (LINES, 3) float64, edges : (LINES, 2) int64, the lines that bound what is put in, and their edges
+        inside and outside. across : (CORNERS,) float64, of a quadrature.
+    """
+
+    corner: np.ndarray
+    edge: np.ndarray
+    corners: np.ndarray
+    code: np.ndarray
+    plane: np.ndarray
+    lines: np.ndarray
+    edges: np.ndarray
+    across: np.ndarray
 
 
 class Canvas(NamedTuple):
@@ -21,48 +45,78 @@ class Canvas(NamedTuple):
 
     Attributes
     ----------
-    camera : (4,) float64 fx, fy, cx, cy. offsets : (SAMPLES, 2) float64, sample points about the pixel's centre.
+    camera : (4,) float64 fx, fy, cx, cy.
     prepared : (N, PREPARED), rectangle : (N, 4) int64, of every solid; the rectangle one pixel wider than its centres'.
+    lines : (N, LINES, LINE) float64, line_counts : (N, 2) int64, outlines, see `draw_outline`.
+    order : (N,) int64, the solids from near to far, planes last: what is hidden then cuts nothing.
     inverse : (H, W) float64, inverse depth at pixel centres. code : (H, W) int64, what is seen there:
-        (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, 1 where a pixel is sampled.
+        (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, 1 where a pixel is divided.
     depth : (H, W) float64, the antialiased image in metres.
-    mixed_pixels : (H * W,) int32, row * W + column of the mixed ones. samples : (H * W, SAMPLES) int64, their codes;
-        or SPLIT and the codes of two parts, whose area and centroid (share, x, y) are in split : (H * W, 2, 3).
-    count : (1,) int64, how many there are.
+    mixed_pixels : (H * W,) int32, row * W + column of the mixed ones. count : (1,) int64, how many there are.
+    part_ends, border_ends : (H * W,) int64, where a mixed pixel's parts and borders end; the next one's start there.
+    part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands
+        for it. What sees nothing is left out.
+    border_code : (B, 2) int64, the edge (see Pieces) and the code of the piece that it bounds. borders : (B, 4)
+        float64, column and row of its ends.
+    pieces : Pieces.
     """
 
     camera: np.ndarray
-    offsets: np.ndarray
     prepared: np.ndarray
     rectangle: np.ndarray
+    lines: np.ndarray
+    line_counts: np.ndarray
+    order: np.ndarray
     inverse: np.ndarray
     code: np.ndarray
     mixed: np.ndarray
     depth: np.ndarray
     mixed_pixels: np.ndarray
-    samples: np.ndarray
-    split: np.ndarray
     count: np.ndarray
+    part_ends: np.ndarray
+    border_ends: np.ndarray
+    part_code: np.ndarray
+    parts: np.ndarray
+    border_code: np.ndarray
+    borders: np.ndarray
+    pieces: Pieces
 
 
 def new_canvas(camera, solids: int) -> Canvas:
     """Allocate a Canvas for a Camera and this many solids."""
     height, width = camera.height, camera.width
-    k = np.arange(SAMPLES)
-    offsets = np.stack([(k + 0.5) / SAMPLES, (k * GENERATOR / SAMPLES + 0.5 / SAMPLES) % 1.0], axis=1) - 0.5
+    pixels = height * width
+    room = ROOM * pixels + SPARE
+    pieces = Pieces(
+        np.zeros((PIECES, CORNERS, 2)),
+        np.zeros((PIECES, CORNERS), np.int64),
+        np.zeros(PIECES, np.int64),
+        np.zeros(PIECES, np.int64),
+        np.zeros((PIECES, 3)),
+        np.zeros((LINES, 3)),
+        np.zeros((LINES, 2), np.int64),
+        np.zeros(CORNERS),
+    )
     return Canvas(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
-        offsets,
         np.zeros((solids, PREPARED)),
         np.zeros((solids, 4), np.int64),
+        np.zeros((solids, LINES, LINE)),
+        np.zeros((solids, 2), np.int64),
+        np.arange(solids),
         np.zeros((height, width)),
         np.zeros((height, width), np.int64),
         np.zeros((height, width), np.uint8),
         np.zeros((height, width)),
-        np.zeros(height * width, np.int32),
-        np.zeros((height * width, SAMPLES), np.int64),
-        np.zeros((height * width, 2, 3)),
+        np.zeros(pixels, np.int32),
         np.zeros(1, np.int64),
+        np.zeros(pixels, np.int64),
+        np.zeros(pixels, np.int64),
+        np.zeros(room, np.int64),
+        np.zeros((room, 3)),
+        np.zeros((room, 2), np.int64),
+        np.zeros((room, 4)),
+        pieces,
     )
 
 
@@ -76,3 +130,22 @@ def prepare_all(canvas, kinds, poses, sizes):
         if rectangle[0] < rectangle[1]:
             rectangle[0], rectangle[1] = max(rectangle[0] - 1, 0), min(rectangle[1] + 1, width)
             rectangle[2], rectangle[3] = max(rectangle[2] - 1, 0), min(rectangle[3] + 1, height)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _farther(kinds, poses, first, second):
+    """Does the first solid come after the second?"""
+    return kinds[first] == PLANE or poses[first, 2, 3] > poses[second, 2, 3]
+
+
+@njit(cache=True, nogil=True)
+def draw_outlines(canvas, kinds, poses, sizes):
+    """Write the outlines of all solids that `prepare_all` has found in the image, and the solids' order."""
+    for k in range(kinds.shape[0]):
+        n = k
+        while n > 0 and kinds[k] != PLANE and _farther(kinds, poses, canvas.order[n - 1], k):
+            canvas.order[n] = canvas.order[n - 1]
+            n -= 1
+        canvas.order[n] = k
+        if canvas.rectangle[k, 0] < canvas.rectangle[k, 1]:
+            draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, canvas.lines[k], canvas.line_counts[k])

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.kernel_cache import njit
-from derender.vision.raycast.silhouette import CHORDS
 
 MOTION = 9  # twist (v, w) and the rates of the three extents
 
@@ -18,14 +17,13 @@ class Records(NamedTuple):
     ----------
     pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `count[0]`
         count.
-    count : (1,) int64. segments : (CHORDS, 2, 3) float64, scratch.
+    count : (1,) int64.
     """
 
     pixel: np.ndarray
     solid: np.ndarray
     form: np.ndarray
     count: np.ndarray
-    segments: np.ndarray
 
 
 def new_records(camera, solids: int) -> Records:
@@ -36,7 +34,6 @@ def new_records(camera, solids: int) -> Records:
         np.zeros(size, np.int32),
         np.zeros((size, MOTION)),
         np.zeros(1, np.int64),
-        np.zeros((CHORDS, 2, 3)),
     )
 
 

@@ -1,0 +1,128 @@
+"""Measure the exact derivative of the antialiased image against differences of images. One table on stdout.
+
+A plane and four solids of one shape at 64 x 64, one of them moving in a random way (shift, turn and growth), blur of
+one pixel. Errors are shares of the norm of what is compared with:
+* `own`: differences of the antialiased image itself, the smallest of four steps (where a curved outline gets one chord
+  more, a step may show the change): is the derivative that of the image?
+* `rays`: differences of an image of 64 x 64 rays a pixel, extrapolated to no step;
+* `16`: central differences of an image of 16 x 16 rays with a step of a tenth of a pixel: mostly their own error, as
+  `16 itself` shows, the same differences against those of 64 x 64 rays;
+* `image`: the antialiased image's own error against 64 x 64 rays, as a share of that of one ray a pixel.
+Solids stand on the plane, so a motion into it differs from one away from it: differences with a step are biased by
+a term of first order in the step, which extrapolation takes away.
+"""
+
+import argparse
+
+import numpy as np
+
+from derender.model.pose import rotation_x, rotation_z, translation, twist_exp
+from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
+from derender.vision.blur import blur
+from derender.vision.camera import Camera
+from derender.vision.gradient import antialiased_depth, derivative_image
+from derender.vision.raycast.depth import render_depth
+from derender.vision.raycast.records import MOTION
+
+CAMERA = Camera.from_field_of_view(64, 64)
+BACKGROUND, BLUR = 10.0, 1.0
+SHAPES = {"boxes": BOX, "spheres": SPHERE, "cylinders": CYLINDER}
+STEPS = (1e-5, 1e-4, 5e-4, 2e-3)  # pixels
+
+
+def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
+    """Return a plane and four solids, scattered or in a stack; the camera looks down, so no horizon is seen."""
+    rng = np.random.default_rng(seed)
+    root = translation(0, 0.05, 0.9) @ rotation_x(np.pi / 2 + rng.uniform(0.7, 1.1))
+    poses, sizes = [root], [np.zeros(3)]
+    for i in range(4):
+        size = rng.uniform(0.06, 0.14, 3)
+        size[1] = size[0] if kind != BOX else size[1]
+        size[2] = size[0] if kind == SPHERE else size[2]
+        on_top = stacked and i > 0
+        base, lift = (poses[-1], sizes[-1][2] / 2) if on_top else (root, 0.0)
+        x, y = rng.uniform(-0.3, 0.3, 2) * sizes[-1][:2] if on_top else rng.uniform(-0.2, 0.2, 2)
+        poses.append(base @ translation(x, y, lift + size[2] / 2) @ rotation_z(rng.uniform(0, 7)))
+        sizes.append(size)
+    kinds = np.array([PLANE, *[kind] * 4], np.int32)
+    return Solids(kinds, np.array(poses), np.array(sizes), np.full(5, -1, np.int32))
+
+
+def random_motion(solids: Solids, k: int, seed: int) -> np.ndarray:
+    """Return a motion of solid k with turns about its own centre and, keeping it what it is, growth."""
+    rng = np.random.default_rng([seed, 7])
+    motion = rng.normal(size=MOTION)
+    motion[3:6] /= 0.08  # as much movement at a surface from turning as from shifting
+    motion[:3] -= np.cross(motion[3:6], solids.pose[k, :3, 3])
+    if solids.kind[k] != BOX:
+        motion[7] = motion[6]
+    if solids.kind[k] == SPHERE:
+        motion[8] = motion[6]
+    return motion
+
+
+def moved(solids: Solids, k: int, motion: np.ndarray, step: float) -> Solids:
+    """Return the solids with solid k moved by `step` units of a motion."""
+    pose, size = solids.pose.copy(), solids.size.copy()
+    pose[k] = twist_exp(step * motion[:3], step * motion[3:6]) @ pose[k]
+    size[k] += step * motion[6:]
+    return solids._replace(pose=pose, size=size)
+
+
+def central(image, step: float, orders: int = 1) -> np.ndarray:
+    """Return central differences of image(step); with more orders, extrapolated from steps 1, 2, 4 ... times as long.
+
+    Terms of the first `orders - 1` powers of the step vanish, odd ones too: a scene in contact has them.
+    """
+    found = [(image(step * 2**n) - image(-step * 2**n)) / (2 * step * 2**n) for n in range(orders)]
+    for order in range(1, orders):
+        found = [(2**order * a - b) / (2**order - 1) for a, b in zip(found[:-1], found[1:], strict=True)]
+    return found[0]
+
+
+def share(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+def errors(kind: int, seed: int, rays: bool, edges: bool = True) -> dict[str, float]:
+    """Return the errors of one scene, see above; those that need many rays only if asked for."""
+    solids = random_scene(seed, kind, stacked=seed % 2 == 1 and kind == BOX)
+    k = 1 + seed % 4
+    motion = random_motion(solids, k, seed)
+    pixel = solids.pose[k, 2, 3] / CAMERA.fx
+    exact = derivative_image(solids, CAMERA, k, motion, BACKGROUND, BLUR, edges)
+
+    def ours(step):
+        return antialiased_depth(moved(solids, k, motion, step), CAMERA, BACKGROUND, BLUR)
+
+    def cast(step, count):
+        depth, _ = render_depth(moved(solids, k, motion, step), CAMERA, antialias=count, background=BACKGROUND)
+        return blur(depth, BLUR)
+
+    found = {"own": min(share(exact, central(ours, step * pixel, 2)) for step in STEPS)}
+    if rays:
+        fine = central(lambda step: cast(step, 64), 0.05 * pixel, 3)
+        coarse, same = (central(lambda step, n=n: cast(step, n), 0.1 * pixel) for n in (16, 64))
+        found |= {"rays": share(exact, fine), "16": share(exact, coarse), "16 itself": share(coarse, same)}
+        found["image"] = share(ours(0), cast(0, 64)) / share(cast(0, 1), cast(0, 64))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=200, help="of each shape")
+    parser.add_argument("--with-rays", type=int, default=10, help="so many of them against many rays a pixel")
+    options = parser.parse_args()
+    print(f"{'':12s}{'':12s}{'median':>9s}{'95 %':>9s}{'worst':>9s}{'scenes':>9s}")
+    for shape, kind in SHAPES.items():
+        rows: dict[str, list[float]] = {}
+        for seed in range(options.scenes):
+            for name, value in errors(kind, seed, seed < options.with_rays).items():
+                rows.setdefault(name, []).append(value)
+        for name, values in rows.items():
+            low, high = np.quantile(values, [0.5, 0.95])
+            print(f"{shape:12s}{name:12s}{low:9.2%}{high:9.2%}{max(values):9.2%}{len(values):9d}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
