@@ -19,7 +19,7 @@ from derender.inference.structure.polish import FREE, UPRIGHT  # noqa: E402
 from derender.inference.structure.search import Settings, total_energy  # noqa: E402
 from derender.inference.structure.shaping import shake, stretch, tilt  # noqa: E402
 from derender.inference.structure.state import FLOOR, State  # noqa: E402
-from derender.inference.structure.supporting import lift  # noqa: E402
+from derender.inference.structure.supporting import lift, stand  # noqa: E402
 from derender.model.scene import ROOT  # noqa: E402
 from derender.model.solids import BOX  # noqa: E402
 
@@ -61,8 +61,8 @@ def test_moves_leave_what_they_are_given_as_it_was(explained, move):
             assert sizes == {len(new)} and all(0 <= k < len(new) for k in changed)
             assert np.isfinite(new.rows).all() and (new.rows[:, 13:16] > 0).all()
             applied += 1
-    # nothing floats in this state: these two have nothing to do
-    assert applied > 0 or move.__name__ in ("put_under", "raise_support")
+    # nothing floats in this state: these have nothing to do
+    assert applied > 0 or move.__name__ in ("put_under", "raise_support", "stand")
 
 
 def best_of(move, image, state, tries=20):
@@ -141,6 +141,17 @@ def test_a_cube_that_leans_a_little_is_one_cube_on_what_bears_it():
     assert state.rows[leaning, 13:16] == pytest.approx(true["size"], abs=0.003)
     support = state.rows[state.parents[leaning], 13:16]
     assert np.sort(support) == pytest.approx(np.sort(scene["objects"][true["parent"]]["size"]), abs=0.003)
+
+
+def test_a_piece_that_floats_is_made_to_stand(explained):
+    image, state = explained
+    lowest_one = int(np.argmin(state.rows[:, 12]))
+    piece = state.copy()
+    piece.rows[lowest_one, 12] += 0.03  # its upper part alone, over nothing
+    piece.rows[lowest_one, 15] -= 0.06
+    piece.bottoms[lowest_one], piece.cubes[lowest_one] = np.nan, False
+    reached, started = best_of(stand, image, piece)
+    assert reached - total_energy(image, state, Settings()) < 0.2 * (started - total_energy(image, state, Settings()))
 
 
 def test_over_a_gap_a_solid_floats():

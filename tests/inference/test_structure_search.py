@@ -255,3 +255,15 @@ def test_blurred_silhouettes_are_not_filled_with_thin_solids(seed):
     state, seen = point_estimate(np.random.default_rng(seed), image, camera)
     assert len(state) == len(graph.names) - 1
     assert seen.image.taps.size == 2  # the blur was half a pixel
+
+
+def test_what_a_floor_is_uneven_by_is_no_solid(rng):
+    """A slab of 6 mm and half a metre on a floor, as real tables are off their plane."""
+    camera = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    floor = np.array([[1, 0, 0, 0], [0, -0.6, -0.8, 0.15], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[0, :3, 3], poses[1, :3, 3] = [0.0, 0.25, 0.003], [0.0, -0.1, 0.05]
+    sizes = np.array([[0.5, 0.3, 0.006], [0.1, 0.08, 0.1]])
+    depth, _ = render_floor_scene(["box", "box"], floor @ poses, sizes, floor, camera)
+    state, _ = point_estimate(rng, depth + 0.001 * rng.normal(size=depth.shape), camera)
+    assert len(state) == 1 and state.rows[0, 13:16] == pytest.approx(sizes[1], abs=0.004)

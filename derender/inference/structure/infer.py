@@ -12,6 +12,7 @@ from derender.inference.structure.searches import search
 from derender.inference.structure.support import final_parents
 from derender.inference.structure.surface import make_surface
 
+NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
 
@@ -28,6 +29,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
+    settings = settings._replace(uneven=max(settings.uneven, NOISES * noise))
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
     state, image = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
     state.parents = final_parents(state)

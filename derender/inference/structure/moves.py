@@ -12,7 +12,7 @@ from derender.inference.structure.places import pick
 from derender.inference.structure.search import greedy
 from derender.inference.structure.shaping import appear, shake, stretch, tilt
 from derender.inference.structure.state import held_out, run_polish
-from derender.inference.structure.supporting import lift, put_under, raise_support
+from derender.inference.structure.supporting import lift, put_under, raise_support, stand
 from derender.inference.structure.touch import penetration
 from derender.model.solids import BOX
 
@@ -126,8 +126,8 @@ def grown(row, by=0.008):
     return new
 
 
-MOVES = ((explain_anew, 0.26), (split, 0.14), (merge, 0.1), (put_under, 0.08), (raise_support, 0.08), (lift, 0.08),
-         (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
+MOVES = ((explain_anew, 0.26), (split, 0.14), (merge, 0.1), (put_under, 0.06), (raise_support, 0.06), (stand, 0.04),
+         (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
 
 
 def propose(rng, image, state, hypotheses, settings, places):

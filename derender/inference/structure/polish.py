@@ -153,7 +153,8 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
 
 @njit(cache=True, nogil=True)
 def polish(
-    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, rounds, first_step, heat
+    rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, temper, rounds,
+    first_step, heat,
 ):
     """Return (row, energy, misfit change) of the best solid found in `rounds` tries.
 
@@ -165,11 +166,12 @@ def polish(
     bottom : height of what it stands on, NaN for unknown.
     carried : (K,) lowest heights of what stands on it.
     slack : metres; tilt : radians off the vertical that an upright solid may have (0: none).
+    temper : how many pixels tell as much as one independent one: what the sizes' prior is multiplied by.
     first_step : metres of the first steps; heat : temperature at the start, falling to zero (0: only downhill).
     """
     row = start.copy()
     change = added_misfit(image, row, depth, misfit)
-    energy = change + size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
+    energy = change + temper * size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
     energy += tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
     scale = np.full(14, first_step)
@@ -181,7 +183,7 @@ def polish(
             trial[n] = row[n]
         if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
             continue
-        rest = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
+        rest = temper * size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
         rest += tilt_energy(trial, form, tilt)
         if rest - (energy - change) > 100.0:
             scale[move] = max(scale[move] * 0.93, 5e-5)

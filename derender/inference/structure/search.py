@@ -16,7 +16,6 @@ from derender.model.solids import BOX, SPHERE
 
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
-UNEVEN = 0.01  # metres: real tables and their images are off the plane by half as much over half a metre
 
 
 class Settings(NamedTuple):
@@ -33,6 +32,7 @@ class Settings(NamedTuple):
     free_price : nats that a tilted pose costs more than an upright one.
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
+    uneven : metres by which a floor and its image may be off the plane.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
@@ -52,6 +52,7 @@ class Settings(NamedTuple):
     clean: float = 4.0
     floating_price: float = 30.0
     temper: float = 1.0
+    uneven: float = 0.01
     may_overlap: bool = False
     may_float: bool = False
 
@@ -187,11 +188,12 @@ def prune(image, state, settings):
     """
     i = 0
     while i < len(state):
-        if highest(state.rows[i]) < UNEVEN:
+        if highest(state.rows[i]) < settings.uneven:
             state, i = state.without(i), 0
             continue
         depth, _, misfit, _ = held_out(image, state, i)
-        kept = added_misfit(image, state.rows[i], depth, misfit) + size_energy(state.rows[i], state.cubes[i])
+        kept = added_misfit(image, state.rows[i], depth, misfit)
+        kept += settings.temper * size_energy(state.rows[i], state.cubes[i])
         if kept + complexity(int(state.rows[i][0]), state.forms[i], state.cubes[i], settings) > 0:
             state = state.without(i)
             i = 0
@@ -221,7 +223,7 @@ def complexity(kind, form, cube, settings):
 
 def total_energy(image, state, settings):
     """Return minus the log posterior density of a state, up to a constant."""
-    total = energy(image, state, settings.slack, 0.0, in_the_way(state.rows, settings))
+    total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
     for k in range(len(state)):
         total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
         total += tilt_energy(state.rows[k], state.forms[k], settings.tilt)

@@ -11,12 +11,12 @@ from derender.inference.structure.moves import NEIGHBOURS, aligned_pairs, merge_
 from derender.inference.structure.places import find_places
 from derender.inference.structure.search import greedy, prune, settle, sweep, total_energy
 from derender.inference.structure.state import State
-from derender.inference.structure.supporting import put_under, raise_support
+from derender.inference.structure.supporting import put_under, raise_support, stand
 from derender.inference.structure.threads import THREADS, in_threads
 
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING = 8.0  # nats between the least energies of searches that have found the same
-SUPPORTING = 4  # tries for each solid of the scene to support one that floats
+SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
 def search(rng, image, hypotheses, settings, pool=None):
@@ -101,8 +101,8 @@ def support_all(rng, image, state, settings):
     best = total_energy(image, state, settings)
     tries = 0
     while floats(state) and tries < SUPPORTING * len(state):
+        move = (raise_support, put_under, stand)[tries % 3]
         tries += 1
-        move = raise_support if tries % 2 else put_under
         proposed = move(rng, image, state, [], settings, find_places(image, state))
         if proposed is None:
             continue

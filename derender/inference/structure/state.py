@@ -78,18 +78,17 @@ def in_the_way(rows, settings):
     return rows[:0] if settings.may_overlap else rows
 
 
-def energy(image, state, slack, per_object, in_the_way):
+def energy(image, state, slack, temper, in_the_way):
     """Return misfit + prior + contact energies of a state: minus its log posterior density up to a constant.
 
     in_the_way : (N, ROW) the solids that must not be entered: those of the state, or none.
-    per_object : price in nats of each solid (minus the log of the prior odds of one more, and its parameters' Occam
-        factor where that is taken as a constant).
+    temper : how many pixels tell as much as one independent one: what the sizes' prior is multiplied by.
     """
     *_, total = held_out(image, state, -1)
     for k in range(len(state)):
-        total += size_energy(state.rows[k], state.cubes[k])
+        total += temper * size_energy(state.rows[k], state.cubes[k])
         total += contact_energy(state.rows[k], in_the_way, k, state.bottoms[k], NOTHING, slack)
-    return total + per_object * len(state)
+    return total
 
 
 def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
@@ -97,5 +96,5 @@ def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings
     depth, _, misfit, _ = view
     return polish(
         rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
-        carried_by(state, index), settings.slack, settings.tilt, rounds, step, heat,
+        carried_by(state, index), settings.slack, settings.tilt, settings.temper, rounds, step, heat,
     )  # fmt: skip

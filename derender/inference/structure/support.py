@@ -61,8 +61,8 @@ def assign_supports(image, state, settings):
             best, choice, best_row, bottom = np.inf, FLOOR, row, np.nan
             if lowest(row) > (NEAR if settings.may_float else LEAST_GAP):
                 best = (
-                    added_misfit(image, row, depth, misfit) + size_energy(row, False) + settings.price_of_floating
-                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack)
+                    added_misfit(image, row, depth, misfit) + settings.temper * size_energy(row, False)
+                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack) + settings.price_of_floating
                 )  # fmt: skip
             for j in [FLOOR, *[k for k in range(len(state)) if k != i]]:
                 height = 0.0
@@ -74,7 +74,7 @@ def assign_supports(image, state, settings):
                         continue
                 trial = with_bottom(row, height)
                 value = (
-                    added_misfit(image, trial, depth, misfit) + size_energy(trial, False)
+                    added_misfit(image, trial, depth, misfit) + settings.temper * size_energy(trial, False)
                     + contact_energy(trial, others, i, height, NOTHING, settings.slack) - 0.5 * (j != FLOOR)
                 )  # fmt: skip
                 if value < best:

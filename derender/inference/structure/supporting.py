@@ -1,16 +1,17 @@
-"""Moves that change what carries a solid: a box put under it, its bottom lifted, another's top raised to it.
+"""Moves that change what carries a solid: a box put under it, its bottom lifted, another's top raised, all of it.
 
 Called as moves.py says.
 """
 
 import numpy as np
 
+from derender.inference.structure.image import make_row
 from derender.inference.structure.places import pick
 from derender.inference.structure.polish import FREE, UPRIGHT
 from derender.inference.structure.state import FLOOR, held_out, run_polish
 from derender.inference.structure.support import LEAST_GAP, shadows_overlap, with_bottom
-from derender.inference.structure.touch import highest, lowest
-from derender.model.solids import BOX, SPHERE
+from derender.inference.structure.touch import highest, lowest, reach
+from derender.model.solids import BOX, CYLINDER, SPHERE
 
 
 def put_under(rng, image, state, hypotheses, settings, places):
@@ -49,6 +50,28 @@ def with_box_under(rng, image, state, i, bottom, settings):
     view = held_out(image, state, -1)
     box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, 300, 0.006)
     return state.add(box, UPRIGHT, False, FLOOR, bottom)
+
+
+def stand(rng, image, state, hypotheses, settings, places):
+    """Put an upright box or cylinder, from the floor or a top below it up, in the place of a solid that floats."""
+    floating = [i for i in range(len(state)) if np.isnan(state.bottoms[i]) and lowest(state.rows[i]) > 0.015]
+    if not floating:
+        return None
+    i = floating[int(rng.integers(len(floating)))]
+    row, top = state.rows[i], highest(state.rows[i])
+    new = state.without(i)
+    below = [0.0] + [highest(r) for r in new.rows if highest(r) < lowest(row)]
+    bottom = below[int(rng.integers(len(below)))]
+    kind = CYLINDER if "cylinder" in settings.shapes and rng.random() < 0.3 else BOX
+    c, s = np.cos(angle := rng.uniform(0, np.pi / 2)), np.sin(angle)
+    wide = 2.0 * reach(row, c, s, 0.0) * rng.uniform(0.6, 1.0)
+    deep = wide if kind == CYLINDER else 2.0 * reach(row, -s, c, 0.0) * rng.uniform(0.4, 1.0)
+    whole = make_row(kind, [[c, -s, 0], [s, c, 0], [0, 0, 1]], [row[10], row[11], 0.5 * (bottom + top)],
+                     [wide, deep, top - bottom])  # fmt: skip
+    view = held_out(image, new, -1)
+    whole, _, _ = run_polish(rng, image, new, -1, whole, UPRIGHT, False, view, bottom, settings, 500, 0.005,
+                             2.0 * settings.temper)  # fmt: skip
+    return new.add(whole, UPRIGHT, False, FLOOR, bottom), {len(new)}
 
 
 def lift(rng, image, state, hypotheses, settings, places):
