@@ -19,6 +19,7 @@ from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.vision.depth_file import read_depth
 
+NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
 
@@ -59,6 +60,9 @@ def infer_to_folder(
         say(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
     if not np.any(np.isfinite(seen.depth) & (seen.depth > 0)):
         raise DerenderError("the image has no pixel with a depth", image, "give an image that shows something")
+    middle = float(np.median(seen.depth[np.isfinite(seen.depth) & (seen.depth > 0)]))
+    if not NEARBY[0] < middle < NEARBY[1]:
+        warn(f"the depths lie about {middle:.3g} m away: if that is wrong, give the unit, as in --depth-scale 0.1")
     if document is not None and has_objects(document):
         for key, value in found.items():
             if value:

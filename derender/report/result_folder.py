@@ -35,28 +35,30 @@ class Outcome:
     doubts: tuple[str, ...]
     interrupted: bool
 
+    def structures(self) -> list[str]:
+        """Return a line for each structure found that has any weight in three digits: what rests on what."""
+        from derender.report.html import structure_words
+
+        ordered = sorted(self.posterior.parts, key=lambda part: -part.weight)
+        told = [part for part in ordered if part is ordered[0] or part.weight >= 0.0005]
+        return [f"{part.weight:6.3f}  {structure_words(part.graph)}" for part in told]
+
     def table(self) -> str:
         """Return the table, and what rests on what, as plain text."""
-        from derender.report.html import structure_words
         from derender.report.tables import parameter_table
 
-        lines = [
-            f"{part.weight:6.3f}  {structure_words(part.graph)}"
-            for part in sorted(self.posterior.parts, key=lambda part: -part.weight)
-        ]
-        return "\n".join([*lines, *([parameter_table(self.rows)] if self.rows else [])])
+        return "\n".join([*self.structures(), *([parameter_table(self.rows)] if self.rows else [])])
 
     def print_rich(self) -> None:
         """Print the same with colours on a terminal: doubtful rows in red."""
         from rich.console import Console
         from rich.table import Table
 
-        from derender.report.html import structure_words
         from derender.report.tables import COLUMNS, cells, doubtful
 
         console = Console()
-        for part in sorted(self.posterior.parts, key=lambda part: -part.weight):
-            console.print(f"{part.weight:.3f}  {structure_words(part.graph)}", highlight=False)
+        for line in self.structures():
+            console.print(line, highlight=False)
         if self.rows:
             table = Table(*COLUMNS, box=None)
             for column in table.columns[1:]:

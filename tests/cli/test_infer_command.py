@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -167,3 +168,11 @@ def read_made(path):
     from derender.document import read_document
 
     return read_document(path).made
+
+
+def test_depths_out_of_a_camera_s_range_are_told(folder, tmp_path):
+    depth = np.full((24, 32), 12000, np.uint16)  # tenths of millimetres, which no camera file says
+    imageio.imwrite(tmp_path / "tenths.png", depth)
+    arguments = (tmp_path / "tenths.png", "--scene", "figure-5", "--method", "map", "-o", tmp_path / "out")
+    assert "12 m away" in infer(*arguments).stderr
+    assert "m away" not in infer(*arguments, "--depth-scale", 0.1).stderr
