@@ -25,7 +25,8 @@ from derender.cli.options import Talk
     type=click.Choice(["auto", "mcmc", "map", "smc"]),
     default="auto",
     show_default=True,
-    help="auto and mcmc: chains; smc: tempered particles; map: the single best scene.",
+    help="auto and mcmc: chains; smc: particles; map: the single best scene. Without --scene auto weighs structures by "
+    "integrals, mcmc and smc by visiting them.",
 )
 @click.option(
     "--gradient",
@@ -45,13 +46,17 @@ from derender.cli.options import Talk
 @click.option("--only-known", is_flag=True, help="There is nothing but what --known lists.")
 @click.option("--allow-interpenetration", "may_overlap", is_flag=True, help="Without --scene: solids may enter others.")
 @click.option("--allow-floating", "may_float", is_flag=True, help="Without --scene: solids may hang in the air.")
-@click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4, without --scene 2.")
+@click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4, without --scene 2 of auto.")
 @click.option(
     "--draws",
     type=click.IntRange(1, 10_000_000),
-    help="Kept draws of each chain. Default 1000; without --scene 100, with --method mcmc 400.",
+    help="Kept draws of each chain. Default 1000; without --scene 100, with --method mcmc 250.",
 )
-@click.option("--warmup", type=click.IntRange(0, 10_000_000), help="Rounds in which a chain adapts. Default 200.")
+@click.option(
+    "--warmup",
+    type=click.IntRange(0, 10_000_000),
+    help="Rounds in which a chain adapts. Default 200; without --scene 40, of mcmc alone.",
+)
 @options.jobs
 @click.option("--resume", is_flag=True, help="Go on where the same command was stopped.")
 @options.seed

@@ -2,12 +2,21 @@
 
 import functools
 import math
+import os
+import signal
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from tiny_scenes import box, brute_force, entries_of, sensor_of, state_of
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from scene_makers import SETS, make_scene
+
 from derender.errors import DerenderError
+from derender.inference.structure.infer import infer_structure
 from derender.inference.structure.leaps import chain as chains
 from derender.inference.structure.leaps.chain import Walker
 from derender.inference.structure.leaps.leap import leap_values, make_leap, shared_of
@@ -165,3 +174,34 @@ def test_options_that_do_not_fit_are_refused():
         read_plan({"method": "smc", "warmup": 3}, depth)
     plan = read_plan({"method": "mcmc", "warmup": 0, "chains": 3, "draws": 7, "jobs": 1}, depth)
     assert (plan.chains, plan.draws, plan.warmup, plan.jobs) == (3, 7, 0, 1)
+
+
+@pytest.mark.parametrize("method", ["mcmc", "smc"])
+def test_a_tower_is_found_with_its_graph_whatever_the_number_of_jobs(method):
+    scene = make_scene(np.random.default_rng([3, SETS.index("tower")]), "tower")
+    options = {"method": method, "chains": 2, "draws": 40, "seed": 3}
+    found = [infer_structure(scene["depth"], scene["camera"], {**options, "jobs": jobs}) for jobs in (1, 2)]
+    assert sum(part.weight for part in found[0].parts) == pytest.approx(1.0)
+    assert [part.weight for part in found[0].parts] == [part.weight for part in found[1].parts]
+    assert np.array_equal(found[0].best_part.values, found[1].best_part.values)
+    graph = found[0].best_graph()
+    parents = [graph.vertex(vertex.parent).parent for vertex in graph.vertices if vertex.parent != "root"]
+    assert len(parents) == 3 and parents.count("root") == 1  # one on the floor, each other on the one before
+    told = found[0].meta["structure_chains"]
+    assert len(told["shares"]) == 2 and (method == "mcmc" or len(told["log_evidence"]) == 2)
+
+
+def test_an_interrupt_keeps_what_was_drawn(tmp_path):
+    scene = make_scene(np.random.default_rng([3, SETS.index("tower")]), "tower")
+    options = {"method": "mcmc", "chains": 1, "draws": 100_000, "warmup": 0, "seed": 3, "folder": tmp_path}
+
+    sent = []
+
+    def interrupt(fraction, message):
+        if message == "jumping" and not sent:
+            sent.append(fraction)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found = infer_structure(scene["depth"], scene["camera"], options, progress=interrupt)
+    assert found.meta["interrupted"] and (tmp_path / "checkpoint" / "mcmc_0.npz").exists()
+    assert 0 < sum(part.values.shape[1] for part in found.parts) < 1000

@@ -103,6 +103,8 @@ def leap_parts(rng, seen, state, pool, settings, plan: Plan, progress: Tell | No
         interrupted = stop.is_set()
     records = [record for record in records if record.drawn]
     if not records:
+        if plan.folder is not None and not any(plan.folder.iterdir()):
+            plan.folder.rmdir()
         raise KeyboardInterrupt
     if not interrupted and plan.folder is not None:
         clear(plan)
