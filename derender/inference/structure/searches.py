@@ -15,7 +15,7 @@ from derender.inference.structure.supporting import put_under, raise_support, st
 from derender.inference.structure.threads import THREADS, in_threads
 
 ROUNDS = 2  # of as many searches as there are threads, at most
-AGREEING = 8.0  # nats between the least energies of searches that have found the same
+AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
@@ -30,7 +30,7 @@ def search(rng, image, hypotheses, settings, pool=None):
         task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings)
         found += in_threads(rng, [task] * THREADS)
         found.sort(key=lambda each: each.energy)
-        if found[1].energy - found[0].energy < AGREEING * settings.temper:
+        if found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state)):
             break
     if pool is not None:
         for each in found:
