@@ -20,7 +20,7 @@ REACHED = 3.0  # nats below the truth that count as the truth
 def ascents(scenes: int, starts: int, seed: int, method: str, iterations: int) -> dict[str, str]:
     """Ascend from random starts on random scenes of Figure 5 and return what Figure 5 is judged by."""
     document = read_document(data_path("priors/figure-5.yaml"))
-    best, single, steps, times = [], [], [], []
+    best, single, steps, times, climbed = [], [], [], [], []
     for draw in draw_documents(document, scenes, seed, {}):
         clean, _ = render_depth(draw.graph.solids(), draw.camera, antialias=16, background=10.0)
         depth = observe(draw.rng, clean, draw.likelihood)
@@ -35,10 +35,12 @@ def ascents(scenes: int, starts: int, seed: int, method: str, iterations: int) -
         good = [maximum.log_density > truth - REACHED for maximum in found]
         best.append(any(good))
         single.append(np.mean(good))
+        climbed += [(m.log_density - m.log_densities[0]) / (truth - m.log_densities[0]) for m in found]
         steps += [maximum.iterations for maximum, right in zip(found, good, strict=True) if right]
     return {
         "best start reaches the truth": f"{100 * np.mean(best):.0f} of 100 scenes",
         "a single start does": f"{100 * np.mean(single):.0f} of 100",
+        "share of the climb, median": f"{np.median(climbed):.2f}",
         "iterations, median": f"{np.median(steps) if steps else np.nan:g}",
         f"{starts} starts, median": f"{1e3 * np.median(times[1:]):.0f} ms",
     }

@@ -96,14 +96,14 @@ class MapProblem:
         seen = np.isfinite(observed) & (observed > 0)
         spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
         self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
-        kinds, meshes = graph.solids().kind, graph.solids().meshes
-        if meshes:
-            raise DerenderError("exact derivatives of meshes are not there yet", remedy="use --method mcmc")
-        self._fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit)
+        scene = graph.solids()
+        kinds = scene.kind
+        self._fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit, scene)
         factor = max(1, min(camera.width, camera.height) // COARSE_ROWS)
         small = camera.downscaled(factor)
         means, deviations = _blocks(np.where(seen, observed, np.nan), spread, factor)
-        self._coarse = new_misfit(small, means, deviations, kinds, count, blur_taps(blur / factor), background, limit)
+        taps = blur_taps(blur / factor)
+        self._coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit, scene)
 
     def scene(self, values: np.ndarray) -> SceneGraph:
         """Return the graph with these (P,) values."""

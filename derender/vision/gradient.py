@@ -15,7 +15,7 @@ from derender.vision.raycast.sensitivity import record
 
 def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sigma: float = 0.0) -> np.ndarray:
     """Return the (height, width) mean depth over the area of each pixel, blurred by `blur_sigma` pixels."""
-    canvas = new_canvas(camera, len(solids.kind))
+    canvas = new_canvas(camera, len(solids.kind), solids)
     window = np.array([0, camera.width, 0, camera.height], np.int64)
     draw_antialiased(canvas, *_arrays(solids), float(background), window)  # type: ignore[call-arg]
     return blur(canvas.depth, blur_sigma)
@@ -30,7 +30,7 @@ def derivative_image(
     edges : False leaves out the occlusion edges, which makes it wrong: for comparison only.
     """
     count, width, height = len(solids.kind), camera.width, camera.height
-    canvas, records = new_canvas(camera, count), new_records(camera, count)
+    canvas, records = new_canvas(camera, count, solids), new_records(camera, count)
     window, motions = np.array([0, width, 0, height]), np.zeros((1, count, MOTION))
     images = np.zeros((1, width * height))
     kinds, poses, sizes = _arrays(solids)
@@ -54,6 +54,7 @@ class SmoothLikelihood:
     limit : cost at which a pixel counts as an outlier, in nats; infinite for the normal likelihood of Eq. 6.
     parameters : most parameters that `equations` will be asked for.
     edges : False leaves out the occlusion edges, which makes the derivative wrong: for comparison only.
+    scene : Solids with the meshes, where there are any.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class SmoothLikelihood:
         limit=math.inf,
         parameters=1,
         edges=True,
+        scene=None,
     ) -> None:
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
@@ -78,7 +80,7 @@ class SmoothLikelihood:
         self._sigma = np.broadcast_to(np.asarray(sigma, float), observed.shape)
         self._constant = -float(np.sum(np.log(self._sigma[seen]) + 0.5 * math.log(2 * math.pi)))
         taps = blur_taps(math.hypot(blur_sigma, extra_blur))
-        self.misfit = new_misfit(camera, observed, sigma, kinds, max(parameters, 1), taps, background, limit)
+        self.misfit = new_misfit(camera, observed, sigma, kinds, max(parameters, 1), taps, background, limit, scene)
         self.edges = edges
 
     def cost(self, poses: np.ndarray, sizes: np.ndarray) -> float:

@@ -11,6 +11,8 @@ from derender.inference.map import MapProblem, climb, refine
 from derender.inference.optimise.placement import find_motions, new_placement, place
 from derender.inference.scene import targets
 from derender.model.pose import inverse
+from derender.model.solids import BOX, MESH
+from derender.vision.gradient import SmoothLikelihood
 from derender.vision.raycast.depth import render_depth
 from derender.vision.raycast.records import MOTION
 
@@ -149,6 +151,25 @@ def test_climbing_from_a_draw_never_makes_it_worse():
     # flips some pixels of the outline, so the rest of the way belongs to the chains.
     top = target.log_likelihood(truth)
     assert top - target.log_likelihood(climb(target, start)) < 0.2 * (top - before)
+
+
+def test_meshes_have_the_likelihood_of_what_they_show():
+    """Cubes given as meshes: the same value, and the same derivative by every motion."""
+    import trimesh
+
+    (_, draw, _) = next(problems(1))
+    solids = draw.graph.solids()
+    cube = trimesh.creation.box()
+    mesh = np.ascontiguousarray(cube.vertices), np.ascontiguousarray(cube.faces, np.int32)
+    kinds, index = np.where(solids.kind == BOX, MESH, solids.kind), np.where(solids.kind == BOX, 0, -1)
+    meshes = solids._replace(kind=kinds.astype(np.int32), mesh=index.astype(np.int32), meshes=(mesh,))
+    observed = render_depth(solids, draw.camera, antialias=8, background=10.0)[0]
+    values = []
+    for scene in (solids, meshes):
+        likelihood = SmoothLikelihood(draw.camera, observed, scene.kind, 0.01, 1.0, scene=scene)
+        values.append(likelihood.gradient(scene))
+    assert np.isclose(values[0][0], values[1][0], atol=0.1)
+    assert np.allclose(values[0][1], values[1][1], atol=1e-2 * np.abs(values[0][1]).max())
 
 
 def test_faults():

@@ -186,9 +186,13 @@ def fixed_step(
 ):
     """Ascend the log density by steps of fixed length along its gradient in unit coordinates, as in Figure 5.
 
-    Each parameter is measured by its range (an angle by its period), where alpha = `step` is the paper's; the gradient
-    is normalised, since its length grows with the number of pixels over sigma^2. difference : 0, or the step of central
-    differences in unit coordinates. path, costs : as in `levenberg`, (iterations + 1, ...).
+    Each parameter is measured by its range (an angle by its period), the gradient is normalised: then alpha, `step`,
+    is a length. The paper does not say what its alpha multiplies. Of nine readings (the plain gradient with sigma from
+    1 cm to 1 m or its mean over pixels, unit length in ranges or in radians, each number by itself) those with unit
+    length climb most, nine tenths of the way in 12 steps; plain gradients leap past the top and end below the start;
+    none comes within 3 nats in 100 ascents, as steps of fixed length end in a circle about the top.
+    difference : 0, or the step of central differences in unit coordinates.
+    path, costs : as in `levenberg`, (iterations + 1, ...).
     """
     count, solids = values.shape[0], misfit.kinds.shape[0]
     poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))

@@ -12,7 +12,9 @@ from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
 from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, draw_outlines, prepare_all
 from derender.vision.raycast.convex import DISCRIMINANT, FACES, inverse_depth
+from derender.vision.raycast.facet_pieces import draw_facets, insert_facets, list_facets
 from derender.vision.raycast.integral import integrate
+from derender.vision.raycast.outline import LINES
 from derender.vision.raycast.pieces import curved_inverse_depth, insert_solid, whole_pixel
 
 
@@ -145,6 +147,9 @@ def _draw_mixed(canvas, kinds, wall, window):
     lines, line_counts, mixed, depth = canvas.lines, canvas.line_counts, canvas.mixed, canvas.depth
     mixed_pixels, part_ends, border_ends = canvas.mixed_pixels, canvas.part_ends, canvas.border_ends
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
+    facets, sides = canvas.facets, kinds.shape[0] * LINES
+    if facets.first[kinds.shape[0]] > 0:
+        list_facets(facets, mixed, window)
     width = depth.shape[1]
     m, part, border = 0, 0, 0
     for row in range(window[2], window[3]):
@@ -155,11 +160,12 @@ def _draw_mixed(canvas, kinds, wall, window):
             count = 1
             for n in range(order.shape[0]):
                 k = order[n]
-                if (
-                    kinds[k] != MESH
-                    and rectangle[k, 0] <= column < rectangle[k, 1]
-                    and rectangle[k, 2] <= row < rectangle[k, 3]
-                ):
+                if not (rectangle[k, 0] <= column < rectangle[k, 1] and rectangle[k, 2] <= row < rectangle[k, 3]):
+                    continue
+                if kinds[k] == MESH:
+                    x, y = float(column), float(row)
+                    count = insert_facets(facets, pieces, prepared, lines, sides, k, x, y, count)
+                else:
                     count = insert_solid(pieces, prepared, lines, line_counts, k, float(column), float(row), count)
             depth[row, column], part, border = integrate(
                 pieces, prepared, part_code, parts, border_code, borders, count, float(column), float(row), part, border
@@ -200,6 +206,10 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
                 _draw_faces(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
             else:
                 _draw_curved(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
+    for k in range(kinds.shape[0]):
+        if kinds[k] == MESH:
+            sides = kinds.shape[0] * LINES
+            draw_facets(canvas.facets, k, canvas.lines, sides, inverse, code, mixed, window)
     wall = 1.0 / background
     for row in range(r0, r1):
         for column in range(c0, c1):

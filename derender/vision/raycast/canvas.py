@@ -5,15 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.kernel_cache import njit
-from derender.model.solids import PLANE
+from derender.model.solids import MESH, PLANE, Solids
 from derender.vision.raycast.convex import PREPARED, prepare_solid
+from derender.vision.raycast.facets import Facets, new_facets, pose_facets
 from derender.vision.raycast.outline import LINE, LINES, draw_outline
 
 FACE_BITS = 24
 FACE_MASK = (1 << FACE_BITS) - 1
 QUADRIC = FACE_MASK  # the "face" number of a curved surface; others count the front faces in the order of `prepared`
 NOTHING = -1
-PIECES, CORNERS = 192, 24  # most pieces of one pixel, and corners of one piece
+PIECES, CORNERS = 512, 24  # most pieces of one pixel, and corners of one piece
 ROOM = 6  # parts and borders to a pixel, on average, that there is room for
 SPARE = 1 << 14  # and so many more
 
@@ -24,7 +25,7 @@ class Pieces(NamedTuple):
     Attributes
     ----------
     corner : (PIECES, CORNERS, 2) float64, corners in order. edge : (PIECES, CORNERS) int64, what the edge from this
-        corner to the next is: -1, or 2 (solid * LINES + line) of an outline, one more on its outer side.
+        corner to the next is: -1, or twice the number of a line of an outline, one more on its outer side.
     corners, code : (PIECES,) int64. plane : (PIECES, 3) float64, inverse depth at the centre and its slopes, of flat
         ones. lines : (LINES, 3) float64, edges : (LINES, 2) int64, the lines that bound what is put in, and their edges
         inside and outside. across : (CORNERS,) float64, of a quadrature.
@@ -47,7 +48,8 @@ class Canvas(NamedTuple):
     ----------
     camera : (4,) float64 fx, fy, cx, cy.
     prepared : (N, PREPARED), rectangle : (N, 4) int64, of every solid; the rectangle one pixel wider than its centres'.
-    lines : (N, LINES, LINE) float64, line_counts : (N, 2) int64, outlines, see `draw_outline`.
+    lines : (N LINES + 3 T, LINE) float64, outlines, LINES of each solid, then the sides of all triangles;
+        line_counts : (N, 2) int64, see `draw_outline`. facets : Facets, the T triangles of meshes.
     order : (N,) int64, the solids from near to far, planes last: what is hidden then cuts nothing.
     inverse : (H, W) float64, inverse depth at pixel centres. code : (H, W) int64, what is seen there:
         (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, 1 where a pixel is divided.
@@ -66,6 +68,7 @@ class Canvas(NamedTuple):
     rectangle: np.ndarray
     lines: np.ndarray
     line_counts: np.ndarray
+    facets: Facets
     order: np.ndarray
     inverse: np.ndarray
     code: np.ndarray
@@ -82,11 +85,12 @@ class Canvas(NamedTuple):
     pieces: Pieces
 
 
-def new_canvas(camera, solids: int) -> Canvas:
-    """Allocate a Canvas for a Camera and this many solids."""
+def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
+    """Allocate a Canvas for a Camera and this many solids; where there are meshes, a scene with them must be given."""
     height, width = camera.height, camera.width
     pixels = height * width
     room = ROOM * pixels + SPARE
+    facets = new_facets(camera, solids, scene)
     pieces = Pieces(
         np.zeros((PIECES, CORNERS, 2)),
         np.zeros((PIECES, CORNERS), np.int64),
@@ -101,8 +105,9 @@ def new_canvas(camera, solids: int) -> Canvas:
         np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
         np.zeros((solids, PREPARED)),
         np.zeros((solids, 4), np.int64),
-        np.zeros((solids, LINES, LINE)),
+        np.zeros((solids * LINES + 3 * int(facets.first[-1]), LINE)),
         np.zeros((solids, 2), np.int64),
+        facets,
         np.arange(solids),
         np.zeros((height, width)),
         np.zeros((height, width), np.int64),
@@ -147,5 +152,11 @@ def draw_outlines(canvas, kinds, poses, sizes):
             canvas.order[n] = canvas.order[n - 1]
             n -= 1
         canvas.order[n] = k
-        if canvas.rectangle[k, 0] < canvas.rectangle[k, 1]:
-            draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, canvas.lines[k], canvas.line_counts[k])
+        base = k * LINES
+        if kinds[k] == MESH:
+            height, width = canvas.depth.shape
+            sides = kinds.shape[0] * LINES
+            pose_facets(canvas.facets, k, poses[k], sizes[k], canvas.camera, width, height, canvas.lines, sides)
+        elif canvas.rectangle[k, 0] < canvas.rectangle[k, 1]:
+            lines = canvas.lines[base : base + LINES]
+            draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, lines, canvas.line_counts[k])

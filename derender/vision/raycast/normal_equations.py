@@ -56,15 +56,16 @@ class Misfit(NamedTuple):
     bounds: np.ndarray
 
 
-def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, limit=math.inf) -> Misfit:
-    """Allocate a Misfit. observed : (H, W), NaN or 0 where missing; sigma : metres, a number or (H, W)."""
+def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, limit=math.inf, scene=None) -> Misfit:
+    """Allocate a Misfit. observed : (H, W), NaN or 0 where missing; sigma : metres, a number or (H, W); scene : Solids,
+    needed where there are meshes."""
     height, width = camera.height, camera.width
     seen = np.isfinite(observed) & (observed > 0)
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
     zeros = [np.zeros((height, width)) for _ in range(4)]
     return Misfit(
-        new_canvas(camera, len(kinds)),
+        new_canvas(camera, len(kinds), scene),
         new_records(camera, len(kinds)),
         kinds,
         np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),

@@ -128,7 +128,7 @@ def _compare(corner, count, code, plane, prepared, polygon, owner, column, row):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _insert(pieces, prepared, count, cuts, column, row):
+def insert(pieces, prepared, count, cuts, column, row):
     """Put the cell, a face bounded by the first `cuts` lines, into the `count` pieces of a pixel; return how many."""
     corner, edge, corners, code, plane = pieces.corner, pieces.edge, pieces.corners, pieces.code, pieces.plane
     lines, edges = pieces.lines, pieces.edges
@@ -169,6 +169,8 @@ def _insert(pieces, prepared, count, cuts, column, row):
             if most <= EQUAL:
                 continue
             if least < -EQUAL:
+                if fresh >= CELL - 1:
+                    continue
                 target = SECOND if current == FIRST else FIRST
                 _divide(corner, edge, corners, current, target, fresh, a, b, c, NOTHING, NOTHING)
                 fresh, current = fresh + 1, target
@@ -191,7 +193,7 @@ def _insert(pieces, prepared, count, cuts, column, row):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge):
+def bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge):
     """Append a line to the cell's if it passes through the pixel. Return (lines, False if nothing is inside)."""
     reach = 0.5 * (abs(b) + abs(c))
     if a <= -reach:
@@ -245,12 +247,12 @@ def _keep_needed(pieces, polygon, first, cuts):
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
     """Put a convex solid into the `count` pieces of pixel (column, row); return how many there are then."""
-    prepared, outlines, rims = everything[k], line_counts[k, 0], line_counts[k, 1]
+    prepared, outlines, rims, base = everything[k], line_counts[k, 0], line_counts[k, 1], k * LINES
     cuts, inside = 0, True
     for n in range(outlines):
-        a = lines[k, n, 0] + lines[k, n, 1] * column + lines[k, n, 2] * row
-        edge = 2 * (k * LINES + n)
-        cuts, inside = _bound(pieces.lines, pieces.edges, cuts, a, lines[k, n, 1], lines[k, n, 2], edge, edge + 1)
+        a = lines[base + n, 0] + lines[base + n, 1] * column + lines[base + n, 2] * row
+        b, c, edge = lines[base + n, 1], lines[base + n, 2], 2 * (base + n)
+        cuts, inside = bound(pieces.lines, pieces.edges, cuts, a, b, c, edge, edge + 1)
         if not inside:
             return count
     curved = prepared[2] != 0.0 and prepared[3] > 0.0
@@ -265,8 +267,9 @@ def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
         side = (k << FACE_BITS) + QUADRIC
         ends, inside = cuts, front > 0
         for n in range(outlines, rims):
-            a = lines[k, n, 0] + lines[k, n, 1] * column + lines[k, n, 2] * row
-            ends, inside = _bound(pieces.lines, pieces.edges, ends, a, lines[k, n, 1], lines[k, n, 2], NOTHING, NOTHING)
+            a, b, c = lines[base + n, 0], lines[base + n, 1], lines[base + n, 2]
+            a += b * column + c * row
+            ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING)
             if not inside:
                 break
         if inside:
@@ -274,16 +277,16 @@ def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
             inside = polygon >= 0
         if not inside:
             pieces.code[CELL] = side
-            return _insert(pieces, everything, count, cuts, column, row)
+            return insert(pieces, everything, count, cuts, column, row)
         for n in range(cuts, ends):  # between two chords of the rim the side ends at the second
             for axis in range(3):
                 pieces.lines[n, axis] = -pieces.lines[n, axis]
             pieces.code[CELL] = side
-            count = _insert(pieces, everything, count, n + 1, column, row)
+            count = insert(pieces, everything, count, n + 1, column, row)
             for axis in range(3):
                 pieces.lines[n, axis] = -pieces.lines[n, axis]
         _set_face(pieces, prepared, k, 0, column, row)
-        return _insert(pieces, everything, count, ends, column, row)
+        return insert(pieces, everything, count, ends, column, row)
     for face in range(front):
         _set_face(pieces, prepared, k, face, column, row)
         ends, inside = cuts, True
@@ -292,7 +295,7 @@ def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
                 p = FACES + 3 * other
                 a = prepared[p] + prepared[p + 1] * column + prepared[p + 2] * row - pieces.plane[CELL, 0]
                 b, c = prepared[p + 1] - pieces.plane[CELL, 1], prepared[p + 2] - pieces.plane[CELL, 2]
-                ends, inside = _bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING)
+                ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING)
         if inside:
-            count = _insert(pieces, everything, count, ends, column, row)
+            count = insert(pieces, everything, count, ends, column, row)
     return count

@@ -15,7 +15,7 @@ a linear form on motions (a covector): `Records` list pixel, solid and form.
 import math
 
 from derender.kernel_cache import njit
-from derender.model.solids import CYLINDER
+from derender.model.solids import CYLINDER, MESH
 from derender.vision.raycast.canvas import FACE_BITS, FACE_MASK, NOTHING, QUADRIC
 from derender.vision.raycast.convex import FACES
 from derender.vision.raycast.integral import TWO
@@ -42,12 +42,20 @@ def add_form(forms, slot, weight, nx, ny, nz, px, py, pz, poses, sizes, s):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, s, face, column, row, camera):
+def _plane(kinds, prepared, planes, s, face):
+    """The inverse depth a + b i + c j of a flat face."""
+    if kinds[s] == MESH:
+        return planes[face, 0], planes[face, 1], planes[face, 2]
+    p = FACES + 3 * face
+    return prepared[s, p], prepared[s, p + 1], prepared[s, p + 2]
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, planes, s, face, column, row, camera):
     """Add the inner term of one place, weight * n . dp / (n . r), to forms[slot]."""
     x, y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
     if face != QUADRIC:
-        p = FACES + 3 * face
-        a, b, c = prepared[s, p], prepared[s, p + 1], prepared[s, p + 2]
+        a, b, c = _plane(kinds, prepared, planes, s, face)
         depth = 1.0 / (a + b * column + c * row)
         # the plane is n . p = 1 with n = (b fx, c fy, a + b cx + c cy), so n . r is the inverse depth
         nx, ny, nz = b * camera[0], c * camera[1], a + b * camera[2] + c * camera[3]
@@ -80,37 +88,36 @@ def _slot_of(pixels, solids, forms, begin, count, pixel, solid):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _seen_depth(prepared, code, solid, lines, line, background, column, row):
-    """Depth of the piece with this code at a place on an outline of `solid`."""
+def _seen_depth(kinds, prepared, planes, code, solid, w, background, column, row):
+    """Depth of the piece with this code at a place on an outline of `solid`, whose own inverse depth there is w."""
     if code == NOTHING:
         return background
     owner, face = code >> FACE_BITS, code & FACE_MASK
-    if owner == solid:
-        return 1.0 / (lines[solid, line, DEPTH] + lines[solid, line, DEPTH + 1] * column
-                      + lines[solid, line, DEPTH + 2] * row)  # fmt: skip
-    if face == QUADRIC:
-        return 1.0 / curved_inverse_depth(prepared[owner], column, row)
-    p = FACES + 3 * face
-    return 1.0 / (prepared[owner, p] + prepared[owner, p + 1] * column + prepared[owner, p + 2] * row)
+    if face == QUADRIC:  # at its own limb: the chord may lie on either side
+        return 1.0 / (w if owner == solid else curved_inverse_depth(prepared[owner], column, row))
+    a, b, c = _plane(kinds, prepared, planes, owner, face)
+    return 1.0 / (a + b * column + c * row)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _add_border(forms, slot, edge, code, x0, y0, x1, y1, lines, prepared, camera, background, poses, sizes):
+def _add_border(
+    forms, slot, solid, edge, code, x0, y0, x1, y1, lines, kinds, prepared, planes, camera, background, poses, sizes
+):
     """Add what a piece gains or loses where its border, a part of an outline, moves: depth times speed, integrated."""
-    solid, line = (edge >> 1) // LINES, (edge >> 1) % LINES
+    line = edge >> 1
     dx, dy = x1 - x0, y1 - y0
     length = math.sqrt(dx * dx + dy * dy)
     if length < 1e-12:
         return
     if edge & 1:
         length = -length
-    nx, ny, nz = lines[solid, line, NORMAL], lines[solid, line, NORMAL + 1], lines[solid, line, NORMAL + 2]
+    nx, ny, nz = lines[line, NORMAL], lines[line, NORMAL + 1], lines[line, NORMAL + 2]
     for node in range(2):
         share = 0.5 + (node - 0.5) * TWO
         column, row = x0 + share * dx, y0 + share * dy
-        w = lines[solid, line, DEPTH] + lines[solid, line, DEPTH + 1] * column + lines[solid, line, DEPTH + 2] * row
+        w = lines[line, DEPTH] + lines[line, DEPTH + 1] * column + lines[line, DEPTH + 2] * row
         if w > 0.0:
-            weight = 0.5 * length * w * _seen_depth(prepared, code, solid, lines, line, background, column, row)
+            weight = 0.5 * length * w * _seen_depth(kinds, prepared, planes, code, solid, w, background, column, row)
             depth = 1.0 / w
             x, y = depth * (column - camera[2]) / camera[0], depth * (row - camera[3]) / camera[1]
             add_form(forms, slot, weight, nx, ny, nz, x, y, depth, poses, sizes, solid)
@@ -129,6 +136,7 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
     camera, code, mixed, prepared, lines = canvas.camera, canvas.code, canvas.mixed, canvas.prepared, canvas.lines
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
     pixels, solids, forms = records.pixel, records.solid, records.form
+    planes, owners, triangles = canvas.facets.plane, canvas.facets.solid, kinds.shape[0] * LINES
     width, count = code.shape[1], 0
     for row in range(window[2], window[3]):
         for column in range(window[0], window[1]):
@@ -137,7 +145,7 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                 k, face = here >> FACE_BITS, here & FACE_MASK
                 slot = _slot_of(pixels, solids, forms, count, count, row * width + column, k)
                 x, y = float(column), float(row)
-                _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, k, face, x, y, camera)
+                _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, planes, k, face, x, y, camera)
                 count += 1
     part, border = 0, 0
     for m in range(canvas.count[0]):
@@ -147,17 +155,18 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
             slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
             if slot >= 0:
                 count = max(count, slot + 1)
-                _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, k, face,
+                _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, planes, k, face,
                              parts[part, 1], parts[part, 2], camera)  # fmt: skip
             part += 1
         while border < canvas.border_ends[m]:
             edge = border_code[border, 0]
-            k = (edge >> 1) // LINES
+            line = edge >> 1
+            k = line // LINES if line < triangles else owners[(line - triangles) // 3]
             slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if edges and active[k] else -1
             if slot >= 0:
                 count = max(count, slot + 1)
-                _add_border(forms, slot, edge, border_code[border, 1], borders[border, 0], borders[border, 1],
-                            borders[border, 2], borders[border, 3], lines, prepared, camera, background,
+                _add_border(forms, slot, k, edge, border_code[border, 1], borders[border, 0], borders[border, 1],
+                            borders[border, 2], borders[border, 3], lines, kinds, prepared, planes, camera, background,
                             poses, sizes)  # fmt: skip
             border += 1
     records.count[0] = count
