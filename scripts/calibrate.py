@@ -110,7 +110,11 @@ def main() -> None:
     )
     started = time.monotonic()
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        found = list(pool.map(partial(ranks_of, document, settings), range(arguments.n)))
+        found = []
+        for one in pool.map(partial(ranks_of, document, settings), range(arguments.n)):
+            found.append(one)
+            if len(found) % 25 == 0:
+                print(f"{len(found)} scenes after {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
     addresses = found[0][0]
     ranks = np.array([one[1] for one in found])
     least = np.array([one[2] for one in found])

@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.inference.compiled.evaluate import load
 from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Kernels
-from derender.inference.compiled.program import chain_of, held, is_readable, kernels_of, model_of
+from derender.inference.compiled.program import chain_of, held, kernels_of, model_of, readable_parts, rescaled
 from derender.inference.compiled.steps import WINDOW, sweep
 from derender.inference.compiled.view import LoadedTarget
 from derender.inference.kernels import kernels
@@ -33,7 +33,7 @@ class CompiledBackend:
         self.evaluator = target.images.evaluator()
         self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
         self.evaluator.load(self._first)
-        self.held = held(target)
+        self.held, self.taken_as_is = held(target), readable_parts(target, parts)
         self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
         self._readable: tuple[Tuning, dict[int, Any]] | None = None
@@ -65,16 +65,21 @@ class CompiledBackend:
         if self._readable is None or self._readable[0] is not tuning:
             target = LoadedTarget(self)
             self._readable = tuning, {
-                k: kernels[part.type].build(target, part.block, tuning, part.options)
-                for k, part in enumerate(self.parts)
-                if is_readable(self.target, part)
+                k: kernels[self.parts[k].type].build(target, self.parts[k].block, tuning, self.parts[k].options)
+                for k in self.taken_as_is
             }
         return self._readable[1]
 
     def program(self, tuning: Tuning) -> Kernels:
         """Return the mixture's arrays under a tuning; those of the last one are kept."""
-        if self._tuned is None or self._tuned[0] is not tuning:
-            self._tuned = tuning, kernels_of(self.target, self.parts, tuning)
+        if self._tuned is not None:
+            former, program = self._tuned
+            if former is tuning:
+                return program
+            if all(getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")):
+                self._tuned = tuning, rescaled(self.target, self.parts, tuning, program)
+                return self._tuned[1]
+        self._tuned = tuning, kernels_of(self.target, self.parts, tuning, self.taken_as_is)
         return self._tuned[1]
 
     def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
