@@ -21,6 +21,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 import numba
 from numba.core import caching, config, event
 from numba.core.runtime import rtsys
@@ -74,12 +79,57 @@ class _KernelCache(caching.FunctionCache):
             f"{source.stem}.{function.__qualname__}", getattr(sys, "abiflags", ""))
         self._name, self._py_func, self._impl, self._cache_path = repr(function), function, implementation, str(folder)
         self._cache_file = _Entries(folder, implementation.filename_base, source_stamp(source))
+        self._turns: list[_Turn] = []
         self.enable()
 
     def load_overload(self, sig, target_context):
-        """Load an entry without numba's registries of what can be compiled, a quarter of a second: it is compiled."""
+        """Load an entry, without numba's registries of what can be compiled (a quarter of a second).
+
+        Where there is none it is this process's turn to compile it: another one that is at it already is waited for.
+        """
         rtsys.initialize(target_context)
-        return self._load_overload(sig, target_context)
+        found = self._load_overload(sig, target_context)
+        if found is None:
+            turn = _Turn(self._cache_file.path(self._index_key(sig, target_context.codegen())))
+            found = self._load_overload(sig, target_context)
+            if found is None:
+                self._turns.append(turn)
+            else:
+                turn.end()
+        return found
+
+    def save_overload(self, sig, data):
+        """Write an entry; whoever waits for it may have it."""
+        super().save_overload(sig, data)
+        self.end_turn()
+
+    def end_turn(self) -> None:
+        """Let others compile what this process has compiled last, or failed to."""
+        if self._turns:
+            self._turns.pop().end()
+
+
+class _Turn:
+    """The right to compile one entry: a lock of the system's on a file beside it, gone with the process.
+
+    Who compiles an entry waits at most for entries that it calls: no two processes can wait for each other.
+    """
+
+    def __init__(self, entry: Path) -> None:
+        self.path, self.file = entry.with_suffix(".lock"), None
+        if fcntl is not None:
+            try:
+                self.file = self.path.open("wb")
+                fcntl.flock(self.file, fcntl.LOCK_EX)
+            except OSError:  # a file system without locks: both compile it
+                self.end()
+
+    def end(self) -> None:
+        """Let the next one have it."""
+        if self.file is not None:
+            self.path.unlink(missing_ok=True)
+            self.file.close()
+            self.file = None
 
 
 class _Entries:
@@ -197,17 +247,31 @@ class _WhileCompiling(event.Listener):
             _announce()
 
     def on_end(self, happening) -> None:
+        dispatcher = happening.data["dispatcher"]
+        failed = tuple(happening.data["args"]) not in dispatcher.overloads  # numba's `is_failed` says the opposite
+        if failed and isinstance(dispatcher._cache, _KernelCache):
+            dispatcher._cache.end_turn()
         self.depth -= 1
         if self.depth == 0 and self.collecting:
             gc.enable()
 
 
+def when_compiling(function: Callable[[], object]) -> None:
+    """Have a function called when this process first compiles a kernel, if it ever does."""
+    _helpers.append(function)
+
+
+_helpers: list[Callable[[], object]] = []
+
+
 @functools.cache
 def _announce() -> None:
-    """Say it, at most once in a process; worker processes leave it to the one that started them."""
+    """Say it, at most once in a process, and call for help; worker processes leave it to the one that started them."""
     import multiprocessing
 
     if multiprocessing.parent_process() is None:
+        for helper in _helpers:
+            helper()
         print("derender: compiling kernels for this machine, once (up to half a minute; the result is cached)",
               file=sys.stderr, flush=True)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import derender
-from derender.kernel_cache import PACKAGE, _candidates, _read, source_stamp
+from derender.kernel_cache import PACKAGE, _candidates, _read, fcntl, source_stamp
 
 PROBE = """
 from derender.answer import ANSWER  # a constant: numba alone would go on returning the old one
@@ -90,12 +90,47 @@ def test_where_nothing_can_be_written_it_compiles_each_time(package, tmp_path):
 
 
 def test_processes_that_start_together_do_not_harm_each_other(package):
+    """One of them compiles, the others wait for it."""
     processes = [start(package) for _ in range(4)]
+    loaded = []
     for process in processes:
         out, err = process.communicate(timeout=240)
         assert process.returncode == 0 and out.split()[0] == "42", err
+        loaded.append(out.split()[1])
+    assert sorted(loaded) == (["False", "True", "True", "True"] if fcntl else sorted(loaded))
     assert run(package)[0] == ["42", "True"]
-    assert not list(package.rglob("*.tmp.*"))
+    assert not list(package.rglob("*.tmp.*")) and not list(package.rglob("*.lock"))
+
+
+def test_what_cannot_be_compiled_is_nobodys_turn_any_more(package):
+    (package / "probe.py").write_text(PROBE.split("if __name__")[0] + """
+import pathlib
+try:
+    kernel("text")
+except Exception as error:
+    print(type(error).__name__, list(pathlib.Path(".").rglob("*.lock")))
+""")
+    assert run(package)[0] == ["TypingError", "[]"]
+
+
+def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
+    (package / "probe.py").write_text(PROBE.replace("def inner", """def slow(x):
+    return x
+
+
+import os
+from derender import kernel_cache
+
+if os.environ.get("DIE"):
+    kernel_cache._KernelCache.save_overload = lambda *_: os._exit(9)
+
+
+@njit(cache=True, nogil=True)
+def inner"""))
+    process = start(package, DIE="1")
+    process.communicate(timeout=120)
+    assert process.returncode == 9
+    assert run(package)[0] == ["42", "False"]
 
 
 def test_stamps_follow_imports():

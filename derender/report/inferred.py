@@ -12,6 +12,7 @@ import numpy as np
 from derender.atomic import make_folder
 from derender.document import LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault
+from derender.inference.ahead import compile_ahead
 from derender.inference.posterior import Posterior
 from derender.inference.settings import read_settings
 from derender.inference.structure.scene_density import BARE_IMAGE
@@ -89,6 +90,7 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
     """Infer by what is given, and write."""
     interrupted, lost = False, {}
     seed, command = made["seed"], made["command"]
+    compile_ahead("steps" if document is not None and has_objects(document) else "draws")
     if document is not None and has_objects(document):
         from derender.inference.scene import infer_scene
 

@@ -27,7 +27,7 @@ from derender.inference.compiled.poses import place, place_root
 from derender.inference.compiled.prior import log_prior
 from derender.inference.compiled.terms import log_terms
 from derender.kernel_cache import njit
-from derender.vision.raycast.engine import load_state, log_likelihood_of, propose_state, settle_state
+from derender.vision.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
 from derender.vision.raycast.state import CANDIDATE, CURRENT, SIGMA
 
 
@@ -89,7 +89,7 @@ def evaluate(model, chain, engine):
     if values[NEXT, PRIOR] == -math.inf:
         return
     if moved:
-        values[NEXT, DENSITY] = propose_state(engine, moved, chain.marks[MOVED], chain.moved_pose, chain.moved_size)
+        values[NEXT, DENSITY] = propose_in(engine, moved, chain.marks[MOVED], chain.moved_pose, chain.moved_size)
         chain.flags[PENDING] = 1
     else:
         values[NEXT, DENSITY] = log_likelihood_of(engine, engine.total[CURRENT])
@@ -114,7 +114,7 @@ def settle(model, chain, engine, accepted):
     """Make the proposed values the current ones, or forget them."""
     values = chain.values
     if chain.flags[PENDING]:
-        settle_state(engine, CANDIDATE if accepted else CURRENT)
+        settle_in(engine, CANDIDATE if accepted else CURRENT)
         chain.flags[PENDING] = 0
     source = NEXT if accepted else NOW
     if not accepted:

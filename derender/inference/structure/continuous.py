@@ -17,7 +17,7 @@ from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, directi
 from derender.inference.structure.image import ROW
 from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids
-from derender.vision.raycast.engine import propose_state, settle_state
+from derender.vision.raycast.engine import propose_in, propose_state, settle_in, settle_state, with_addresses
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE, new_state
 
 FIRST, FACTOR, RANK = range(3)  # rows of Proposals.table
@@ -100,9 +100,9 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                     for i in range(3):
                         moved_sizes[moved, i] = sizes[k, i]
                     moved += 1
-            new = propose_state(engine, moved, indices, moved_poses, moved_sizes)
+            new = propose_in(engine, moved, indices, moved_poses, moved_sizes)
             taken_up = threshold < new_prior - prior + temperature * (new - likelihood)
-            settle_state(engine, CANDIDATE if taken_up else CURRENT)
+            settle_in(engine, CANDIDATE if taken_up else CURRENT)
             if taken_up:
                 prior, likelihood = new_prior, new
                 for i in range(size):
@@ -146,7 +146,7 @@ def engine_of(chart, sensor):
     state.images[DEPTH:DEPTH + 2] = wall
     state.images[SCORE:SCORE + 2, :, PAD:PAD + observed.shape[1]] = score
     state.total[:] = state.images[SCORE].astype(float).sum()
-    return state
+    return with_addresses(state)
 
 
 def touched_by(chart, members, size):

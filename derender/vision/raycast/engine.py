@@ -1,6 +1,7 @@
 """Log likelihoods of posed solids at a million pixels a millisecond, in full or only where something moved.
 
-From compiled code (`state` is an EngineState; every function takes microseconds and allocates nothing):
+From compiled code (`state` is an EngineState; every function takes microseconds and allocates nothing; large callers
+use propose_in and settle_in, which compile faster):
 
     load_state(state, poses, sizes)                           -> log likelihood of a scene, now the current one
     propose_state(state, count, indices, poses, sizes)        -> log likelihood with solids indices[:count] moved
@@ -15,7 +16,10 @@ in either way, so an incremental value equals the full one but for the order of 
 
 import math
 
+import numpy as np
+
 from derender.kernel_cache import njit
+from derender.kernel_call import address_of, call_for_nothing, call_for_number
 from derender.model.solids import MESH
 from derender.vision.raycast.convex import prepare_solid
 from derender.vision.raycast.lanes import LANES
@@ -34,8 +38,10 @@ from derender.vision.raycast.state import (
     OBSERVED,
     PAD,
     PENDING,
+    PROPOSE,
     REGIONS,
     SCORE,
+    SETTLE,
     SIGMA,
     STALE,
     TEMPER,
@@ -254,3 +260,27 @@ def accept_state(state):
 def reject_state(state):
     """Forget the proposal."""
     settle_state(state, CURRENT)
+
+
+def with_addresses(state):
+    """Return a state whose kernels other kernels may call by `propose_in` and `settle_in`, in this process."""
+    index = np.int64(0)
+    state.settings[PROPOSE] = address_of(propose_state, state, index, state.lists[0], state.pose[0], state.size[0])
+    state.settings[SETTLE] = address_of(settle_state, state, index)
+    return state
+
+
+@njit(inline="always")
+def propose_in(state, count, indices, poses, sizes):
+    """As `propose_state`, for kernels: the engine is not compiled into them."""
+    if state.settings[PROPOSE] == 0:
+        raise ValueError("this state has no addresses: see with_addresses")
+    return call_for_number(state.settings[PROPOSE], state, count, indices, poses, sizes)
+
+
+@njit(inline="always")
+def settle_in(state, source):
+    """As `settle_state`, for kernels: the engine is not compiled into them."""
+    if state.settings[SETTLE] == 0:
+        raise ValueError("this state has no addresses: see with_addresses")
+    call_for_nothing(state.settings[SETTLE], state, source)

@@ -7,7 +7,14 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.model.solids import Solids
 from derender.vision.likelihoods import likelihoods
-from derender.vision.raycast.engine import accept_state, load_state, propose_state, reject_state, rescore_state
+from derender.vision.raycast.engine import (
+    accept_state,
+    load_state,
+    propose_state,
+    reject_state,
+    rescore_state,
+    with_addresses,
+)
 from derender.vision.raycast.score import pixel_log_densities
 from derender.vision.raycast.state import CURRENT, OBSERVED, PAD, SIGMA, EngineState, new_state
 
@@ -58,8 +65,8 @@ class DepthEvaluator:
         state = self.state
         if state is None or not self._fits(state, solids):
             row = self.likelihood.row(self.values, self.likelihood.counted_pixels(self.observed))
-            self.state = state = new_state(self.camera, self.observed, solids, self.likelihood.code, row,
-                                           self.values["blur"])
+            state = new_state(self.camera, self.observed, solids, self.likelihood.code, row, self.values["blur"])
+            self.state = with_addresses(state)
             self._meshes = solids.meshes
         return load_state(state, np.ascontiguousarray(solids.pose, np.float64),
                           np.ascontiguousarray(solids.size, np.float64))

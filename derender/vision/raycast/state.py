@@ -18,6 +18,7 @@ from derender.vision.raycast.lanes import LANES
 CURRENT, CANDIDATE = np.int64(0), np.int64(1)
 # entries of `settings` (int64): the image, then what the pending proposal is
 WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = range(9)
+PROPOSE, SETTLE = 9, 10  # of `settings`: the addresses of the engine's kernels, see engine.with_addresses
 GAUSSIAN, ROBUST = range(2)  # values of settings[LIKELIHOOD]
 # entries of `parameters` (float64): camera, likelihood; those of ROBUST follow, see raycast/score.py
 FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
@@ -29,7 +30,7 @@ OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np
 class EngineState(NamedTuple):
     """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
 
-    settings : (16,) int64, see WIDTH ... STALE.
+    settings : (16,) int64, see WIDTH ... SETTLE.
     parameters : (64,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a pixel's
         density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the gaussian
         likelihood `log_likelihood_of` is right at once, with the robust one after `rescore_state`.

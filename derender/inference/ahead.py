@@ -1,0 +1,106 @@
+"""Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
+
+A command says with `compile_ahead` what it will need late. If it comes to compile anything, a process starts that
+compiles that, on a scene of a few pixels; the kernels reach the command through the cache (kernel_cache.py), which lets
+no two processes compile the same one.
+"""
+
+import functools
+import os
+import subprocess
+import sys
+import threading
+
+from derender.kernel_cache import when_compiling
+
+WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
+
+
+def compile_ahead(name: str) -> None:
+    """Have the kernels of one of PARTS compiled beside this process, should it compile any; with one processor, not."""
+    if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
+        when_compiling(functools.partial(_start, name))
+
+
+_pipe = None  # to the other process, kept open as long as this one lives
+
+
+def _start(name: str) -> None:
+    global _pipe
+    _pipe = subprocess.Popen([sys.executable, "-m", "derender.inference.ahead", name], stdin=subprocess.PIPE,
+                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).stdin  # fmt: skip
+
+
+def _leave_with_parent() -> None:
+    """End this process when the one that started it has gone: its end of the pipe is closed then."""
+    sys.stdin.read()
+    os._exit(0)
+
+
+def draws_on_a_floor() -> None:
+    """Compile what draws from the posterior of solids found in a bare image."""
+    import numpy as np
+
+    from derender.inference.structure import continuous
+    from derender.inference.structure.chart import Rules, make_chart
+    from derender.inference.structure.graph import names_of
+    from derender.inference.structure.image import make_row
+    from derender.inference.structure.polish import SLACK, UPRIGHT
+    from derender.inference.structure.refined import only_draw, refined_at, structure_posterior
+    from derender.inference.structure.sensor import Sensor, model_depth
+    from derender.inference.structure.state import State
+    from derender.model.pose import rotation_x, translation
+    from derender.model.solids import BOX
+    from derender.vision.camera import Camera
+    from derender.vision.likelihoods import likelihoods
+
+    camera = Camera(WIDTH, WIDTH, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
+    floor = translation(0.0, 0.0, 0.8) @ rotation_x(np.radians(125.0))
+    row = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1))
+    state = State().add(row, UPRIGHT, False, bottom=0.0)
+    chart, values = make_chart(state, floor, Rules(SLACK))
+    sensor = Sensor(camera, np.full((HEIGHT, WIDTH), 0.8), likelihoods["robust"], {})
+    sensor = sensor.changed(sigma=0.01, blur=0.5)
+    engine = continuous.engine_of(chart, sensor)
+    proposals = continuous.make_proposals(continuous.single_steps(chart, len(values)))
+    draws = continuous.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
+    model_depth(chart, values, camera)
+    refined = refined_at(state, chart, values, sensor, *draws.densities[0])
+    structure_posterior(refined, names_of(state), 1.0, [only_draw(refined)])
+
+
+def steps_of_chains() -> None:
+    """Compile the steps of a chain over a given scene. They call the engine by address: it is left to the command."""
+    import numpy as np
+
+    from derender.document import read_prior_document
+    from derender.inference.adaptation import first_tuning
+    from derender.inference.compiled.program import chain_of, kernels_of, model_of
+    from derender.inference.compiled.steps import sweep
+    from derender.inference.kernels import mixture
+    from derender.inference.scene import targets
+    from derender.inference.target import default_parts
+    from derender.kernel_call import address_of
+    from derender.vision.raycast.depth import render_depth
+    from derender.vision.raycast.state import GAUSSIAN, new_state
+
+    document, rng = read_prior_document("figure-4"), np.random.default_rng(0)
+    camera = document.camera
+    image = np.full(camera.shape, 0.9)
+    target, _ = targets(document, image, camera, 0)[0]
+    values = target.space.sample(rng)
+    parts = mixture(target.space, default_parts(target.space))
+    model = model_of(target)
+    chain, kernels = chain_of(target, model, 1, False), kernels_of(target, parts, first_tuning(target.space, values))
+    engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
+    kept, counts = np.empty((1, len(values) + 3)), np.zeros((len(parts), 2), np.int64)
+    address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)
+    render_depth(target.template.solids(), camera)  # for the report
+
+
+PARTS = {"draws": draws_on_a_floor, "steps": steps_of_chains}
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    PARTS[sys.argv[1]]()
