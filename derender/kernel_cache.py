@@ -40,11 +40,25 @@ def njit(function: Callable | None = None, *, cache: bool = False, **options):
     if function is None:
         return functools.partial(njit, cache=cache, **options)
     options.setdefault("no_cfunc_wrapper", True)
+    _name_apart(function)
     dispatcher = numba.njit(**options)(function)
     folder = _folder(Path(function.__code__.co_filename)) if cache else None
     if folder is not None:
         dispatcher._cache = _KernelCache(function, folder)
     return dispatcher
+
+
+def _name_apart(function: Callable) -> None:
+    """Give a closure a name of its own, from the numbers that it holds.
+
+    numba calls compiled code by the function's name, its argument types and a number that each process counts for
+    itself. What two processes have compiled of two closures of one factory may thus bear one name; a third one that
+    loads both would run one of them in place of the other.
+    """
+    held = [cell.cell_contents for cell in function.__closure__ or ()]
+    if not all(isinstance(value, int | float | str) for value in held):
+        raise TypeError(f"{function.__qualname__} can be told from its like only by numbers and words that it holds")
+    function.__qualname__ += "".join(f"_{value}" for value in held)
 
 
 class _Locator:

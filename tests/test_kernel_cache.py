@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import derender
-from derender.kernel_cache import PACKAGE, _candidates, _read, fcntl, source_stamp
+from derender.kernel_cache import PACKAGE, _candidates, _read, fcntl, njit, source_stamp
 
 PROBE = """
 from derender.answer import ANSWER  # a constant: numba alone would go on returning the old one
@@ -159,3 +159,58 @@ def test_every_kernel_of_the_package_uses_this_cache():
 def test_the_source_folder_comes_before_the_users(tmp_path):
     folders = list(_candidates(tmp_path / "module.py"))
     assert tmp_path / "__pycache__" in folders[:2]
+
+
+FACTORY = """
+import sys
+import numpy as np
+from derender.kernel_cache import njit
+
+def make(factor):
+    @njit(cache=True)
+    def scaled(x):  # too long to be compiled into its callers
+        total = 0.0
+{loops}
+        return total
+    return scaled
+
+once, twice = make(1), make(2)
+
+@njit(cache=True)
+def first(x):
+    return once(x) + once(2.0 * x)
+
+@njit(cache=True)
+def second(x):
+    return twice(x) + twice(2.0 * x)
+
+if __name__ == "__main__":
+    print(*(globals()[name](np.ones(2)) for name in sys.argv[1:]))
+"""
+LOOP = """
+        for i in range({k}, x.size, 2):
+            total += factor * np.sqrt(x[i]) + {k} * x[i - 1]"""
+LOOPS = "".join(LOOP.format(k=k) for k in range(40))
+
+
+def test_closures_compiled_by_different_processes_are_told_apart(package):
+    (package / "probe.py").write_text(FACTORY.format(loops=LOOPS))
+
+    def answers(*names):
+        process = subprocess.run([sys.executable, "-m", "derender.probe", *names], cwd=package.parent, text=True,
+                                 capture_output=True, check=True)  # fmt: skip
+        return process.stdout.split()
+
+    alone = answers("first") + answers("second")
+    assert alone[0] != alone[1]
+    assert answers("first", "second") == alone
+
+
+def test_a_closure_that_holds_what_has_no_name_is_refused():
+    held = object()
+
+    def closure():
+        return held
+
+    with pytest.raises(TypeError, match="numbers and words"):
+        njit(closure)
