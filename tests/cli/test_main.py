@@ -99,9 +99,15 @@ def test_a_full_or_closed_stdout_is_at_most_one_line(target, line):
     assert done.stderr.strip() == line
 
 
+def listen():
+    """Let the new process hear interrupts, also where a shell has started the tests in the background, deaf to them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_an_interrupt_ends_with_130_and_one_line(tmp_path):
     command = [sys.executable, "-m", "derender", "sample", "free", "-n", "1000000", "-o", "-"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path,
+                               preexec_fn=listen)  # fmt: skip
     assert process.stdout is not None
     process.stdout.read(1000)  # it is at work
     process.send_signal(signal.SIGINT)
