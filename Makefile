@@ -32,6 +32,7 @@ lint: .venv/developed  ## Check style and types only
 bench: .venv/developed osmesa  ## Measure speed beside pyrender, Embree and scipy
 	$(BIN)/python scripts/benchmark.py
 	$(BIN)/python scripts/mixing.py
+	$(BIN)/python scripts/waiting.py
 
 figures: .venv/developed osmesa  ## Draw the paper's figures from our own runs, into figures/
 	$(BIN)/python scripts/figures.py
