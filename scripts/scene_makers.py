@@ -142,7 +142,7 @@ def kinect_noise(rng, depth, label, focal=580.0, baseline=0.075):
     1/8 pixel at the sensor's own focal length, 60 % of the edge pixels and 1 % of all lost."""
     noisy = depth + rng.normal(size=depth.shape) * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
     disparity = np.round(focal * baseline / noisy * 8) / 8
-    noisy = focal * baseline / disparity
+    noisy = focal * baseline / np.where(disparity > 0, disparity, np.nan)  # too far to tell: no return
     filled = np.nan_to_num(depth, nan=10.0)
     edge = np.zeros(depth.shape, bool)
     for axis in (0, 1):
