@@ -7,7 +7,7 @@ from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.structure.image import render_floor_scene
 from derender.inference.structure.infer import infer_structure
-from derender.model.pose import rotation_x, rotation_z, translation
+from derender.model.pose import rotation_x, rotation_y, rotation_z, translation
 from derender.vision.camera import Camera
 
 SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
@@ -135,3 +135,20 @@ def test_a_floor_far_from_every_point_is_one_clear_line():
     depth, camera = picture(floor_pose())
     with pytest.raises(DerenderError, match="2 cm of the floor given"):
         answer(depth, camera, floor="0,1,0,-9")
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder"])
+def test_two_ends_that_show_on_either_side_of_something_are_of_one_solid(kind):
+    camera = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    floor = floor_pose()
+    lying = translation(0.0, 0.06, 0.03) @ rotation_y(np.pi / 2)
+    poses = floor @ np.stack([lying, translation(0.0, -0.06, 0.11)])
+    sizes = np.array([[0.06, 0.06, 0.26], [0.1, 0.05, 0.22]])
+    depth, label = render_floor_scene([kind, "box"], poses, sizes, floor, camera)
+    depth[depth > 5] = np.nan
+    middle = np.flatnonzero((label == 0).any(axis=0))
+    assert np.diff(middle).max() > 15  # columns that the post hides from top to bottom
+    depth += 0.001 * np.random.default_rng(0).normal(size=depth.shape)
+    found = solids(answer(depth, camera))
+    assert len(found) == 2
+    assert found[1] == pytest.approx([0.06, 0.06, 0.26], abs=0.005)

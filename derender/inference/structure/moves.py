@@ -14,9 +14,12 @@ from derender.inference.structure.shaping import appear, shake, stretch, tilt
 from derender.inference.structure.state import held_out, run_polish
 from derender.inference.structure.supporting import lift, put_under, raise_support, stand
 from derender.inference.structure.touch import penetration
-from derender.model.solids import BOX
+from derender.model.solids import BOX, CYLINDER
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
+HIDDEN = 0.4  # metres between pieces of one cross-section that may be one: as wide as what hides the gap
+ALIGNED = 0.98  # cosine
+FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
@@ -71,37 +74,57 @@ def corners_of(row):
 
 
 def merge(rng, image, state, hypotheses, settings, places):
-    """Put one box in place of two near and aligned ones, spanning both along the axes of one."""
-    near = aligned_pairs(state, NEIGHBOURS)
+    """Put one solid in place of two near and aligned ones, spanning both along the axes of one."""
+    near = aligned_pairs(state)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
     return merge_pair(rng, image, state, settings, i, j, rng.random(3) < 0.3)
 
 
-def aligned_pairs(state, gap):
-    """Return the ordered pairs of boxes whose axes agree and whose distance is at most about 2 * gap metres."""
-    boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    pairs = [(i, j) for i in boxes for j in boxes if i != j]
-    return [
-        (i, j)
-        for i, j in pairs
-        if alignment(state.rows[i], state.rows[j]) > 0.98 and penetration(grown(state.rows[i], gap), state.rows[j]) > 0
-    ]
+def aligned_pairs(state):
+    """Return the ordered pairs of boxes, and of cylinders, whose axes agree and that may be pieces of one."""
+    pairs = [(i, j) for i in range(len(state)) for j in range(len(state)) if i != j]
+    return [(i, j) for i, j in pairs if may_be_one(state.rows[i], state.rows[j])]
+
+
+def may_be_one(row, other):
+    """Whether two solids of a kind are aligned, and near or in line with each other."""
+    kind = int(row[0])
+    if kind != int(other[0]) or kind not in (BOX, CYLINDER) or alignment(row, other) < ALIGNED:
+        return False
+    if kind == BOX and penetration(grown(row, NEIGHBOURS), other) > 0:
+        return True
+    low, high = extents_along(row, other)
+    half = 0.5 * row[13:16]
+    flush = np.maximum(np.abs(low + half), np.abs(high - half)) < FLUSH
+    gap = np.maximum(low - half, -half - high)
+    along = (2,) if kind == CYLINDER else (0, 1, 2)
+    return any(flush[k - 1] and flush[k - 2] and gap[k] < HIDDEN for k in along)
+
+
+def extents_along(row, other):
+    """Return (low (3,), high (3,)) between which a solid's oriented box lies along the axes, and from the centre, of
+    another."""
+    local = (corners_of(other) - row[10:13]) @ rotation_of(row)
+    return local.min(axis=0), local.max(axis=0)
 
 
 def merge_pair(rng, image, state, settings, i, j, spread):
-    """Return (state, changed) with box i grown over box j, which is taken out.
+    """Return (state, changed) with solid i grown over solid j, which is taken out.
 
     spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
+        A cylinder grows along its own axis.
     """
     row = state.rows[i]
-    along = (np.vstack([corners_of(row), corners_of(state.rows[j])]) - row[10:13]) @ rotation_of(row)
-    low, high = along.min(axis=0), along.max(axis=0)
+    half = 0.5 * row[13:16]
+    low, high = extents_along(row, state.rows[j])
+    low, high = np.minimum(low, -half), np.maximum(high, half)
     spread = np.array(spread)
-    spread[np.argmax(np.maximum(high, -low) - 0.5 * row[13:16])] = True
-    low = np.where(spread, low, np.maximum(low, -0.5 * row[13:16]))
-    high = np.where(spread, high, np.minimum(high, 0.5 * row[13:16]))
+    spread[np.argmax(np.maximum(high, -low) - half)] = True
+    if int(row[0]) == CYLINDER:
+        spread = np.array([False, False, True])
+    low, high = np.where(spread, low, -half), np.where(spread, high, half)
     whole = row.copy()
     whole[10:13] += rotation_of(row) @ ((low + high) / 2)
     whole[13:16] = np.maximum(high - low, 0.006)
@@ -115,8 +138,10 @@ def merge_pair(rng, image, state, settings, i, j, spread):
 
 
 def alignment(row, other):
-    """Return how nearly the axes of two boxes agree up to their order: the least of the best cosines."""
-    return float(np.abs(rotation_of(row).T @ rotation_of(other)).max(axis=0).min())
+    """Return how nearly the axes of two boxes agree up to their order, the least of the best cosines; for cylinders,
+    the cosine between their own axes."""
+    cosines = np.abs(rotation_of(row).T @ rotation_of(other))
+    return float(cosines[2, 2] if int(row[0]) == CYLINDER else cosines.max(axis=0).min())
 
 
 def grown(row, by=0.008):

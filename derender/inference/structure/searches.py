@@ -7,7 +7,7 @@ import numpy as np
 
 from derender.inference.structure.focus import refocused
 from derender.inference.structure.image import Image
-from derender.inference.structure.moves import NEIGHBOURS, aligned_pairs, merge_pair, propose
+from derender.inference.structure.moves import aligned_pairs, merge_pair, propose
 from derender.inference.structure.places import find_places
 from derender.inference.structure.search import greedy, prune, settle, sweep, total_energy
 from derender.inference.structure.state import State
@@ -120,12 +120,12 @@ def floats(state):
 
 
 def merge_all(rng, image, state, settings):
-    """Try to make one box of each two that touch and are aligned, as long as that lowers the energy."""
+    """Try to make one solid of each two that may be pieces of it, as long as that lowers the energy."""
     best = total_energy(image, state, settings)
     merged = True
     while merged:
         merged = False
-        for i, j in aligned_pairs(state, NEIGHBOURS):
+        for i, j in aligned_pairs(state):
             for spread in ((False, False, False), (True, True, True)):
                 new, changed = merge_pair(rng, image, state, settings, i, j, spread)
                 new = settle(rng, image, new, settings, 200, changed)
