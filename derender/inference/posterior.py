@@ -7,7 +7,7 @@ their posterior probabilities.
 
 import json
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -221,31 +221,6 @@ def load(path: str | Path) -> Posterior:
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
         raise DerenderError("not a posterior written by derender", path, "give a DIR made by derender infer") from fault
     return Posterior(parts, header["seed"], header["command"], header["version"], header["meta"])
-
-
-def merged(posteriors: Sequence[Posterior]) -> Posterior:
-    """Return several posteriors of the same scene as one whose chains are all of theirs (same structure), cut to the
-    shortest; used by `derender report DIR...`.
-
-    Raises
-    ------
-    DerenderError : their unknowns differ.
-    """
-    first = posteriors[0].best_part
-    parts = [posterior.best_part for posterior in posteriors]
-    for posterior, part in zip(posteriors, parts, strict=True):
-        if part.addresses != first.addresses:
-            raise DerenderError("the posteriors are of different unknowns", posterior.command, "report them one by one")
-    draws = min(part.values.shape[1] for part in parts)
-    joined = replace(
-        first,
-        values=np.concatenate([part.values[:, :draws] for part in parts]),
-        log_prior=np.concatenate([part.log_prior[:, :draws] for part in parts]),
-        log_likelihood=np.concatenate([part.log_likelihood[:, :draws] for part in parts]),
-        root_pose=None if first.root_pose is None else np.concatenate([part.root_pose[:, :draws] for part in parts]),
-        weight=1.0,
-    )
-    return replace(posteriors[0], parts=(joined,))
 
 
 def graph_to_tree(graph: SceneGraph) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from small_scenes import LOOKED_AT, TOWER, SceneWorld
 
 from derender.errors import DerenderError
 from derender.inference.netcdf import write_netcdf
-from derender.inference.posterior import Posterior, StructurePosterior, load, merged
+from derender.inference.posterior import Posterior, StructurePosterior, load
 
 
 def part(text=TOWER, weight=1.0, seed=0):
@@ -71,14 +71,6 @@ def test_best_is_the_highest():
     graph, density = replace(one, log_prior=log_prior).best()
     assert graph == one.graph_at(1, 2)
     assert density == pytest.approx(50.0 + one.log_likelihood[1, 2])
-
-
-def test_merged_chains():
-    _, one = part()
-    two = replace(one, values=one.values[:, :4] + 1, log_prior=one.log_prior[:, :4], log_likelihood=np.zeros((2, 4)))
-    assert merged([Posterior((one,)), Posterior((two,))]).parts[0].values.shape == (4, 4, len(one.addresses))
-    with pytest.raises(DerenderError, match="different unknowns"):
-        merged([Posterior((one,)), Posterior((replace(one, addresses=("a",) * len(one.addresses)),))])
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"junk"])

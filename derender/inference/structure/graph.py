@@ -8,7 +8,6 @@ from derender.errors import DerenderError
 from derender.inference.structure.image import rotation_of
 from derender.inference.structure.state import FLOOR, State
 from derender.inference.structure.support import LEAST_GAP
-from derender.inference.structure.touch import lowest
 from derender.model.contacts import contacts
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, SPHERE
@@ -49,10 +48,10 @@ def floating(pose):
 
 
 def names_of(state: State) -> list[str]:
-    """Return a name for each solid: its shape and a number, nearest to the floor first."""
+    """Return a name for each solid: its shape and a number, see `State.in_order`."""
     counts: dict[str, int] = {}
     names = [""] * len(state)
-    for k in np.argsort([lowest(r) for r in state.rows], kind="stable"):
+    for k in state.in_order():
         shape = vertex_of(state.rows[k], state.cubes[k], "x").shape
         counts[shape] = counts.get(shape, 0) + 1
         names[k] = f"{shape}_{counts[shape]}"

@@ -33,7 +33,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
     state, image = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
     state.parents = final_parents(state)
-    return state, seen._replace(image=image)
+    return state.ordered(), seen._replace(image=image)
 
 
 def settings_of(options):

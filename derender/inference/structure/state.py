@@ -58,6 +58,27 @@ class State:
             [moved(self.parents[k]) for k in keep], [self.bottoms[k] for k in keep],
         )  # fmt: skip
 
+    def in_order(self) -> list[int]:
+        """Return the solids as people count them: those on the floor from left to right, then what stands on them.
+
+        Two runs on one image thus give one solid one name and one colour.
+        """
+
+        def level(k: int, seen: tuple[int, ...] = ()) -> int:
+            parent = self.parents[k]
+            return 0 if parent == FLOOR or parent in seen else 1 + level(parent, (*seen, k))
+
+        return sorted(range(len(self)), key=lambda k: (level(k), self.rows[k, 10]))
+
+    def ordered(self) -> "State":
+        """Return the state with its solids `in_order`."""
+        order = self.in_order()
+        place = {FLOOR: FLOOR, **{k: new for new, k in enumerate(order)}}
+        return State(
+            self.rows[order], [self.forms[k] for k in order], [self.cubes[k] for k in order],
+            [place[self.parents[k]] for k in order], [self.bottoms[k] for k in order],
+        )  # fmt: skip
+
 
 def carried_by(state, index):
     """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
