@@ -286,7 +286,8 @@ def _announce() -> None:
     if multiprocessing.parent_process() is None:
         for helper in _helpers:
             helper()
-        print("derender: compiling kernels for this machine, once (up to half a minute; the result is cached)",
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
+        print(f"{clear}derender: compiling kernels for this machine, once (up to half a minute; the result is cached)",
               file=sys.stderr, flush=True)
 
 

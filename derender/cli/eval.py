@@ -64,7 +64,7 @@ def command(
     pairs = paired(predicted, truth)
     labels = [int(word) for word in _numbers(background)]
     results = []
-    for name, left, right in pairs:
+    for name, left, right in talk.counted(pairs, len(pairs), "comparing scene"):
         talk.detail(f"{name}: {left} against {right}")
         result = _compare(left, right, frame, models, labels, divisor, graph_iou)
         results.append({"name": name, **result})

@@ -5,6 +5,7 @@ import sys
 import click
 
 from derender.cli import options
+from derender.cli.bar import Bar
 from derender.cli.options import Talk
 
 
@@ -92,30 +93,6 @@ def command(talk: Talk, **arguments) -> int | None:
     talk.say(f"wrote {outcome.folder}/")
     if outcome.interrupted:
         return 130
-    for doubt in outcome.doubts:
-        talk.say(f"not to be trusted: {doubt}")
+    for line in outcome.verdict():
+        talk.say(line)
     return 3 if arguments["strict"] and outcome.doubts else None
-
-
-class Bar:
-    """A progress bar in one line of a terminal."""
-
-    WIDTH = 30
-
-    def __init__(self, stream) -> None:
-        self.stream, self.shown = stream, ""
-
-    def __call__(self, fraction: float, words: str) -> None:
-        filled = round(self.WIDTH * min(max(fraction, 0.0), 1.0))
-        line = f"{words} [{'#' * filled}{'.' * (self.WIDTH - filled)}] {100 * fraction:3.0f} %"
-        if line != self.shown:
-            self.stream.write("\r\x1b[K" + line)
-            self.stream.flush()
-            self.shown = line
-
-    def close(self) -> None:
-        if self.shown:
-            self.stream.write("\r\x1b[K")
-            self.stream.flush()
-
-

@@ -14,10 +14,12 @@ import functools
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import click
+
+from derender.cli.bar import counted
 
 
 class Talk:
@@ -35,6 +37,10 @@ class Talk:
         """Say what a person who did not ask for silence should know."""
         if self.level >= 0:
             click.echo(message, err=True)
+
+    def counted(self, items: Iterable[Any], total: int, words: str) -> Iterator[Any]:
+        """Yield the items, with a progress bar where it takes long and stderr is a terminal."""
+        return counted(items, total, words, self.level >= 0)
 
     def detail(self, message: str) -> None:
         """Say what a person who asked with -v wants to know."""
@@ -61,8 +67,6 @@ def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
 def processors() -> int:
     """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 
 
 class Seed(click.IntRange):

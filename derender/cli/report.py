@@ -29,6 +29,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     from derender.errors import DerenderError
     from derender.report.html import report_of, write_report
     from derender.report.tables import parameter_table
+    from derender.report.trust import verdict
 
     found = [read_scene(folder) for folder in folders]
     first = found[0]
@@ -54,6 +55,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     talk.say(f"wrote {output}")
     if table and report.parameters:
         click.echo(parameter_table(report.parameters))
+    for line in verdict(report.doubts, report.parameters):
+        talk.say(line)
 
 
 def title_facts(count: int) -> dict[str, str]:

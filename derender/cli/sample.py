@@ -75,7 +75,7 @@ def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, r
     given = read_camera(camera) if camera is not None else None
     make_folder(folder)
     digits = max(3, len(str(count - 1)))
-    for number, draw in enumerate(draws):
+    for number, draw in enumerate(talk.counted(draws, count, "sampling scene")):
         path = folder / f"sample_{number:0{digits}d}.yaml"
         with all_or_none(path, path.with_suffix(".npz")):
             draw.write(path, given)

@@ -78,12 +78,13 @@ def _likelihood(document):
 
 
 def _number(value: float) -> str:
-    return "-inf" if value == -math.inf else f"{value:.2f}"
+    """Return nats as text: of the absurdly many that a normal likelihood can make, the first digits."""
+    return "-inf" if value == -math.inf else f"{value:.2f}" if abs(value) < 1e7 else f"{value:.3g}"
 
 
 def _table(shares) -> str:
     from derender.report.tables import number_or_dash, text_table
 
-    rows = [[s.name, str(s.pixels), f"{s.log_likelihood:.2f}", number_or_dash(s.gain, ".2f"),
+    rows = [[s.name, str(s.pixels), _number(s.log_likelihood), _number(s.gain) if math.isfinite(s.gain) else "–",
              number_or_dash(s.residual * 1000.0, ".2f")] for s in shares]
     return text_table(rows, ["object", "pixels", "log likelihood", "gain", "residual mm"])

@@ -46,7 +46,8 @@ def command(
 
     Contacts of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start
     at rest. A scene is stable if no body moves by more than a tenth of its size or turns by more than 10 degrees. Of a
-    folder, the most probable scene is simulated, and draws of the posterior for P(stable).
+    folder, the most probable scene is simulated and shown in the table, and draws of the posterior for P(stable) and
+    for each object's P(falls).
 
     \b
     Examples:
@@ -64,11 +65,14 @@ def command(
     found = read_scene(scene)
     trajectory = simulate(matter_of_graph(found.graph), duration)
     verdict = judge(trajectory)
-    share, count = float(verdict.stable), 1
+    runs = [verdict]
     if found.posterior is not None and draws:
         drawn = found.posterior.graphs(np.random.default_rng(seed), draws)
-        stable = [each.stable for each in verdicts(map(matter_of_graph, drawn), duration, jobs)]
-        share, count = float(np.mean(stable)), draws
+        found_so = verdicts(map(matter_of_graph, drawn), duration, jobs)
+        runs = list(talk.counted(found_so, draws, "simulating draw"))
+    share = float(np.mean([run.stable for run in runs]))
+    among = {name: [name in run.fallen for run in runs if name in run.displacement] for name in verdict.displacement}
+    falls = {name: float(np.mean(fell)) if fell else None for name, fell in among.items()}
     made = {"seed": seed, "version": __version__, "command": options.command_line()}
     if output is not None:
         save_trajectory(output, trajectory, **made)
@@ -79,34 +83,38 @@ def command(
         result = {
             "stable": verdict.stable,
             "p_stable": share,
+            "p_falls": falls,
             "displacement": verdict.displacement,
             "rotation": verdict.rotation,
             "fallen": list(verdict.fallen),
             "duration": duration,
-            "draws": count,
+            "draws": len(runs),
             **made,
         }
         click.echo(json.dumps(result))
         return
-    for line in _lines(verdict, share, count, found.posterior is not None):
+    of_many = (share, falls, len(runs)) if found.posterior is not None and draws else None
+    for line in _lines(verdict, of_many):
         click.echo(line)
 
 
-def _lines(verdict, share: float, count: int, posterior: bool):
-    """Yield the verdict and a table for the terminal."""
+def _lines(verdict, of_many):
+    """Yield the verdict and a table for the terminal; of_many : P(stable), P(falls) by name and how many draws."""
     import numpy as np
 
-    from derender.report.tables import text_table
+    from derender.report.tables import number_or_dash, text_table
 
     yield "stable" if verdict.stable else "not stable: " + ", ".join(verdict.fallen) + " fell"
-    if posterior:
-        yield f"P(stable) = {share:.2f} over {count} draw{'s' if count != 1 else ''} of the posterior"
+    if of_many:
+        yield f"P(stable) = {of_many[0]:.2f} over {of_many[2]} draw{'s' if of_many[2] != 1 else ''} of the posterior"
     rows = [
-        [name, f"{1000 * moved:.1f}", f"{np.rad2deg(verdict.rotation[name]):.1f}"]
+        [name, f"{1000 * moved:.1f}", f"{np.rad2deg(verdict.rotation[name]):.1f}",
+         *([number_or_dash(of_many[1][name], ".2f")] if of_many else [])]
         for name, moved in verdict.displacement.items()
-    ]
+    ]  # fmt: skip
     if rows:
-        yield text_table(rows, ("object", "moved, mm", "turned, deg"))
+        header = ("object", "moved, mm", "turned, deg", *(["P(falls)"] if of_many else []))
+        yield text_table(rows, header)
 
 
 def _check_names(animate: str | None, output: str | None) -> None:

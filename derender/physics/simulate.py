@@ -1,6 +1,6 @@
 """What happens next: trajectories of a scene's bodies under gravity, and whether it stands."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -85,7 +85,7 @@ def simulate(
     ----------
     duration : seconds.
     frames_per_second : poses that are kept.
-    early : stop as soon as the verdict is known: a body has fallen by five times the tolerance, or all have been at
+    early : stop as soon as every body's fate is known: all have fallen by five times the tolerance, or all have been at
         rest (in speed and in acceleration) for half a second.
     """
     from derender.physics.mujoco_model import World
@@ -111,7 +111,7 @@ def simulate(
             resting = world.speed() < 1e-3 * np.sqrt(gravity * world.length) and world.acceleration() < 1e-3 * gravity
             calm = calm + elapsed if resting else 0.0
             moved = np.linalg.norm(poses[-1][:, :3, 3] - poses[0][:, :3, 3], axis=1)
-            if calm >= 0.5 or np.any(moved > limits):
+            if calm >= 0.5 or np.all(moved > limits):
                 break
     return Trajectory(names, sizes, np.array(times), np.array(poses), world.speed())
 
@@ -122,8 +122,8 @@ def judge(trajectory: Trajectory) -> Verdict:
     return Verdict(not fallen, fallen, trajectory.displacement(), trajectory.rotation())
 
 
-def verdicts(matters: Iterable[Matter], duration: float = DURATION, jobs: int = 1) -> list[Verdict]:
-    """Return the verdict on each scene, such as the draws of a posterior; each run stops when its verdict is known.
+def verdicts(matters: Iterable[Matter], duration: float = DURATION, jobs: int = 1) -> Iterator[Verdict]:
+    """Yield the verdict on each scene, such as the draws of a posterior; each run stops when its verdict is known.
 
     Parameters
     ----------
@@ -135,9 +135,10 @@ def verdicts(matters: Iterable[Matter], duration: float = DURATION, jobs: int = 
         return judge(simulate(matter, duration, early=True))
 
     if jobs == 1:
-        return [run(matter) for matter in matters]
+        yield from map(run, matters)
+        return
     with ThreadPoolExecutor(jobs) as pool:
-        return list(pool.map(run, matters))
+        yield from pool.map(run, matters)
 
 
 def save_trajectory(path: str | Path, trajectory: Trajectory, **meta: object) -> None:

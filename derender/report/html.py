@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.model import solids as kinds
 from derender.model.solids import Solids
-from derender.report import pictures, svg, tables, viewer
+from derender.report import pictures, svg, tables, trust, viewer
 from derender.vision.camera import Camera
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ class Report(NamedTuple):
     draws : solids of some posterior draws, to show the spread.
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
     structures : (weight, words) of each structure found, most probable first.
-    facts : what else is known, shown in the head: seed, version, command, the sensor, times, verdicts.
+    facts : what else is known, shown in the head: seed, version, command, the sensor, times.
+    doubts : why the posterior is not to be trusted, a line each.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
     """
@@ -52,6 +53,7 @@ class Report(NamedTuple):
     structures: Sequence[tuple[float, str]] = ()
     facts: Mapping[str, Any] = {}
     likelihood: Mapping[str, Any] = {}
+    doubts: Sequence[str] = ()
 
 
 def report_of(
@@ -62,14 +64,16 @@ def report_of(
     title: str = "derender",
     facts: Mapping[str, Any] | None = None,
     likelihood: Mapping[str, Any] | None = None,
+    lost: int = 0,
 ) -> Report:
     """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
 
     Parameters
     ----------
     observed : (height, width) float64, metres, NaN without return.
-    facts : further entries for the head, such as seconds and verdicts.
+    facts : further entries for the head, such as seconds.
     likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
+    lost : how many chains died.
     """
     from derender.report.scene_json import scene_json
 
@@ -96,6 +100,7 @@ def report_of(
         structures,
         {key: value for key, value in known.items() if value not in (None, "")},
         dict(likelihood or {}),
+        trust.doubts_of(posterior, rows, lost) if posterior is not None else (),
     )
 
 
@@ -168,7 +173,10 @@ def _head(report: Report) -> str:
     solids = [item for item in report.scene["objects"] if item.get("size") is not None]
     words = f"{len(solids)} object{'s' if len(solids) != 1 else ''}"
     facts = " · ".join(f"{escape(str(key))} {escape(str(value))}" for key, value in report.facts.items())
-    return f'<h1>{escape(report.title)}</h1><p>{words}</p><p class="soft">{facts}</p>'
+    mark = ' class="bad"' if report.doubts else ""
+    lines = trust.verdict(report.doubts, report.parameters)
+    verdict = "".join(f"<p{mark}>{escape(line[0].upper() + line[1:])}.</p>" for line in lines)
+    return f'<h1>{escape(report.title)}</h1><p>{words}</p>{verdict}<p class="soft">{facts}</p>'
 
 
 def _depth_pictures(report: Report) -> str:
@@ -269,17 +277,17 @@ def _parameters(report: Report) -> str:
     for row in report.parameters:
         texts = tables.cells(row)
         numbers = "".join(f"<td class=number>{text}</td>" for text in texts[1:])
-        mark = ' class="bad"' if tables.doubtful(row) else ""
+        mark = ' class="bad"' if trust.doubtful(row) else ""
         rows.append(
             f"<tr><td{mark}>{escape(texts[0])}</td>{numbers}<td>{svg.trace_svg(row['draws'])}</td>"
             f"<td>{svg.rank_svg(row['draws'])}</td></tr>"
         )
     chains, draws = report.parameters[0]["draws"].shape
-    largest, smallest = tables.limits(chains * draws)
+    largest, smallest = trust.limits(chains * draws)
     return (
         f"<h2>Posterior of the most probable structure: {chains} chain{'s' if chains > 1 else ''} of {draws} draws</h2>"
-        f'<p class="soft">Chains have met where R-hat is at most {largest} and effective sample sizes (ESS) are '
-        f"at least {smallest:.0f}; numbers of which that is not so are in red. In a rank plot level lines are good.</p>"
+        f'<p class="soft">R-hat above {largest} and effective sample sizes (ESS) below {smallest:.0f} are in red. '
+        "In a rank plot level lines are good.</p>"
         f'<div class="scroll"><table><tr>{head}<th>traces</th><th>ranks</th></tr>{"".join(rows)}</table></div>'
     )
 

@@ -14,7 +14,6 @@ from derender.inference.posterior import Posterior
 from derender.vision.depth_file import DepthImage, write_depth
 
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
-APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Outcome:
 
         ordered = sorted(self.posterior.parts, key=lambda part: -part.weight)
         told = [part for part in ordered if part is ordered[0] or part.weight >= 0.0005]
-        return [f"{part.weight:6.3f}  {structure_words(part.graph)}" for part in told]
+        return [f"p {part.weight:.3f}  {structure_words(part.graph)}" for part in told]
 
     def table(self) -> str:
         """Return the table, and what rests on what, as plain text."""
@@ -49,48 +48,30 @@ class Outcome:
 
         return "\n".join([*self.structures(), *([parameter_table(self.rows)] if self.rows else [])])
 
+    def verdict(self) -> list[str]:
+        """Return whether the draws are to be trusted, in lines."""
+        from derender.report.trust import verdict
+
+        return verdict(self.doubts, self.rows)
+
     def print_rich(self) -> None:
         """Print the same with colours on a terminal: doubtful rows in red."""
         from rich.console import Console
         from rich.table import Table
 
-        from derender.report.tables import COLUMNS, cells, doubtful
+        from derender.report.tables import COLUMNS, cells
+        from derender.report.trust import doubtful
 
         console = Console()
         for line in self.structures():
             console.print(line, highlight=False)
         if self.rows:
-            table = Table(*COLUMNS, box=None)
+            table = Table(*COLUMNS, box=None, pad_edge=False, padding=(0, 2, 0, 0))  # fits into 80 columns
             for column in table.columns[1:]:
                 column.justify = "right"
             for row in self.rows:
                 table.add_row(*cells(row), style="red" if doubtful(row) else None)
             console.print(table)
-
-
-def doubts_of(posterior: Posterior, rows, lost: int) -> tuple[str, ...]:
-    """Return the reasons not to trust a posterior."""
-    from derender.report.tables import limits
-
-    doubts = [f"{lost} of the chains died"] if lost else []
-    chains, draws, _ = posterior.best_part.values.shape
-    if draws < 4:
-        return tuple(doubts)
-    largest, smallest = limits(chains * draws)
-    agreement = posterior.meta.get("structure_chains", {})
-    evidence = agreement.get("log_evidence", [0.0])
-    if max(evidence) - min(evidence) > APART:
-        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
-    over = agreement.get("r_hat")
-    if over is not None and over > largest:
-        doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
-    worst = max(rows, key=lambda row: np.nan_to_num(row["r_hat"]), default=None)
-    if worst and worst["r_hat"] > largest:
-        doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
-    least = min(rows, key=lambda row: np.nan_to_num(row["ess_bulk"], nan=np.inf), default=None)
-    if least and least["ess_bulk"] < smallest:
-        doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
-    return tuple(doubts)
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
@@ -113,8 +94,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     likelihood = likelihood.with_values(drawn)
     name = Path(str(posterior.meta["image"])).name
     numbers = likelihood_numbers(likelihood)
-    report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers)
-    doubts = doubts_of(posterior, report.parameters, lost)
+    report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost)
+    doubts = report.doubts
     rows = {
         row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
         for row in report.parameters

@@ -9,11 +9,6 @@ import numpy as np
 READ_AS = {"rad": ("°", 180 / np.pi), "m": ("mm", 1000.0)}  # what people read, and how many of it make one of ours
 ROOT_ANGLES = ("elevation", "azimuth", "roll")
 
-# Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
-# 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
-LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
-QUICK = 1000  # draws of all chains together, below which it was a quick look
-
 COLUMNS = ("address", "mean", "sd", "5 %", "95 %", "R-hat", "ESS", "tail ESS")
 
 
@@ -73,7 +68,7 @@ def parameter_rows(
 def cells(row: Mapping[str, Any]) -> list[str]:
     """Return the texts of a row's columns, in the unit that people read."""
     scale, unit = row["scale"], row["unit"]
-    digits = 2 if unit else 3
+    digits = 2 if unit else 4
     numbers = [f"{row[key] * scale:.{digits}f}" for key in ("mean", "sd", "q05", "q95")]
     return [
         f"{row['address']} ({unit})" if unit else str(row["address"]),
@@ -87,18 +82,6 @@ def cells(row: Mapping[str, Any]) -> list[str]:
 def number_or_dash(value: float | None, form: str) -> str:
     """Return a number as text, or a dash where there is none."""
     return "–" if value is None or not np.isfinite(value) else format(value, form)
-
-
-def doubtful(row: Mapping[str, Any]) -> bool:
-    """Return whether the chains of a row disagree or hold too few effective draws."""
-    r_hat, ess = row["r_hat"], row["ess_bulk"]
-    largest, smallest = limits(row["draws"].size)
-    return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
-
-
-def limits(draws: int) -> tuple[float, float]:
-    """Return the largest R-hat and the smallest effective sample size to be trusted with so many draws in all."""
-    return LIMITS if draws >= QUICK else QUICK_LIMITS
 
 
 def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:

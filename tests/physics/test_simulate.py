@@ -159,9 +159,9 @@ def test_a_floating_body_is_not_stable_and_a_fixed_one_is():
 
 def test_jobs_and_early_stops_do_not_change_verdicts():
     scenes = [matter(FLOOR, cube("a", 0, 0.05), cube("b", x, 0.15)) for x in (0.0, 0.03, 0.06, 0.08)]
-    found = verdicts(scenes, jobs=1)
+    found = list(verdicts(scenes, jobs=1))
     assert [verdict.stable for verdict in found] == [True, True, False, False]
-    assert verdicts(scenes, jobs=2) == found
+    assert list(verdicts(scenes, jobs=2)) == found
     assert [judge(simulate(scene)).stable for scene in scenes] == [True, True, False, False]
 
 
@@ -209,7 +209,7 @@ def towers_as_matter(towers):
 
 
 def towers_right(towers):
-    found = verdicts(towers_as_matter(towers), jobs=2)
+    found = list(verdicts(towers_as_matter(towers), jobs=2))
     return sum(verdict.stable == tower["stable"] for verdict, tower in zip(found, towers, strict=True))
 
 

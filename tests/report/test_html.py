@@ -13,7 +13,7 @@ import pytest
 from derender.model.pose import rotation_x, rotation_z, translation
 from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
-from derender.report import pictures, svg, tables
+from derender.report import pictures, svg, tables, trust
 from derender.report.html import Report, page
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines
@@ -188,8 +188,8 @@ def test_doubtful_chains_are_marked():
     rng = np.random.default_rng(2)
     good = rng.normal(size=(4, 400, 1))
     apart = good + np.arange(4)[:, None, None]
-    assert not tables.doubtful(tables.parameter_rows(["a.x"], good)[0])
-    assert tables.doubtful(tables.parameter_rows(["a.x"], apart)[0])
+    assert not trust.doubtful(tables.parameter_rows(["a.x"], good)[0])
+    assert trust.doubtful(tables.parameter_rows(["a.x"], apart)[0])
     lines = tables.parameter_table(
         tables.parameter_rows(["a.x", "b.contact.theta"], np.concatenate([good] * 2, axis=2))
     )

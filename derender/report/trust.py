@@ -1,0 +1,75 @@
+"""Whether a posterior is to be trusted: what its chains say of each other."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from derender.inference.posterior import Posterior
+
+# Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
+# 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
+LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
+QUICK = 1000  # draws of all chains together, below which it was a quick look
+APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
+
+
+def limits(draws: int) -> tuple[float, float]:
+    """Return the largest R-hat and the smallest effective sample size to be trusted with so many draws in all."""
+    return LIMITS if draws >= QUICK else QUICK_LIMITS
+
+
+def doubtful(row: Mapping[str, Any]) -> bool:
+    """Return whether the chains of a row of `tables.parameter_rows` disagree or hold too few effective draws."""
+    r_hat, ess = row["r_hat"], row["ess_bulk"]
+    largest, smallest = limits(row["draws"].size)
+    return bool((np.isfinite(r_hat) and r_hat > largest) or (np.isfinite(ess) and ess < smallest))
+
+
+def worst_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]:
+    """Return the row with the largest R-hat and that with the fewest effective draws; None where there is none."""
+    split = [row for row in rows if np.isfinite(row["r_hat"])]
+    short = [row for row in rows if np.isfinite(row["ess_bulk"])]
+    return max(split, key=lambda row: row["r_hat"], default=None), min(
+        short, key=lambda row: row["ess_bulk"], default=None
+    )
+
+
+def doubts_of(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: int = 0) -> tuple[str, ...]:
+    """Return the reasons not to trust a posterior, a line each.
+
+    rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
+    """
+    doubts = [f"{lost} of the chains died"] if lost else []
+    chains, draws, _ = posterior.best_part.values.shape
+    if draws < 4:
+        return tuple(doubts)
+    largest, smallest = limits(chains * draws)
+    structures = posterior.meta.get("structure_chains", {})
+    evidence = structures.get("log_evidence", [0.0])
+    if max(evidence) - min(evidence) > APART:
+        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
+    over = structures.get("r_hat")
+    if over is not None and over > largest:
+        doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
+    worst, least = worst_of(rows)
+    if worst and worst["r_hat"] > largest:
+        doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
+    if least and least["ess_bulk"] < smallest:
+        doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
+    return tuple(doubts)
+
+
+def verdict(doubts: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return lines that say whether draws are to be trusted; none where there are no two chains to compare."""
+    if doubts:
+        return [f"not to be trusted: {doubt}" for doubt in doubts]
+    worst, least = worst_of(rows)
+    if worst is None or least is None:
+        return []
+    largest, smallest = limits(worst["draws"].size)
+    return [
+        f"the chains agree: R-hat is at most {worst['r_hat']:.3f} (good up to {largest}), effective draws are at least "
+        f"{least['ess_bulk']:.0f} (good from {smallest:.0f})"
+    ]
