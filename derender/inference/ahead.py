@@ -75,7 +75,7 @@ def steps_of_chains() -> None:
 
     from derender.document import read_prior_document
     from derender.inference.adaptation import first_tuning
-    from derender.inference.compiled.program import chain_of, kernels_of, model_of
+    from derender.inference.compiled.program import chain_of, kernels_of, model_of, places_seen
     from derender.inference.compiled.steps import sweep
     from derender.inference.kernels import mixture
     from derender.inference.scene import targets
@@ -92,7 +92,8 @@ def steps_of_chains() -> None:
     parts = mixture(target.space, default_parts(target.space))
     model = model_of(target)
     chain = chain_of(target, model, 1, False)
-    kernels = kernels_of(target, parts, first_tuning(target.space, values), frozenset())
+    tuning = first_tuning(target.space, values)
+    kernels = kernels_of(target, parts, tuning, frozenset(), places_seen(target, parts, model, chain, tuning.places))
     engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
     kept, counts = np.empty((1, len(values) + 3)), np.zeros((len(parts), 2), np.int64)
     address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)

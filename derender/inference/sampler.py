@@ -1,5 +1,6 @@
 """The sampler of a fixed structure: start, warm-up that adapts, draws that do not; readable or compiled underneath."""
 
+import functools
 import json
 import math
 from collections.abc import Mapping
@@ -23,7 +24,10 @@ class Stretch(NamedTuple):
 
 
 class Backend(Protocol):
-    """Runs a mixture. A new one for each stretch: nothing of it outlives the values that it returns."""
+    """Runs a mixture. A new one, or a twin, for each stretch: nothing of it outlives the values that it returns."""
+
+    def twin(self) -> "Backend":
+        """Return another one in which nothing has happened yet."""
 
     def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood."""
@@ -40,6 +44,9 @@ class ReadableBackend:
 
     def __init__(self, target: Target, parts: list[Part], cycle: bool = False) -> None:
         self.target, self.parts, self.cycle = target, parts, cycle
+
+    def twin(self):
+        return self
 
     def evaluate(self, values):
         state = evaluate(self.target, values)
@@ -98,11 +105,21 @@ class MixtureSampler:
         self.places: np.ndarray | None = None
         self.learned: Tuning | None = None
 
-    def backend(self, parts: list[Part] | None = None) -> Any:
-        """Return what runs the kernels (of the mixture, or these): compiled where the target has that."""
-        parts = self.parts if parts is None else parts
+    @functools.cached_property
+    def _first(self) -> Backend:
+        return self._made(self.parts)
+
+    def _made(self, parts: list[Part]) -> Backend:
+        """Return what runs some kernels: compiled where the target has that."""
         make = getattr(self.target, "backend", None)
         return make(parts, self.cycle) if make else ReadableBackend(self.target, parts, self.cycle)
+
+    def backend(self) -> Backend:
+        """Return what runs the mixture, for one thread and one stretch."""
+        return self._first.twin()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_first"}
 
     def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
         """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
@@ -112,7 +129,8 @@ class MixtureSampler:
         total = sum(part.weight for part in local)
         local = [part._replace(weight=part.weight / total) for part in local]
         backends = [self.backend() for _ in range(chains)]
-        movers = [self.backend(local) for _ in range(chains)]
+        first = self._made(local)
+        movers = [first.twin() for _ in range(chains)]
         found = fly(self.target.space, backends, self.parts, movers, seed, jobs, self.thin, self.population,
                     self.particles)  # fmt: skip
         if found is None:  # nothing possible: each chain starts from the prior on its own

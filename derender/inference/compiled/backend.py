@@ -1,21 +1,33 @@
 """The compiled backend: a mixture on a scene's target without Python between the steps."""
 
+from collections import deque
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from derender.inference.compiled.evaluate import load
-from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Kernels
-from derender.inference.compiled.program import chain_of, held, kernels_of, model_of, readable_parts, rescaled
+from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels
+from derender.inference.compiled.program import (
+    chain_of,
+    held,
+    kernels_of,
+    model_of,
+    places_seen,
+    readable_parts,
+    rescaled,
+)
 from derender.inference.compiled.steps import WINDOW, sweep
 from derender.inference.compiled.view import LoadedTarget
 from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, State, Tuning
 from derender.inference.sampler import Stretch
 
+MOST_PROGRAMS = 24  # that are remembered: those of a ladder and of the chains that warm up
+
 
 class CompiledBackend:
-    """Runs a mixture on a SceneTarget compiled; one object per thread.
+    """Runs a mixture on a SceneTarget compiled; one object per thread, the others of which are its twins.
 
     What has no compiled form takes its steps as it stands, in between: kernels, and likelihood numbers whose change
     means to draw or score the whole image anew.
@@ -29,14 +41,27 @@ class CompiledBackend:
         self.target, self.parts, self.cycle = target, parts, cycle
         self.model = model_of(target)
         counts = [int(part.options["count"]) for part in parts if kernels[part.type].code == WINDOW]
-        self.chain = chain_of(target, self.model, max(counts, default=1), cycle)
-        self.evaluator = target.images.evaluator()
-        self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
-        self.evaluator.load(self._first)
         self.held, self.taken_as_is = held(target), readable_parts(target, parts)
+        self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
+        evaluator = target.images.evaluator()
+        evaluator.load(self._first)
+        self._blank = chain_of(target, self.model, max(counts, default=1), cycle), evaluator
+        self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Take a chain and an engine of its own, in which nothing has happened yet."""
+        chain, evaluator = self._blank
+        self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
         self._readable: tuple[Tuning, dict[int, Any]] | None = None
+
+    def twin(self) -> "CompiledBackend":
+        """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
+        other = copy(self)
+        other._begin()
+        return other
 
     def _somewhere(self) -> np.ndarray:
         return self.target.space.sample(np.random.default_rng(0))
@@ -71,16 +96,25 @@ class CompiledBackend:
         return self._readable[1]
 
     def program(self, tuning: Tuning) -> Kernels:
-        """Return the mixture's arrays under a tuning; those of the last one are kept."""
-        if self._tuned is not None:
-            former, program = self._tuned
-            if former is tuning:
-                return program
-            if all(getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")):
-                self._tuned = tuning, rescaled(self.target, self.parts, tuning, program)
-                return self._tuned[1]
-        self._tuned = tuning, kernels_of(self.target, self.parts, tuning, self.taken_as_is)
+        """Return the mixture's arrays under a tuning; those of the last ones are kept, for all twins."""
+        if self._tuned is None or self._tuned[0] is not tuning:
+            self._tuned = tuning, self._program(tuning)
         return self._tuned[1]
+
+    def _program(self, tuning: Tuning) -> Kernels:
+        places = None
+        for former, program, seen in list(self._programs):
+            same = [getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")]
+            if all(same):
+                return rescaled(self.target, self.parts, tuning, program)
+            if same[2] and (tuning.archive is not None or same[0]):
+                places = seen
+        if places is None:
+            chain = Chain(*(array.copy() for array in self._blank[0]))
+            places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
+        program = kernels_of(self.target, self.parts, tuning, self.taken_as_is, places)
+        self._programs.append((tuning, program, places))
+        return program
 
     def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""

@@ -127,7 +127,8 @@ def settle(model, chain, engine, accepted):
 
 
 @njit(cache=True, nogil=True)
-def _place_all(model, chain, parameters, start):
+def put_all(model, chain, parameters, start):
+    """Make `start` (P,) the current values without their densities: every vertex is placed."""
     values, marks = chain.values, chain.marks
     for p in range(len(start)):
         values[NEXT, p] = start[p]
@@ -136,9 +137,14 @@ def _place_all(model, chain, parameters, start):
     marks[DIRTY, :] = 1
     arrange(model.vertices, model.extents, chain.numbers, chain.pose, marks, chain.relative, chain.moved_pose,
             chain.moved_size)  # fmt: skip
-    values[NEXT, PRIOR] = log_prior(model.unknowns, model.laws, start)
-    values[NEXT, PRIOR] += log_terms(model.terms, model.vertices, chain.numbers, chain.pose)
     copy_marked(chain.numbers, chain.pose, marks, NEXT)
+
+
+@njit(cache=True, nogil=True)
+def _log_prior_of_all(model, chain):
+    return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(
+        model.terms, model.vertices, chain.numbers, chain.pose
+    )
 
 
 def load(model, chain, engine, start):
@@ -146,6 +152,7 @@ def load(model, chain, engine, start):
 
     Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.
     """
-    _place_all(model, chain, engine.parameters, start)
+    put_all(model, chain, engine.parameters, start)
+    chain.values[NEXT, PRIOR] = _log_prior_of_all(model, chain)
     chain.values[NEXT, DENSITY] = load_state(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
     chain.values[NOW] = chain.values[NEXT]

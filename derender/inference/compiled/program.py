@@ -1,5 +1,7 @@
 """From a scene's target, a mixture and its tuning to the flat arrays of `layout.py`."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from derender.inference.compiled import poses, steps
@@ -16,13 +18,15 @@ from derender.inference.compiled.layout import (
     Kernels,
     Model,
 )
+from derender.inference.compiled.standing import stand_all
 from derender.inference.compiled.terms import table_of
 from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.kernels.drift import directions_of, factor_of
 from derender.inference.kernels.flip import flips_of
-from derender.inference.kernels.relocate import places_of
+from derender.inference.kernels.place_mixture import fitted
 from derender.inference.kernels.slide import marginal_factor
+from derender.inference.space import Block
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME
 from derender.model.priors.root import FreeRoot, LookedAtRoot
@@ -146,8 +150,12 @@ def contact_slots(graph: SceneGraph, name: str) -> list[str]:
     return [p.name for p in contacts[vertex.contact.type].parameters(parent, shapes[vertex.shape], *faces)]
 
 
-def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[int]) -> Kernels:
-    """Return the mixture's arrays. Raises NotCompiled for a kernel that has no compiled form."""
+def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[int],
+               places: Mapping[int, np.ndarray]) -> Kernels:  # fmt: skip
+    """Return the mixture's arrays.
+
+    readable : numbers of the kernels without a compiled form. places : see `places_seen`.
+    """
     space = target.space
     table, numbers, members, factors = [], [], [], []
     weight = 0.0
@@ -162,9 +170,8 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             factor = fit(tuning.covariance, directions_of(space, part.block))
             scale = scale_of(space, part, tuning)
         elif kind.code == steps.RELOCATE:
-            base, face = target.bases[part.block.name]
-            moved = [*target.placed_by(part.block), target.template.names.index(base), FEATURE_CODES[face]]
-            factor = places_of(target, part.block, tuning.places).flat()
+            moved = [*target.placed_by(part.block), *below(target, part.block)]
+            factor = places[k]
         elif kind.code == steps.INDEPENDENCE:
             factor = part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
         elif kind.code == steps.WINDOW:
@@ -187,6 +194,29 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
         spread=space.scales,
         mean=np.array(tuning.mean, float),
     )
+
+
+def below(target, block: Block) -> tuple[int, int]:
+    """Return the vertex and the face on whose plane a relocated object is put."""
+    base, face = target.bases[block.name]
+    return target.template.names.index(base), FEATURE_CODES[face]
+
+
+def places_seen(target, parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> dict[int, np.ndarray]:
+    """Return the flat mixtures over the places that objects have in (K, P) values, by the numbers of their kernels.
+
+    chain : any of the model's; it is left at the last values.
+    """
+    chosen = {k: part.block for k, part in enumerate(parts) if kernels[part.type].code == steps.RELOCATE}
+    if not chosen:
+        return {}
+    names = [block.name.removesuffix(".contact") for block in chosen.values()]
+    objects = [(target.template.names.index(name), *below(target, block), target.placed_by(block)[0])
+               for name, block in zip(names, chosen.values(), strict=True)]  # fmt: skip
+    places = np.empty((len(chosen), len(archive), 3))
+    stand_all(model, chain, np.ascontiguousarray(archive, float), np.array(objects).T.copy(), places)
+    return {k: fitted(one, target.placement_period(block)).flat()
+            for one, (k, block) in zip(places, chosen.items(), strict=True)}  # fmt: skip
 
 
 def scale_of(space, part: Part, tuning: Tuning) -> float:

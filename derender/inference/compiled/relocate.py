@@ -21,12 +21,10 @@ from derender.inference.compiled.layout import (
 )
 from derender.inference.compiled.poses import seen_from
 from derender.inference.compiled.prior import wrap
+from derender.inference.compiled.standing import UNBOUNDED, stand
 from derender.inference.kernels.place_mixture import DEGREES
 from derender.kernel_cache import njit
 from derender.model.contacts.compiled import area_element, compose, invert, outline, relative_pose
-from derender.model.solids import PLANE
-
-UNBOUNDED = np.int64(PLANE)  # the face below is taken for a plane: offsets on it are metres
 
 
 @njit(cache=True, nogil=True)
@@ -67,8 +65,7 @@ def relocate(rng, vertices, unknowns, laws, values, numbers, pose, relative, scr
         return math.nan
 
     old, new, phi = np.empty(7), np.empty(7), np.empty(7)
-    seen_from(pose[NOW, base], pose[NOW, n], relative)
-    invert(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, relative, old)
+    stand(vertices, numbers, pose, relative, base, face, n, old)
     for i in range(7):
         new[i] = old[i]
     new[0] = wrap(places[k] + turn, period)

@@ -1,6 +1,7 @@
 """The engine for Python: log likelihoods of scenes of one image, in full or incrementally."""
 
 from collections.abc import Mapping
+from copy import copy
 
 import numpy as np
 
@@ -50,6 +51,13 @@ class DepthEvaluator:
         self.values = self.likelihood.complete(values)
         self.state: EngineState | None = None
         self._meshes: tuple = ()
+
+    def copy(self) -> "DepthEvaluator":
+        """Return another evaluator of the same image that goes on from here: cheaper than a new one."""
+        other = copy(self)
+        if self.state is not None:
+            other.state = EngineState(*(array.copy() for array in self.state))
+        return other
 
     def log_likelihood(self, solids: Solids, values: Mapping[str, float] | None = None) -> float:
         """Return the log likelihood of a scene: the full evaluation. The scene becomes the current one.
