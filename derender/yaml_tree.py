@@ -35,7 +35,7 @@ def read_yaml(path: str | Path) -> Section:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except FileNotFoundError:
-        raise DerenderError("there is no such file", where=path) from None
+        raise DerenderError("there is no such file", path, "check the path") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         raise DerenderError(f"cannot be read: {getattr(error, 'strerror', None) or error}", where=path) from None
     return parse_yaml(data, str(path))

@@ -72,6 +72,8 @@ def processors() -> int:
 class Seed(click.IntRange):
     """A whole number from 0 up that 63 bits can hold: so many that the help need not say how many."""
 
+    name = "whole number"
+
     def _describe_range(self) -> str:
         return "x>=0"
 

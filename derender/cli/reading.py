@@ -35,9 +35,11 @@ class Found(NamedTuple):
 
 def read_scene_document(path: str) -> "Document":
     """Read a scene or prior file (`-`: stdin), or the most probable scene in a folder written by `derender infer`."""
-    from derender.document import read_document
+    from derender.document import built_in_priors, read_document
 
     folder = Path(path)
+    if path in built_in_priors() and not folder.exists():
+        raise DerenderError("this is a prior, not a scene", path, f"draw a scene: derender sample {path}")
     if path == "-" or not folder.is_dir():
         return read_document(path)
     if not (folder / "scene.yaml").exists():

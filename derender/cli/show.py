@@ -54,9 +54,9 @@ def _of_folder(folder: Path, as_json: bool) -> str:
 
         posterior = load(folder / "posterior.npz")
         return _of_graph(posterior.best_graph(), posterior, as_json)
-    from derender.document import read_document
+    from derender.cli.reading import read_scene_document
 
-    return _of_graph(read_document(folder / "scene.yaml").graph, None, as_json)
+    return _of_graph(read_scene_document(str(folder)).graph, None, as_json)
 
 
 def _of_graph(graph: Any, posterior: Any, as_json: bool) -> str:

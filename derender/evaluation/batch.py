@@ -27,7 +27,7 @@ def paired(predicted: str | Path, truth: str | Path) -> list[tuple[str, Path, Pa
     left, right = Path(predicted), Path(truth)
     for path in (left, right):
         if str(path) != "-" and not path.exists():
-            raise DerenderError("there is no such file or folder", path)
+            raise DerenderError("there is no such file or folder", path, "check the path")
     if _is_single(left) and _is_single(right):
         return [(left.stem if left.is_file() else left.name, left, right)]
     if _is_single(left) != _is_single(right):

@@ -102,7 +102,7 @@ def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
 
             labels = imageio.imread(path, plugin="pillow")
     except FileNotFoundError:
-        raise DerenderError("there is no such file", path) from None
+        raise DerenderError("there is no such file", path, "check the path") from None
     except (OSError, ValueError, KeyError, EOFError) as fault:
         raise DerenderError("this is no label image", path, "a picture of one channel, one number an object") from fault
     if labels.ndim != 2:

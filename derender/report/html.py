@@ -53,7 +53,7 @@ class Report(NamedTuple):
     structures: Sequence[tuple[float, str]] = ()
     facts: Mapping[str, Any] = {}
     likelihood: Mapping[str, Any] = {}
-    doubts: Sequence[str] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def report_of(

@@ -70,11 +70,14 @@ def infer_to_folder(
                 option = SWITCHES.get(key, "--" + key.replace("_", "-"))
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
+    given = document is not None and has_objects(document)
+    if resume and (given or method in ("mcmc", "smc")) and not (folder / "checkpoint").exists():
+        say(f"nothing was interrupted in {folder}: beginning anew")
     made = {"seed": seed, "command": command}
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     try:
-        with at_fault(prior if document is not None and has_objects(document) else image):
+        with at_fault(prior if given else image):
             return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs,
                           resume, made, progress, warn, started)  # fmt: skip
     except BaseException as error:

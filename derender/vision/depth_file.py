@@ -135,7 +135,7 @@ def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
     if array.ndim == 3 and 1 in (array.shape[0], array.shape[2]):
         array = array[0] if array.shape[0] == 1 else array[..., 0]
     if array.ndim != 2 or 0 in array.shape:
-        shape = " x ".join(map(str, array.shape)) or "a single number"
+        shape = " x ".join(map(str, array.shape)) if array.ndim > 1 else "no picture but a list or a number"
         colour = "; this looks like a colour image" if array.ndim == 3 and array.shape[2] in (3, 4) else ""
         raise DerenderError(f"the array is {shape}{colour}", path, "a depth image is height x width")
     if array.size > MOST_PIXELS:

@@ -155,7 +155,8 @@ def test_types_lists_and_explains_what_is_registered(capfd):
         (("sample", "-o", "file"), "file"),
         (("show", "missing.yaml"), "there is no such file"),
         (("show", "tabletop", "--json"), "this is a prior, not a scene"),
-        (("show", "empty"), "there is no such file"),
+        (("show", "empty"), "there is no scene in this folder"),
+        (("simulate", "tabletop"), "this is a prior, not a scene; draw a scene: derender sample tabletop"),
         (("types", "cubus"), "did you mean 'cube'?"),
     ],
 )

@@ -142,6 +142,8 @@ def test_an_image_without_a_plane_or_without_pixels_is_a_fault(rng):
         find_floor(rng, rng.uniform(0.5, 5.0, (48, 64)), camera)
     with pytest.raises(DerenderError, match="pixels"):
         find_floor(rng, np.full((48, 64), np.nan), camera)
+    with pytest.raises(DerenderError, match="on one line"):
+        find_floor(rng, np.full((1, 64), 0.9), camera)
 
 
 def test_reduced_images_show_the_same_points(rng):

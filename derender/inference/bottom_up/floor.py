@@ -51,6 +51,8 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
     triples = sample[rng.integers(len(sample), size=(rounds, 3))]
     normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normal, axis=1)
+    if not np.any(length > 1e-8):
+        raise DerenderError("all pixels with depth lie on one line", remedy="give a whole image")
     normal = normal[length > 1e-8] / length[length > 1e-8, None]
     offset = np.einsum("ij,ij->i", normal, triples[length > 1e-8, 0])
     distance = sample @ normal.T - offset  # (S, R); the camera is at -offset
