@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 SHOWN_DRAWS = 12
+SHOWN_WEIGHT = 0.0005  # of a structure, from which on it is told: what three digits can show
 # A residual picture's scale: what holds all but 5 % of the residuals, yet no less than 2 mm and no more than 5 cm.
 RESIDUAL_SCALE = (0.002, 0.05)
 
@@ -235,11 +236,11 @@ def _picture(words: str, values: np.ndarray, low: float, high: float, unit: str,
 
 
 def _structures(report: Report) -> str:
-    if len(report.structures) < 2:
+    shown = [(weight, words) for weight, words in report.structures if weight >= SHOWN_WEIGHT]
+    if len(shown) < 2:
         return ""
     rows = "".join(
-        f'<tr><td class="number">{weight:.1%}</td><td>{escape(words)}</td></tr>'
-        for weight, words in report.structures[:8]
+        f'<tr><td class="number">{weight:.1%}</td><td>{escape(words)}</td></tr>' for weight, words in shown[:8]
     )
     head = '<tr><th class="number">weight</th><th>structure</th></tr>'
     return f'<div class="scroll"><table class="narrow">{head}{rows}</table></div>'

@@ -36,10 +36,10 @@ class Outcome:
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in three digits: what rests on what."""
-        from derender.report.html import structure_words
+        from derender.report.html import SHOWN_WEIGHT, structure_words
 
         ordered = sorted(self.posterior.parts, key=lambda part: -part.weight)
-        told = [part for part in ordered if part is ordered[0] or part.weight >= 0.0005]
+        told = [part for part in ordered if part is ordered[0] or part.weight >= SHOWN_WEIGHT]
         return [f"p {part.weight:.3f}  {structure_words(part.graph)}" for part in told]
 
     def table(self) -> str:

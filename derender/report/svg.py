@@ -25,7 +25,7 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     for name, item in objects.items():
         parent = item.get("parent") or "root"
         children.setdefault(parent if parent in objects else "root", []).append(name)
-    width, height, gap = 176, 46, 44
+    width, height, gap = 196, 46, 44
     column: dict[str, float] = {}
     row: dict[str, int] = {}
     leaves = 0

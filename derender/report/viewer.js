@@ -51,9 +51,11 @@ function showScene(canvas, scene, switches) {
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = a => { const l = Math.hypot(...a) || 1; return a.map(x => x / l); };
   const up = unit(scene.up);
-  // Two level axes; the first points from the target to the camera, so that azimuth 0 is the camera's own.
+  // Two level axes; the first points from the target to the camera, so that azimuth 0 is the camera's own. The image's
+  // downward axis points there too, and does so still where the camera looks straight down.
   const toCamera = add([0, 0, 0], scene.target, -1);
-  let level = add(toCamera, up, -dot(toCamera, up));
+  let level = add(unit(toCamera), [0, 1, 0], 1);
+  level = add(level, up, -dot(level, up));
   level = unit(Math.hypot(...level) > 1e-6 ? level : cross(up, [1, 0, 0]));
   const side = cross(up, level);
   const home = {azimuth: 0, elevation: Math.asin(Math.max(-1, Math.min(1, dot(unit(toCamera), up)))), distance: Math.hypot(...toCamera), target: scene.target};
