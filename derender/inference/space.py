@@ -41,12 +41,17 @@ class Block(NamedTuple):
 
     Attributes
     ----------
-    name : such as "red.contact", "red.shape", "likelihood", "all".
+    name : such as "red.contact", "red.shape", "likelihood", "all"; of several blocks "red.contact+blue.contact".
     unknowns : indices of its unknowns.
     """
 
     name: str
     unknowns: tuple[int, ...]
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """The objects whose contacts these are."""
+        return tuple(name.removesuffix(".contact") for name in self.name.split("+"))
 
 
 class Space:
@@ -65,6 +70,7 @@ class Space:
         self.blocks = tuple(blocks)
         self.slides: tuple[str, ...] = ()  # blocks that may move under their children: the target knows
         self.relocations: tuple[str, ...] = ()  # blocks that may be put down anew in the world
+        self.below: dict[str, str] = {}  # of their objects that stand on another, with the same base: that one
         sizes = [unknown.distribution.size for unknown in self.unknowns]
         self.offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         ways = [unknown.ways for unknown in self.unknowns]

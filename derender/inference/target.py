@@ -55,6 +55,9 @@ def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribu
     known = {unknown.address for unknown in unknowns}
     space.slides = tuple(name for name in members if _can_slide(graph, name, known))
     space.relocations = tuple(name for name in members if _can_relocate(graph, name, known))
+    bases = bases_of(graph, space.relocations, known)
+    below = {name: graph.vertex(name).parent for name in bases}
+    space.below = {name: parent for name, parent in below.items() if bases.get(parent) == bases[name]}
     return space
 
 
@@ -111,8 +114,7 @@ class SceneTarget:
             for unknown in self.space.unknowns
             if unknown.address.endswith(".contact.theta")
         }
-        self.bases = {name: base_of(graph, name.removesuffix(".contact"), set(self.space.addresses))
-                      for name in self.space.relocations}  # fmt: skip
+        self.bases = bases_of(graph, self.space.relocations, set(self.space.addresses))
         self.uncompiled = ""  # what had no compiled form when a backend was asked for
         self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
@@ -186,109 +188,100 @@ class SceneTarget:
     def keep_children(self, values: np.ndarray, moved: np.ndarray, block: Block) -> tuple[np.ndarray, float] | None:
         """Return `moved` with contacts of the block's object's descendants such that all of them stay in the world.
 
-        Also the log of the product of |d phi' / d phi| over them. In metres and radians they move rigidly, which has
-        Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2). An angle is folded into
-        its period, which turns the child's axes by a symmetry of the child, so that its children get new contacts too.
-        None where a child would leave its contact.
+        Also the log of the product of |d phi' / d phi| over them; None where a child would leave its contact.
         """
-        name = block.name.removesuffix(".contact")
-        before, after = self.graph(values), self.graph(moved)
-        old, new = before.poses(), after.poses()
-        turned = {name}
+        (name,), before = block.objects, self.graph(values)
+        return self._touching_anew(before, moved, {name: self.graph(moved).poses()[name]}, name)
+
+    def _touching_anew(
+        self, before: SceneGraph, moved: np.ndarray, there: Mapping[str, np.ndarray], settled: str = ""
+    ) -> tuple[np.ndarray, float] | None:
+        """Return `moved` with contacts such that objects stand `there` (in the camera), all others as `before`.
+
+        settled : one of them whose own contact in `moved` puts it there already.
+
+        Also the log of the product of |d phi' / d phi| at fixed motion in the world. In metres and radians contacts
+        move rigidly, which has Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2).
+        An angle is folded into its period, which turns the object's axes by a symmetry of it, so that its children get
+        new contacts too. None where one would leave its contact.
+        """
+        poses = {**before.poses(), **there}
+        turned = {settled}
         kept = moved.copy()
         log_jacobian = 0.0
-        for child in before.descendants(name):
-            vertex = before.vertex(child)
-            if vertex.parent not in turned:
+        for vertex in before.vertices:
+            name = vertex.name
+            if name == settled or not (name in there or vertex.parent in turned):
                 continue
             contact, kind = vertex.contact, contacts[vertex.contact.type]
             on, by = before.body(vertex.parent), vertex.body
-            relative = inverse(new[vertex.parent]) @ old[child]
+            relative = inverse(poses[vertex.parent]) @ poses[name]
             found = kind.invert(relative, on, by, contact.parent_face, contact.child_face)
             slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items()]
             if found.outside > 1e-9 or found.angle > NEAR or max(slack, default=0.0) > NEAR:
                 return None
             phi = dict(found.phi)
-            centre, period = self.folds[f"{child}.contact.theta"]
-            phi["theta"] = fold(phi["theta"], centre, period)
-            if abs(fold(found.phi["theta"] - phi["theta"], 0.0, math.tau)) > 1e-6:
-                turned.add(child)
+            phi["theta"] = fold(phi["theta"], *self.folds[f"{name}.contact.theta"])
+            if name in there or abs(fold(found.phi["theta"] - phi["theta"], 0.0, math.tau)) > 1e-6:
+                turned.add(name)
                 numbers = {**contact.values, **phi}
                 pose = kind.relative_pose(numbers, on, by, contact.parent_face, contact.child_face)
-                new[child] = new[vertex.parent] @ pose
+                poses[name] = poses[vertex.parent] @ pose
             for key, value in phi.items():
-                kept[self._index[f"{child}.contact.{key}"]] = value
+                kept[self._index[f"{name}.contact.{key}"]] = value
             if "u" in phi:
                 outlines = on.face(contact.parent_face).outline, by.face(contact.child_face).outline
                 log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *outlines))
                 log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
         return kept, log_jacobian
 
-    def placed_by(self, block: Block) -> list[int]:
-        """Return the unknowns that say where an object stands on a face: theta and the two offsets."""
-        offsets = ("theta", "u", "v") if f"{block.name}.u" in self._index else ("theta", "x", "y")
-        return [self.space.offsets.tolist().index(self._index[f"{block.name}.{key}"]) for key in offsets]
+    def placement_periods(self, name: str) -> tuple[float, ...]:
+        """Return the periods of the numbers of an object's placement, 0 of lengths."""
+        return self.folds[f"{name}.contact.theta"][1], 0.0, 0.0
 
-    def placement_period(self, block: Block) -> float:
-        """Return the period of a placement's angle."""
-        return self.folds[f"{block.name}.theta"][1]
-
-    def _frames(self, graph: SceneGraph, block: str) -> tuple[np.ndarray, np.ndarray]:
+    def _frames(self, graph: SceneGraph, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return (4, 4) to the camera: the face below everything, and the turned face that the object stands on."""
-        name = block.removesuffix(".contact")
-        base, face = self.bases[block]
+        base, face = self.bases[name]
         vertex, poses = graph.vertex(name), graph.poses()
         below = poses[base] @ graph.body(base).face(face).frame
         return below, poses[name] @ vertex.body.face(vertex.contact.child_face).frame @ TURNED
 
-    def placement(self, values: np.ndarray, block: Block) -> tuple[np.ndarray, float]:
-        """Return w = (angle, x, y) of an object on the lowest parallel face below it, and log |dw / d phi|."""
-        graph = self.graph(values)
-        vertex = graph.vertex(block.name.removesuffix(".contact"))
-        numbers, log_area = vertex.contact.values, 0.0
-        if f"{block.name}.u" in self._index:
-            on, by = graph.body(vertex.parent), vertex.body
-            outlines = on.face(vertex.contact.parent_face).outline, by.face(vertex.contact.child_face).outline
-            log_area = math.log(area_element(numbers["u"], numbers["theta"], *outlines))
-        return self._place(graph, block.name), log_area
+    def placement(self, values: np.ndarray, name: str) -> np.ndarray:
+        """Return w = (angle, x, y) of an object on the lowest parallel face below it."""
+        return self._place(self.graph(values), name)
 
-    def _place(self, graph: SceneGraph, block: str) -> np.ndarray:
-        below, own = self._frames(graph, block)
+    def _place(self, graph: SceneGraph, name: str) -> np.ndarray:
+        below, own = self._frames(graph, name)
         relative = inverse(below) @ own
-        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.folds[f"{block}.theta"][1])
+        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.placement_periods(name)[0])
         return np.array([angle, relative[0, 3], relative[1, 3]])
 
-    def placements(self, block: Block, archive: np.ndarray) -> np.ndarray:
+    def placements(self, name: str, archive: np.ndarray) -> np.ndarray:
         """Return (K, 3), the placement of an object in each of (K, P) values."""
         content = archive.tobytes()
         if content not in self._placements:
             graphs = [self.graph(values) for values in archive]
-            found = {name: np.array([self._place(graph, name) for graph in graphs]) for name in self.bases}
+            found = {one: np.array([self._place(graph, one) for graph in graphs]) for one in self.bases}
             if len(self._placements) >= MOST_ARCHIVES:
                 self._placements.clear()
             self._placements[content] = found
-            return found[block.name]
-        return self._placements[content][block.name]
+            return found[name]
+        return self._placements[content][name]
 
-    def put(self, values: np.ndarray, block: Block, place: np.ndarray) -> np.ndarray | None:
-        """Return the values with an object at another placement, at its height; None where it would lose contact."""
+    def put(self, values: np.ndarray, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, float] | None:
+        """Return the values with objects at other placements, at their heights, and all others where they are.
+
+        Also the log of the product of |d phi' / d phi| at fixed w; None where one would lose its contact.
+        """
         graph = self.graph(values)
-        below, own = self._frames(graph, block.name)
-        relative = inverse(below) @ own
-        vertex = graph.vertex(block.name.removesuffix(".contact"))
-        contact, on, by = vertex.contact, graph.body(vertex.parent), vertex.body
-        there = below @ translation(place[1], place[2], relative[2, 3]) @ rotation_z(place[0])
-        pose = there @ TURNED @ inverse(by.face(contact.child_face).frame)
-        seen = inverse(graph.poses()[vertex.parent]) @ pose
-        found = contacts["face-to-face"].invert(seen, on, by, contact.parent_face, contact.child_face)
-        if found.outside > 1e-9 or found.angle > NEAR:
-            return None
-        moved = values.copy()
-        for unknown in self.placed_by(block):
-            address = self.space.unknowns[unknown].address
-            value = found.phi[address.rpartition(".")[2]]
-            moved[self._index[address]] = fold(value, *self.folds[address]) if address.endswith("theta") else value
-        return moved
+        there = {}
+        for name, place in places.items():
+            below, own = self._frames(graph, name)
+            height = (inverse(below) @ own)[2, 3]
+            face = graph.vertex(name).body.face(graph.vertex(name).contact.child_face)
+            put = below @ translation(place[1], place[2], height) @ rotation_z(place[0])
+            there[name] = put @ TURNED @ inverse(face.frame)
+        return self._touching_anew(graph, values, there)
 
 
 def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
@@ -304,6 +297,12 @@ def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
         if contact.type != "face-to-face" or tilted or not _opposite(contact.child_face, face):
             return base, face
         base, face = below.parent, contact.parent_face
+
+
+def bases_of(graph: SceneGraph, relocations: Sequence[str], unknown: set[str]) -> dict[str, tuple[str, str]]:
+    """Return the base of each object that may be put down anew, by its name."""
+    names = [contact.removesuffix(".contact") for contact in relocations]
+    return {name: base_of(graph, name, unknown) for name in names}
 
 
 def _opposite(face: str, other: str) -> bool:
@@ -371,7 +370,8 @@ def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
     Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
     """
     return [
-        {"relocate": {"weight": 0.45}},
+        {"relocate": {"weight": 0.3}},
+        {"relocate-stack": {"weight": 0.15}},
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},

@@ -189,9 +189,9 @@ class _WithoutArea:
     def __getattr__(self, name):
         return getattr(self.target, name)
 
-    def placement(self, *arguments):
-        place, _ = self.target.placement(*arguments)
-        return place, 0.0
+    def put(self, *arguments):
+        values, _ = self.target.put(*arguments)
+        return values, 0.0
 
 
 class RelocateWithoutRatio(relocate.Relocate):
@@ -241,6 +241,7 @@ CASES = {
     "langevin": ("angle", LangevinUncorrected),
     "newton": ("angle", NewtonWithoutDeterminant),
     "relocate": ("angle", RelocateWithoutArea),
+    "relocate-stack": ("angle", RelocateWithoutArea),
 }
 OPTIONS = {"newton": {"scale": 1.0}, "langevin": {"scale": 0.6}, "slide": {"scale": 2.0}}
 # Replicates, where the fault is small:
@@ -272,8 +273,9 @@ def test_kernel_is_invariant_on_rotations(name):
     assert result.worst < bound(len(result.z)), result
 
 
-def test_relocation_without_proposal_ratio_is_caught():
-    result = verdict(WORLDS["angle"](), maker("relocate", RelocateWithoutRatio), REPLICATES, steps=4)
+@pytest.mark.parametrize("name", ["relocate", "relocate-stack"])
+def test_relocation_without_proposal_ratio_is_caught(name):
+    result = verdict(WORLDS["angle"](), maker(name, RelocateWithoutRatio), REPLICATES, steps=4)
     assert result.worst > bound(len(result.z)), result.worst
 
 

@@ -58,7 +58,7 @@ def test_place_mixture_is_a_density_around_the_seam(size):
     period = np.pi / 2
     centres = np.concatenate([rng.normal(0.0, 0.05, (40, size)), rng.normal(0.3, 0.02, (40, size))])
     centres[:, 0] %= period
-    mixture_of_places = fitted(centres, period)
+    mixture_of_places = fitted(centres, (period, *[0.0] * (size - 1)))
     drawn = []
     for _ in range(20_000):
         k = int(rng.integers(len(centres)))

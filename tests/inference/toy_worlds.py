@@ -17,9 +17,9 @@ class World:
 
     noise = 0.5
 
-    def __init__(self, unknowns, blocks, model, slides=(), relocations=()):
+    def __init__(self, unknowns, blocks, model, slides=(), relocations=(), below=()):
         self.space = Space(unknowns, blocks)
-        self.space.slides, self.space.relocations = slides, relocations
+        self.space.slides, self.space.relocations, self.space.below = slides, relocations, dict(below)
         self.model = model
 
     def target(self, rng, values):
@@ -51,23 +51,28 @@ class Target:
         kept[2] = (x + _stretch(x) * u - new) / _stretch(new)
         return kept, math.log(_stretch(x) / _stretch(new))
 
+    def placement_periods(self, name):
+        return {"a": (math.pi, 0.0), "b": (0.0,)}[name]
 
-    def placement_period(self, block):
-        return math.pi
+    def placement(self, values, name):
+        """The place of a in the world: its angle, and x + x^3; of b: x + s(x) u."""
+        theta, x, u = values
+        return np.array([theta, x + x**3]) if name == "a" else np.array([x + _stretch(x) * u])
 
-    def placement(self, values, block):
-        """The place of a in the world: its angle, and x + x^3."""
-        theta, x = values[0], values[1]
-        return np.array([theta, x + x**3]), math.log(1 + 3 * x * x)
+    def placements(self, name, archive):
+        return np.array([self.placement(values, name) for values in archive])
 
-    def placements(self, block, archive):
-        return np.array([self.placement(values, block)[0] for values in archive])
-
-    def put(self, values, block, place):
-        moved = values.copy()
-        root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * place[1]) / 3)  # of x + x^3 = place[1]
-        moved[0], moved[1] = place[0], root
-        return moved
+    def put(self, values, places):
+        """The Jacobians |dx' / dx| = (1 + 3 x^2) / (1 + 3 x'^2) and |du' / du| = s(x) / s(x') at the same motion."""
+        (_, x, u), moved, log_jacobian = values, values.copy(), 0.0
+        if "a" in places:
+            far = places["a"][1]
+            root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * far) / 3)  # of x + x^3 = far
+            moved[:2] = places["a"][0], root
+            log_jacobian += math.log((1 + 3 * x * x) / (1 + 3 * root * root))
+        where = places["b"][0] if "b" in places else x + _stretch(x) * u
+        moved[2] = (where - moved[1]) / _stretch(moved[1])
+        return moved, log_jacobian + math.log(_stretch(x) / _stretch(moved[1]))
 
 
 class Slope:
@@ -110,7 +115,8 @@ def angle_and_child():
         theta, x, u = values
         return np.array([math.sin(2 * theta) + x, math.cos(2 * theta), x + _stretch(x) * u])
 
-    return World(unknowns, blocks, model, slides=("a.contact",), relocations=("a.contact",))
+    relocations = ("a.contact", "b.contact")
+    return World(unknowns, blocks, model, slides=("a.contact",), relocations=relocations, below={"b": "a"})
 
 
 def box_with_sides():

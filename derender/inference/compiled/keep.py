@@ -1,4 +1,4 @@
-"""Give an object's children the contacts that leave them where they are in the world, compiled; see kernels.slide."""
+"""Give objects the contacts that leave them where they are, or put them where they shall be, in the world, compiled."""
 
 import math
 
@@ -38,23 +38,30 @@ def fold(angle, centre, period):
 
 
 @njit(cache=True, nogil=True)
-def keep_children(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n):
-    """Write the proposed values of the descendants of vertex n, whose own proposed values are there.
+def touch_anew(vertices, extents, places, laws, values, numbers, pose, marks, parameters, scratch, n, put, there):
+    """Write the proposed values of vertices from n on such that those `put` stand `there`, all others as they do now.
 
-    Returns the log of the product of |d phi' / d phi| over them, NaN where one would leave its contact.
+    put : vertices, rising, the first is n; there : (S, 4, 4), their poses. Where none are put, the proposed values of
+    vertex n are there already and say where it stands.
+
+    Returns the log of the product of |d phi' / d phi| at fixed motion in the world (see SceneTarget), NaN where one
+    would leave its contact.
     """
-    fill(places, values, numbers, marks, parameters, False)
-    place(vertices, extents, numbers, pose, scratch, n)
-    log_jacobian = 0.0
-    for c in range(n + 1, vertices.shape[1] - 1):
+    if len(put) == 0:
+        fill(places, values, numbers, marks, parameters, False)
+        place(vertices, extents, numbers, pose, scratch, n)
+    log_jacobian, following = 0.0, 0
+    for c in range(n + (len(put) == 0), vertices.shape[1] - 1):
         parent = vertices[PARENT, c]
-        if not marks[DIRTY, parent]:  # its axes are as they were
+        moves = following < len(put) and put[following] == c
+        if not moves and not marks[DIRTY, parent]:  # its axes are as they were
             continue
-        seen_from(pose[NEXT, parent], pose[NOW, c], scratch)
+        seen_from(pose[NEXT, parent], there[following] if moves else pose[NOW, c], scratch)
+        following += moves
         own, phi = numbers[NOW, c], numbers[NEXT, c]
         on, by = vertices[PARENT_FACE, c], vertices[CHILD_FACE, c]
         size, child_size = numbers[NEXT, parent, SIZES:SHAPES], own[SIZES:SHAPES]
-        marks[KEPT, c] = 1
+        marks[DIRTY if moves else KEPT, c] = 1
         outside, angle = invert(
             vertices[CONTACT_CODE, c], vertices[KIND, parent], size, vertices[KIND, c], child_size, on, by, scratch, phi
         )
@@ -67,7 +74,7 @@ def keep_children(vertices, extents, places, laws, values, numbers, pose, marks,
                 if places[SLOT, p] == 0:
                     owner = places[OWNER, p]
                     theta = fold(phi[0], laws[owner, FOLD_CENTRE], laws[owner, FOLD_PERIOD])
-                    if abs(fold(phi[0] - theta, 0.0, 2.0 * math.pi)) > 1e-6:
+                    if not moves and abs(fold(phi[0] - theta, 0.0, 2.0 * math.pi)) > 1e-6:
                         marks[KEPT, c], marks[DIRTY, c] = 0, 1
                     phi[0] = theta
                 values[NEXT, p] = phi[places[SLOT, p]]

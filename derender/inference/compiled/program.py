@@ -1,6 +1,6 @@
 """From a scene's target, a mixture and its tuning to the flat arrays of `layout.py`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -24,9 +24,8 @@ from derender.inference.kernels import kernels
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.kernels.drift import directions_of, factor_of
 from derender.inference.kernels.flip import flips_of
-from derender.inference.kernels.place_mixture import fitted
+from derender.inference.kernels.relocate import mixture_of
 from derender.inference.kernels.slide import marginal_factor
-from derender.inference.space import Block
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME
 from derender.model.priors.root import FreeRoot, LookedAtRoot
@@ -156,7 +155,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
 
     readable : numbers of the kernels without a compiled form. places : see `places_seen`.
     """
-    space = target.space
+    space, names = target.space, target.template.names
     table, numbers, members, factors = [], [], [], []
     weight = 0.0
     first = factor_first = 0
@@ -170,7 +169,8 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             factor = fit(tuning.covariance, directions_of(space, part.block))
             scale = scale_of(space, part, tuning)
         elif kind.code == steps.RELOCATE:
-            moved = [*target.placed_by(part.block), *below(target, part.block)]
+            rows = objects_below(target, part.block.objects)
+            moved = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]]
             factor = places[k]
         elif kind.code == steps.INDEPENDENCE:
             factor = part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
@@ -179,7 +179,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
         elif kind.code == steps.FLIP:
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
-        keep = target.template.names.index(part.block.name.removesuffix(".contact")) if kind.keeps_children else -1
+        keep = names.index(part.block.objects[0]) if kind.keeps_children else -1
         table.append((code, first, factor_first, keep))
         numbers.append((weight, scale, count, reach))
         members += moved
@@ -196,10 +196,15 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
     )
 
 
-def below(target, block: Block) -> tuple[int, int]:
-    """Return the vertex and the face on whose plane a relocated object is put."""
-    base, face = target.bases[block.name]
-    return target.template.names.index(base), FEATURE_CODES[face]
+def objects_below(target, objects: Sequence[str]) -> np.ndarray:
+    """Return (B, 4) int64, of each relocated object: its vertex, the vertex and face that it is put on, its theta."""
+    names, addresses = target.template.names, [unknown.address for unknown in target.space.unknowns]
+    rows = []
+    for name in objects:
+        base, face = target.bases[name]
+        theta = addresses.index(f"{name}.contact.theta")
+        rows.append((names.index(name), names.index(base), FEATURE_CODES[face], theta))
+    return np.array(rows, np.int64)
 
 
 def places_seen(target, parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> dict[int, np.ndarray]:
@@ -207,16 +212,13 @@ def places_seen(target, parts: list[Part], model: Model, chain: Chain, archive: 
 
     chain : any of the model's; it is left at the last values.
     """
-    chosen = {k: part.block for k, part in enumerate(parts) if kernels[part.type].code == steps.RELOCATE}
+    chosen = {k: part.block.objects for k, part in enumerate(parts) if kernels[part.type].code == steps.RELOCATE}
     if not chosen:
         return {}
-    names = [block.name.removesuffix(".contact") for block in chosen.values()]
-    objects = [(target.template.names.index(name), *below(target, block), target.placed_by(block)[0])
-               for name, block in zip(names, chosen.values(), strict=True)]  # fmt: skip
-    places = np.empty((len(chosen), len(archive), 3))
-    stand_all(model, chain, np.ascontiguousarray(archive, float), np.array(objects).T.copy(), places)
-    return {k: fitted(one, target.placement_period(block)).flat()
-            for one, (k, block) in zip(places, chosen.items(), strict=True)}  # fmt: skip
+    objects = sorted({name for names in chosen.values() for name in names})
+    places = np.empty((len(objects), len(archive), 3))
+    stand_all(model, chain, np.ascontiguousarray(archive, float), objects_below(target, objects).T.copy(), places)
+    return {k: mixture_of(target, names, dict(zip(objects, places, strict=True))).flat() for k, names in chosen.items()}
 
 
 def scale_of(space, part: Part, tuning: Tuning) -> float:

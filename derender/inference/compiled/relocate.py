@@ -1,90 +1,88 @@
-"""Put an object down anew in the world, compiled; see kernels.relocate."""
+"""Where objects are put down anew in the world, compiled; see kernels.relocate. Their contacts are `keep`'s to find."""
 
 import math
 
 import numpy as np
 
-from derender.inference.compiled.keep import NEAR, fold
-from derender.inference.compiled.layout import (
-    CHILD_FACE,
-    CONTACT_CODE,
-    FOLD_CENTRE,
-    FOLD_PERIOD,
-    KIND,
-    NEXT,
-    NOW,
-    OFFSET,
-    PARENT,
-    PARENT_FACE,
-    SHAPES,
-    SIZES,
-)
-from derender.inference.compiled.poses import seen_from
+from derender.inference.compiled.layout import CHILD_FACE, CONTACT_CODE, FOLD_PERIOD, KIND, NOW, SHAPES, SIZES
 from derender.inference.compiled.prior import wrap
 from derender.inference.compiled.standing import UNBOUNDED, stand
 from derender.inference.kernels.place_mixture import DEGREES
 from derender.kernel_cache import njit
-from derender.model.contacts.compiled import area_element, compose, invert, outline, relative_pose
+from derender.model.contacts.compiled import compose, relative_pose
 
 
 @njit(cache=True, nogil=True)
-def mixture_density(places, period, place):
-    """Return q(place) up to its constant. places : of each component 16 numbers, see PlaceMixture.flat."""
+def mixture_density(places, size, periods, place):
+    """Return q(place) up to its constant. places : of each component 2 size + size^2 + 1 numbers, PlaceMixture.flat.
+
+    periods : of the angles, which are every third number.
+    """
+    triangle = size * (size + 1) // 2
+    steps = np.empty(size)
+    whole = (DEGREES + size) // 2
     total = 0.0
-    for k in range(0, len(places), 16):
-        turn = place[0] - places[k]
-        turn -= period * math.floor(turn / period + 0.5)
-        x, y = place[1] - places[k + 1], place[2] - places[k + 2]
-        a = places[k + 9] * turn
-        b = places[k + 10] * turn + places[k + 11] * x
-        c = places[k + 12] * turn + places[k + 13] * x + places[k + 14] * y
-        power = 1.0 + (a * a + b * b + c * c) / DEGREES
-        power *= power
-        total += places[k + 15] / (power * power)  # the power of (DEGREES + 3) / 2
+    for k in range(0, len(places), size + 2 * triangle + 1):
+        for i in range(size):
+            steps[i] = place[i] - places[k + i]
+            if i % 3 == 0:
+                steps[i] -= periods[i // 3] * math.floor(steps[i] / periods[i // 3] + 0.5)
+        at = k + size + triangle
+        squared = 0.0
+        for i in range(size):
+            white = 0.0
+            for j in range(i + 1):
+                white += places[at + j] * steps[j]
+            at += i + 1
+            squared += white * white
+        base = 1.0 + squared / DEGREES
+        power = math.sqrt(base) if (DEGREES + size) % 2 else 1.0  # to the power of (DEGREES + size) / 2
+        for _ in range(whole):
+            power *= base
+        total += places[at] / power
     return total
 
 
 @njit(cache=True, nogil=True)
-def relocate(rng, vertices, unknowns, laws, values, numbers, pose, relative, scratch, members, places, n):
-    """Write the proposed contact of vertex n; return log q(old) J(old) / (q(new) J(new)), NaN where there is none."""
-    base, face = members[3], members[4]
-    parent, contact = vertices[PARENT, n], vertices[CONTACT_CODE, n]
-    on, by = vertices[PARENT_FACE, n], vertices[CHILD_FACE, n]
-    own = numbers[NOW, n]
-    below, size, child_size = numbers[NOW, base, SIZES:SHAPES], numbers[NOW, parent, SIZES:SHAPES], own[SIZES:SHAPES]
-    centre, period = laws[members[0], FOLD_CENTRE], laws[members[0], FOLD_PERIOD]
+def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, face, thetas, places):
+    """Write the poses `there` of the vertices `put`; return log q(old) / q(new), NaN where there is none.
 
-    k = 16 * int(rng.random() * (len(places) // 16))
-    first, second, third = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
+    base, face : vertex and face below all of them. thetas : the unknowns that turn them.
+    """
+    count = len(put)
+    size = 3 * count
+    below = numbers[NOW, base, SIZES:SHAPES]
+    triangle = size * (size + 1) // 2
+    width = size + 2 * triangle + 1
+    k = width * int(rng.random() * (len(places) // width))
+    normal = np.empty(size)
+    for i in range(size):
+        normal[i] = rng.standard_normal()
     chi_squared = 0.0
     for _ in range(DEGREES):
         chi_squared += rng.standard_normal() ** 2
     stretch = math.sqrt(DEGREES / chi_squared)
-    turn = stretch * places[k + 3] * first
-    if not abs(turn) <= 0.5 * period:
-        return math.nan
-
-    old, new, phi = np.empty(7), np.empty(7), np.empty(7)
-    stand(vertices, numbers, pose, relative, base, face, n, old)
-    for i in range(7):
-        new[i] = old[i]
-    new[0] = wrap(places[k] + turn, period)
-    new[1] = places[k + 1] + stretch * (places[k + 4] * first + places[k + 5] * second)
-    new[2] = places[k + 2] + stretch * (places[k + 6] * first + places[k + 7] * second + places[k + 8] * third)
-    relative_pose(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, new, relative)
-    compose(pose[NOW, base], relative, scratch)
-    seen_from(pose[NOW, parent], scratch, relative)
-    outside, angle = invert(contact, vertices[KIND, parent], size, vertices[KIND, n], child_size, on, by, relative, phi)
-    if outside > 1e-9 or angle > NEAR:
-        return math.nan
-    phi[0] = fold(phi[0], centre, period)
-    for i in range(3):
-        values[NEXT, unknowns[OFFSET, members[i]]] = phi[i]
-    log_ratio = math.log(mixture_density(places, period, old)) - math.log(mixture_density(places, period, new))
-    a, b, radius, _ = outline(vertices[KIND, parent], size, on)
-    c, d, child_radius, _ = outline(vertices[KIND, n], child_size, by)
-    if a < math.inf and c < math.inf:
-        radius += child_radius
-        log_ratio += math.log(area_element(own[1], own[0], a, b, c, d, radius))
-        log_ratio -= math.log(area_element(phi[1], phi[0], a, b, c, d, radius))
-    return log_ratio
+    old, new, periods, phi = np.empty(size), np.empty(size), np.empty(count), np.empty(7)
+    at = k + size
+    for i in range(size):
+        step = 0.0
+        for j in range(i + 1):
+            step += places[at + j] * normal[j]
+        at += i + 1
+        step *= stretch
+        new[i] = places[k + i] + step
+        if i % 3 == 0:
+            period = laws[thetas[i // 3], FOLD_PERIOD]
+            if not abs(step) <= 0.5 * period:
+                return math.nan
+            periods[i // 3], new[i] = period, wrap(new[i], period)
+    for c in range(count):
+        n = put[c]
+        contact, by, child_size = vertices[CONTACT_CODE, n], vertices[CHILD_FACE, n], numbers[NOW, n, SIZES:SHAPES]
+        stand(vertices, numbers, pose, relative, base, face, n, phi)
+        for i in range(3):
+            old[3 * c + i], phi[i] = phi[i], new[3 * c + i]
+        relative_pose(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, phi, relative)
+        compose(pose[NOW, base], relative, there[c])
+    log_ratio = math.log(mixture_density(places, size, periods, old))
+    return log_ratio - math.log(mixture_density(places, size, periods, new))

@@ -7,7 +7,7 @@ function calls is compiled into it again.
 import math
 
 from derender.inference.compiled.evaluate import evaluate, settle
-from derender.inference.compiled.keep import keep_children
+from derender.inference.compiled.keep import touch_anew
 from derender.inference.compiled.layout import (
     COUNT,
     CUMULATIVE,
@@ -164,12 +164,14 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
         scale = kernels.numbers[k, SCALE]
         keep = kernels.table[KEEP, k]
         places, present, spacing = 1, -1, 0.0
+        put = members[:0]  # vertices that a relocation puts down
         if code == WINDOW:
             reach = kernels.numbers[k, REACH]
             spacing = reach * math.exp(rng.random() * math.log(FINEST / reach))
         if code == RELOCATE:
-            correction = relocate(rng, model.vertices, unknowns, laws, values, chain.numbers, chain.pose,
-                                  chain.relative, chain.moved_pose[0], members, factor, keep)  # fmt: skip
+            put, thetas = members[2 : 2 + len(members) // 2 - 1], members[1 + len(members) // 2 :]
+            correction = relocate(rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
+                                  chain.moved_pose, put, members[0], members[1], thetas, factor)  # fmt: skip
         else:
             correction = propose(
                 rng, unknowns, laws, values, chain.tangents, members, factor, code, scale, kernels.spread, kernels.mean
@@ -192,9 +194,9 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
                 move(unknowns, laws, members, values[NOW], chain.tangents[0], step, values[NEXT])
             jacobian = 0.0
             if keep >= 0 and not math.isnan(correction):
-                jacobian = keep_children(
-                    model.vertices, model.extents, model.places, laws, values, chain.numbers, chain.pose,
-                    chain.marks, engine.parameters, chain.relative, keep,
+                jacobian = touch_anew(
+                    model.vertices, model.extents, model.places, laws, values, chain.numbers, chain.pose, chain.marks,
+                    engine.parameters, chain.relative, keep, put, chain.moved_pose,
                 )  # fmt: skip
             if math.isnan(correction + jacobian):
                 values[NEXT, PRIOR] = -math.inf

@@ -9,6 +9,7 @@ from derender.inference.kernels import (  # noqa: F401  (importing registers)
     langevin,
     newton,
     relocate,
+    relocate_stack,
     resimulate,
     slide,
     slide_window,

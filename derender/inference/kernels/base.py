@@ -101,6 +101,11 @@ class KernelType:
     keeps_children: bool = False
     code: int | None = None
 
+    def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:
+        """Return the blocks that have a kernel of their own."""
+        blocks = space.blocks if self.per_block else (space.everything,)
+        return [block for block in blocks if self.applies(space, block)]
+
     def applies(self, space: Space, block: Block) -> bool:
         """Return whether the block has anything that this kernel can move; by default, a direction to go."""
         return space.size(block) > 0
@@ -157,11 +162,7 @@ def mixture(space: Space, entries: list[dict[str, Mapping[str, Any] | None]], wh
                     )
                 _check(value, f"{name}.{key}", where)
             options = {**kind.options, **given}
-            blocks = [
-                block
-                for block in (space.blocks if kind.per_block else (space.everything,))
-                if kind.applies(space, block)
-            ]
+            blocks = kind.blocks(space, options)
             total = sum(len(block.unknowns) for block in blocks)
             parts += [Part(name, block, options, weight * len(block.unknowns) / total) for block in blocks]
     whole = math.fsum(part.weight for part in parts)

@@ -1,12 +1,12 @@
 """Relocate: an object is put down anew where warm-up has seen it in the world; its children stay where they are."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
-from derender.inference.kernels.base import KernelType, decide, evaluate_kept, kernels
+from derender.inference.kernels.base import KernelType, decide, evaluate, kernels
 from derender.inference.kernels.place_mixture import DEGREES, PlaceMixture, fitted
-from derender.inference.space import wrap
 
 
 class Relocate:
@@ -20,20 +20,21 @@ class Relocate:
     The contact's numbers phi are another chart of w: per phi the proposal has the density q(w(phi)) |dw / dphi|, where
     the Jacobian is the touching area of (u, v) (Figure 2), or one for metres. The children's contacts are kept as in
     `slide`. With J = |dw / dphi|,
-    log ratio = log posterior(new) - log posterior(old) + log q(w) J(old) - log q(w') J(new)
+    log ratio = log posterior(new) - log posterior(old) + log q(w) - log q(w') + log J(old) - log J(new)
                 + sum of log |d phi_c' / d phi_c|.
+    The target puts the objects there (`put`) and knows the last three terms; where one would lose its contact there is
+    no density, and the step is refused (as is the way back from there). Several objects are put down by one w of all.
     """
 
-    def __init__(self, target, block, places: PlaceMixture, temperature=1.0):
-        self.target, self.block, self.places, self.temperature = target, block, places, temperature
-        self.name = f"relocate {block.name}"
+    def __init__(self, target, name: str, objects: tuple[str, ...], places: PlaceMixture, temperature=1.0):
+        self.target, self.objects, self.places, self.temperature = target, objects, places, temperature
+        self.name = name
 
     def log_proposal(self, place: np.ndarray) -> float:
         """Return log q(place) up to its constant."""
         return math.log(self.places.density(place))
 
     def __call__(self, rng, state):
-        period = self.places.period
         component = int(rng.random() * len(self.places.centres))
         centre = self.places.centres[component]
         normal = np.array([rng.standard_normal() for _ in range(len(centre))])
@@ -42,20 +43,23 @@ class Relocate:
             chi_squared += rng.standard_normal() ** 2
         tangent = (self.places.factors[component] @ normal) * math.sqrt(DEGREES / chi_squared)
         place = centre + tangent
-        place[0] = wrap(place[0], period)
-        moved = self.target.put(state.values, self.block, place) if abs(tangent[0]) <= 0.5 * period else None
-        if moved is None:
+        put = None
+        if not self.places.too_far(tangent):
+            place = self.places.wrapped(place)
+            ends = np.cumsum([len(self.target.placement_periods(name)) for name in self.objects])[:-1]
+            put = self.target.put(state.values, dict(zip(self.objects, np.split(place, ends), strict=True)))
+        if put is None:
             return decide(rng, state, state._replace(log_prior=-math.inf), 0.0, self.temperature, self.name)
-        old, log_area = self.target.placement(state.values, self.block)
-        _, new_log_area = self.target.placement(moved, self.block)
-        correction = self.log_proposal(old) + log_area - self.log_proposal(place) - new_log_area
-        new, log_jacobian = evaluate_kept(self.target, state, moved, self.block)
-        return decide(rng, state, new, correction + log_jacobian, self.temperature, self.name)
+        moved, log_jacobian = put
+        old = np.concatenate([self.target.placement(state.values, name) for name in self.objects])
+        correction = self.log_proposal(old) - self.log_proposal(place) + log_jacobian
+        return decide(rng, state, evaluate(self.target, moved), correction, self.temperature, self.name)
 
 
-def places_of(target, block, archive: np.ndarray) -> PlaceMixture:
-    """Return the mixture over an object's places in an archive (K, P) of values."""
-    return fitted(target.placements(block, archive), target.placement_period(block))
+def mixture_of(target, objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
+    """Return the mixture over the places of one or several objects, given (K, d) places of each by name."""
+    periods = [period for name in objects for period in target.placement_periods(name)]
+    return fitted(np.concatenate([places[name] for name in objects], axis=1), tuple(periods))
 
 
 @kernels.register("relocate")
@@ -66,7 +70,9 @@ class RelocateType(KernelType):
     code = 6
 
     def applies(self, space, block):
-        return block.name in getattr(space, "relocations", ())
+        return block.name in space.relocations
 
     def build(self, target, block, tuning, options):
-        return Relocate(target, block, places_of(target, block, tuning.places), tuning.temperature)
+        places = {name: target.placements(name, tuning.places) for name in block.objects}
+        found = mixture_of(target, block.objects, places)
+        return Relocate(target, f"{self.name} {block.name}", block.objects, found, tuning.temperature)

@@ -45,7 +45,7 @@ class SlideType(KernelType):
     code = 1
 
     def applies(self, space, block):
-        return block.name in getattr(space, "slides", ())
+        return block.name in space.slides
 
     def build(self, target, block, tuning, options):
         factor = marginal_factor(tuning.covariance, directions_of(target.space, block))

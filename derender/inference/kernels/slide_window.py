@@ -27,7 +27,7 @@ class SlideWindowType(KernelType):
     code = 3
 
     def applies(self, space, block):
-        return block.name in getattr(space, "slides", ())
+        return block.name in space.slides
 
     def build(self, target, block, tuning, options):
         from derender.inference.kernels.drift import directions_of
