@@ -25,7 +25,7 @@ from derender.inference.structure.image import (  # noqa: E402
     render_floor_scene,
 )
 from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
-from derender.inference.structure.observation import observe, patches_of  # noqa: E402
+from derender.inference.structure.observation import neighbour_correlation, observe, patches_of  # noqa: E402
 from derender.inference.structure.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
 from derender.inference.structure.state import FLOOR, State  # noqa: E402
 from derender.inference.structure.touch import highest, lowest, penetration  # noqa: E402
@@ -153,6 +153,18 @@ def test_reduced_images_show_the_same_points(rng):
     # a plane's inverse depth is affine in the pixel: block medians keep it but for the plane's curvature in depth
     floor = find_floor(rng, depth, camera)
     assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5], ids=["independent", "shared"])
+def test_how_much_neighbours_share_their_noise_is_told_from_straight_above_too(rng, share):
+    """A camera that looks straight down sees one distance everywhere: its noise must not choose the near half."""
+    camera = {"fx": 90.0, "fy": 90.0, "cx": 79.5, "cy": 59.5}
+    white = rng.normal(0.0, 0.002, (120, 161))
+    depth = 1.5 + (1 - share) * white[:, 1:] + share * white[:, :-1]
+    expected = share * (1 - share) / (share**2 + (1 - share) ** 2)
+    found = neighbour_correlation(depth, find_floor(rng, depth, camera), camera)
+    # of some 10,000 pairs: 0.01 is one standard error, and as much again for the plane that is fitted to them
+    assert found == pytest.approx(expected, abs=0.05)
 
 
 def upright(yaw, centre, size, kind=BOX):

@@ -122,12 +122,16 @@ def noise_map(depth, floor, camera):
 
 
 def neighbour_correlation(depth, floor, camera):
-    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only."""
+    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
+
+    Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
+    """
     if not floor.inliers.any():
         return 0.0
-    points = back_project(depth, camera) - floor.pose[:3, 3]
-    height = points @ floor.pose[:3, 2]
-    near = floor.inliers & (depth <= np.median(depth[floor.inliers]))
+    normal = floor.pose[:3, 2]
+    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
+    distance = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
     limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
     height = np.where(near & (np.abs(height) < limit), height, np.nan)
     a, b = height[:, :-1], height[:, 1:]
