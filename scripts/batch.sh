@@ -2,7 +2,8 @@
 # Infer every depth image of a folder and those below it, one process for each core, and collect a table.
 #   scripts/batch.sh FOLDER [CAMERA [OUT]]
 # CAMERA is a camera file for all of them; an .npz of derender needs none. A frame that has a result already is left
-# alone, so the same command goes on where it was stopped; one that fails does not stop the others.
+# alone, so the same command goes on where it was stopped; one that fails does not stop the others. Exit status: 0, or 1
+# where any failed.
 set -eu
 folder=$1
 camera=${2:-}
@@ -31,4 +32,9 @@ for path in sorted(out.rglob("summary.json")):
     words = ", ".join("%s on %s" % (o["name"], o["parent"]) for o in objects)
     print(path.parent.relative_to(out), len(objects), words, sep="\t")
 END
+failed=$(find "$out" -name log.txt -execdir test ! -e summary.json ';' -print | wc -l)
+if [ "$failed" -gt 0 ]; then
+    echo "wrote $out/table.tsv; $failed failed, see log.txt in their folders"
+    exit 1
+fi
 echo "wrote $out/table.tsv"

@@ -44,7 +44,15 @@ def _shown(scene: str, as_json: bool):
         else:
             from derender.report.tree_text import prior_lines
 
-            yield "\n".join(prior_lines(document.prior))
+            yield "\n".join([*prior_lines(document.prior), *_where(scene)])
+
+
+def _where(name: str) -> list[str]:
+    """Return the line that says where a built-in prior's file is: whoever wants another one begins with a copy."""
+    from derender import data_path
+    from derender.document import built_in_priors
+
+    return [f"from {data_path(f'priors/{name}.yaml')}"] if name in built_in_priors() else []
 
 
 def _of_folder(folder: Path, as_json: bool) -> str:
