@@ -126,7 +126,7 @@ def test_areas_add_up():
         solids = random_scene(1, kind, stacked=kind == BOX)
         canvas = new_canvas(CAMERA, 5)
         draw_antialiased(canvas, solids.kind, solids.pose, solids.size, BACKGROUND, WINDOW)
-        count = canvas.count[0]
+        count = canvas.filled[0]
         shares = np.add.reduceat(canvas.parts[: canvas.part_ends[count - 1], 0], [0, *canvas.part_ends[: count - 1]])
         assert count > 100
         # the chords of a curved outline leave out, or take in, a hundredth of a pixel

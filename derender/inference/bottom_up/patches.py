@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.inference.bottom_up.local_planes import local_planes, separation, sharpen, smallest_eigenvector
+from derender.inference.bottom_up.regions import grow, reassign
 from derender.kernel_cache import njit
 
 
@@ -14,7 +16,7 @@ class Patches(NamedTuple):
     ----------
     label : (H, W) int32, patch of each pixel or -1.
     normal : (P, 3) float64 unit, towards the camera; offset : (P,) float64: normal . point.
-    count : (P,) int64 pixels; centre : (P, 3) float64.
+    pixels : (P,) int64, how many; centre : (P, 3) float64.
     residual : (P,) float64, root mean square distance to the plane in metres.
     touching : (P, P) int64, pairs of neighbouring pixels without a jump in depth between two patches.
     """
@@ -22,198 +24,10 @@ class Patches(NamedTuple):
     label: np.ndarray
     normal: np.ndarray
     offset: np.ndarray
-    count: np.ndarray
+    pixels: np.ndarray
     centre: np.ndarray
     residual: np.ndarray
     touching: np.ndarray
-
-
-@njit(cache=True, nogil=True)
-def separation(points, j, i, v, u):
-    """Return the squared distance of two pixels' points."""
-    x = points[v, u, 0] - points[j, i, 0]
-    y = points[v, u, 1] - points[j, i, 1]
-    z = points[v, u, 2] - points[j, i, 2]
-    return x * x + y * y + z * z
-
-
-@njit(cache=True, nogil=True)
-def smallest_eigenvector(a, b, c, d, e, f):
-    """Return (x, y, z, eigenvalue) of the smallest eigenvalue of [[a, b, c], [b, d, e], [c, e, f]]."""
-    mean = (a + d + f) / 3.0
-    p1 = b * b + c * c + e * e
-    p2 = (a - mean) ** 2 + (d - mean) ** 2 + (f - mean) ** 2 + 2 * p1
-    p = np.sqrt(p2 / 6.0) + 1e-30
-    a1, d1, f1 = (a - mean) / p, (d - mean) / p, (f - mean) / p
-    b1, c1, e1 = b / p, c / p, e / p
-    half = 0.5 * (a1 * (d1 * f1 - e1 * e1) - b1 * (b1 * f1 - e1 * c1) + c1 * (b1 * e1 - d1 * c1))
-    angle = np.arccos(min(1.0, max(-1.0, half))) / 3.0
-    value = mean + 2 * p * np.cos(angle + 2.0943951023931953)
-    a, d, f = a - value, d - value, f - value
-    # rows of the shifted matrix span the plane orthogonal to the eigenvector: take the longest cross product
-    x0, y0, z0 = b * e - c * d, c * b - a * e, a * d - b * b
-    x1, y1, z1 = b * f - c * e, c * c - a * f, a * e - b * c
-    x2, y2, z2 = d * f - e * e, e * c - b * f, b * e - d * c
-    s0, s1, s2 = x0 * x0 + y0 * y0 + z0 * z0, x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
-    if s0 >= s1 and s0 >= s2:
-        x, y, z, s = x0, y0, z0, s0
-    elif s1 >= s2:
-        x, y, z, s = x1, y1, z1, s1
-    else:
-        x, y, z, s = x2, y2, z2, s2
-    s = np.sqrt(s) + 1e-30
-    return x / s, y / s, z / s, max(value, 0.0)
-
-
-@njit(cache=True, nogil=True)
-def local_planes(points, mask, origin, jump, radius):
-    """Fit a plane to the window about each pixel.
-
-    Returns normal (H, W, 3) towards the origin (zero where there is none), offset (H, W), mean squared distance (H, W).
-    """
-    height, width = mask.shape
-    normal = np.zeros((height, width, 3))
-    offset = np.zeros((height, width))
-    error = np.full((height, width), 1e9)
-    for j in range(height):
-        for i in range(width):
-            if not mask[j, i]:
-                continue
-            n = 0
-            sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-            px, py, pz = points[j, i, 0], points[j, i, 1], points[j, i, 2]
-            limit = jump[j, i]
-            for v in range(max(j - radius, 0), min(j + radius + 1, height)):
-                for u in range(max(i - radius, 0), min(i + radius + 1, width)):
-                    if not mask[v, u]:
-                        continue
-                    x, y, z = points[v, u, 0] - px, points[v, u, 1] - py, points[v, u, 2] - pz
-                    if x * x + y * y + z * z > limit * limit * (1 + (u - i) ** 2 + (v - j) ** 2):
-                        continue
-                    n += 1
-                    sx += x
-                    sy += y
-                    sz += z
-                    xx += x * x
-                    xy += x * y
-                    xz += x * z
-                    yy += y * y
-                    yz += y * z
-                    zz += z * z
-            if n < 6:
-                continue
-            sx, sy, sz = sx / n, sy / n, sz / n
-            a, b, c, value = smallest_eigenvector(xx / n - sx * sx, xy / n - sx * sy, xz / n - sx * sz,
-                                                  yy / n - sy * sy, yz / n - sy * sz, zz / n - sz * sz)  # fmt: skip
-            if a * (origin[0] - px) + b * (origin[1] - py) + c * (origin[2] - pz) < 0:
-                a, b, c = -a, -b, -c
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = a, b, c
-            offset[j, i] = a * (px + sx) + b * (py + sy) + c * (pz + sz)
-            error[j, i] = value * n / (n - 3.0)  # three numbers were fitted
-    return normal, offset, error
-
-
-@njit(cache=True, nogil=True)
-def sharpen(points, mask, normal, offset, error, radius, tolerance):
-    """Give each pixel the plane of the best window that holds it, so that normals stay sharp at edges."""
-    height, width = mask.shape
-    out = np.zeros((height, width, 3))
-    quality = np.full((height, width), 1e9)
-    for j in range(height):
-        for i in range(width):
-            if not mask[j, i]:
-                continue
-            best, bu, bv = 1e8, -1, -1
-            for v in range(max(j - radius, 0), min(j + radius + 1, height)):
-                for u in range(max(i - radius, 0), min(i + radius + 1, width)):
-                    if error[v, u] >= 1e8:
-                        continue
-                    r = (normal[v, u, 0] * points[j, i, 0] + normal[v, u, 1] * points[j, i, 1]
-                         + normal[v, u, 2] * points[j, i, 2] - offset[v, u])  # fmt: skip
-                    if abs(r) > tolerance[j, i]:
-                        continue
-                    e = error[v, u] + 0.2 * r * r
-                    if e < best:
-                        best, bu, bv = e, u, v
-            if bu >= 0:
-                for axis in range(3):
-                    out[j, i, axis] = normal[bv, bu, axis]
-                quality[j, i] = best
-    return out, quality
-
-
-@njit(cache=True, nogil=True)
-def grow(points, mask, normal, quality, order, tolerance, jump, cosine, smallest):
-    """Grow regions from the best pixels on; return label (H, W) and the number of regions.
-
-    A neighbour joins when it lies within its tolerance of the region's running plane and its own normal is near.
-    """
-    height, width = mask.shape
-    label = np.full((height, width), -1, np.int32)
-    stack = np.empty((height * width, 2), np.int32)
-    member = np.empty((height * width, 2), np.int32)
-    regions = 0
-    for seed in order:
-        sj, si = seed // width, seed % width
-        if label[sj, si] != -1 or not mask[sj, si] or quality[sj, si] > 1e8:
-            continue
-        nx, ny, nz = normal[sj, si, 0], normal[sj, si, 1], normal[sj, si, 2]
-        bx, by, bz = points[sj, si, 0], points[sj, si, 1], points[sj, si, 2]
-        plane = 0.0
-        n = 0
-        sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-        head, tail, refit = 0, 1, 12
-        stack[0, 0], stack[0, 1] = sj, si
-        label[sj, si] = regions
-        while head < tail:
-            j, i = stack[head, 0], stack[head, 1]
-            head += 1
-            x, y, z = points[j, i, 0] - bx, points[j, i, 1] - by, points[j, i, 2] - bz
-            member[n, 0], member[n, 1] = j, i
-            n += 1
-            sx += x
-            sy += y
-            sz += z
-            xx += x * x
-            xy += x * y
-            xz += x * z
-            yy += y * y
-            yz += y * z
-            zz += z * z
-            if n >= refit:
-                refit = int(n * 1.5)
-                mx, my, mz = sx / n, sy / n, sz / n
-                a, b, c, _ = smallest_eigenvector(xx / n - mx * mx, xy / n - mx * my, xz / n - mx * mz,
-                                                  yy / n - my * my, yz / n - my * mz, zz / n - mz * mz)  # fmt: skip
-                if a * nx + b * ny + c * nz < 0:
-                    a, b, c = -a, -b, -c
-                if a * nx + b * ny + c * nz > 0.9:
-                    nx, ny, nz = a, b, c
-                    plane = nx * mx + ny * my + nz * mz
-            for way in range(4):
-                v = j + (1 if way == 0 else -1 if way == 1 else 0)
-                u = i + (1 if way == 2 else -1 if way == 3 else 0)
-                if v < 0 or v >= height or u < 0 or u >= width or not mask[v, u] or label[v, u] != -1:
-                    continue
-                x, y, z = points[v, u, 0] - bx, points[v, u, 1] - by, points[v, u, 2] - bz
-                if abs(nx * x + ny * y + nz * z - plane) > tolerance[v, u]:
-                    continue
-                if normal[v, u, 0] * nx + normal[v, u, 1] * ny + normal[v, u, 2] * nz < cosine:
-                    continue
-                if separation(points, j, i, v, u) > 4 * jump[v, u] * jump[v, u]:
-                    continue
-                label[v, u] = regions
-                stack[tail, 0], stack[tail, 1] = v, u
-                tail += 1
-        if n < smallest:
-            for k in range(n):
-                label[member[k, 0], member[k, 1]] = -2 if k == 0 else -1
-        else:
-            regions += 1
-    for j in range(height):
-        for i in range(width):
-            label[j, i] = max(label[j, i], -1)
-    return label, regions
 
 
 @njit(cache=True, nogil=True)
@@ -267,43 +81,6 @@ def fit_regions(points, label, regions, origin):
         offset[k] = a * centre[k, 0] + b * centre[k, 1] + c * centre[k, 2]
         residual[k] = np.sqrt(value)
     return normal, offset, count, centre, residual
-
-
-@njit(cache=True, nogil=True)
-def reassign(points, mask, label, normal, offset, tolerance, jump, rounds):
-    """Let pixels at borders change to, and free ones join, the neighbouring region of the nearest plane, in place."""
-    height, width = mask.shape
-    for _ in range(rounds):
-        changed = 0
-        for j in range(height):
-            for i in range(width):
-                if not mask[j, i]:
-                    continue
-                own = label[j, i]
-                best, choice = tolerance[j, i], -1
-                if own >= 0:
-                    choice = own
-                    best = 0.8 * abs(normal[own, 0] * points[j, i, 0] + normal[own, 1] * points[j, i, 1]
-                                     + normal[own, 2] * points[j, i, 2] - offset[own])  # fmt: skip
-                for way in range(4):
-                    v = j + (1 if way == 0 else -1 if way == 1 else 0)
-                    u = i + (1 if way == 2 else -1 if way == 3 else 0)
-                    if v < 0 or v >= height or u < 0 or u >= width:
-                        continue
-                    k = label[v, u]
-                    if k < 0 or k == own:
-                        continue
-                    if separation(points, j, i, v, u) > 4 * jump[v, u] * jump[v, u]:
-                        continue
-                    r = abs(normal[k, 0] * points[j, i, 0] + normal[k, 1] * points[j, i, 1]
-                            + normal[k, 2] * points[j, i, 2] - offset[k])  # fmt: skip
-                    if r < best:
-                        best, choice = r, k
-                if choice != own and choice >= 0:
-                    label[j, i] = choice
-                    changed += 1
-        if changed == 0:
-            break
 
 
 @njit(cache=True, nogil=True)

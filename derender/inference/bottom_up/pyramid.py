@@ -1,10 +1,11 @@
-"""Smaller images of the same scene: block medians of depth, with the camera that goes with them."""
+"""Smaller images of the same scene: the middle depth of each block, with the camera that goes with them."""
 
 import numpy as np
 
 from derender.kernel_cache import njit
 
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
+FAR_OFF = 2.0  # standard deviations
 
 
 def intrinsics(camera):
@@ -23,30 +24,64 @@ def reduced_camera(camera, factor, shape):
 
 
 @njit(cache=True, nogil=True)
-def block_median(depth, factor, enough):
-    """Return the median of each block's pixels with depth (> 0), 0 where fewer than `enough` have one.
+def block_middles(depth, factor, enough):
+    """Return the depth (H / factor, W / factor) at each block's middle, 0 where fewer than `enough` pixels have one.
 
-    The median takes a side at a jump in depth: the mean would invent points in the air. Of an even number the middle
-    two are averaged where they are near: taking one of them would tilt the floor.
+    It is that of the plane through the block's pixels on one side of a jump, the median's: the mean of all would be a
+    point in the air, and the median itself belongs to the middle of the pixels that have a depth, not of the block.
     """
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     out = np.zeros((height, width))
-    values = np.empty(factor * factor)
+    values, place = np.empty(factor * factor), np.empty((factor * factor, 2))
+    middle = 0.5 * (factor - 1)
     for j in range(height):
         for i in range(width):
             n = 0
-            for v in range(j * factor, (j + 1) * factor):
-                for u in range(i * factor, (i + 1) * factor):
-                    if depth[v, u] > 0:
-                        values[n] = depth[v, u]
+            for v in range(factor):
+                for u in range(factor):
+                    z = depth[j * factor + v, i * factor + u]
+                    if z > 0:
+                        values[n], place[n, 0], place[n, 1] = z, u - middle, v - middle
                         n += 1
             if n >= enough:
-                values[:n].sort()
-                if n % 2 == 1 or values[n // 2] - values[n // 2 - 1] > STEP * values[n // 2]:
-                    out[j, i] = values[n // 2]
-                else:
-                    out[j, i] = 0.5 * (values[n // 2] + values[n // 2 - 1])
+                median = np.sort(values[:n])[n // 2]
+                out[j, i] = plane_at_origin(values[:n], place[:n], median, STEP * median)
     return out
+
+
+@njit(cache=True, nogil=True)
+def plane_at_origin(values, place, about, within):
+    """Return the depth at (0, 0) of the plane through pixels at `place` (n, 2) whose depths (n,) are near `about`.
+
+    The inverse depth of a plane is affine in an image; it is fitted twice, the second time without what is far off.
+    """
+    low, high, limit = np.inf, 0.0, np.inf
+    a, b, c = 1.0 / about, 0.0, 0.0
+    for again in range(2):
+        n = su = sv = sw = uu = uv = vv = uw = vw = square = 0.0
+        for k in range(len(values)):
+            if abs(values[k] - about) > within:
+                continue
+            u, v, w = place[k, 0], place[k, 1], 1.0 / values[k]
+            off = w - a - b * u - c * v
+            if again == 1 and off * off > limit:
+                continue
+            n += 1.0
+            su, sv, sw = su + u, sv + v, sw + w
+            uu, uv, vv, uw, vw = uu + u * u, uv + u * v, vv + v * v, uw + u * w, vw + v * w
+            low, high = min(low, values[k]), max(high, values[k])
+        uu, uv, vv, uw, vw = uu - su * su / n, uv - su * sv / n, vv - sv * sv / n, uw - su * sw / n, vw - sv * sw / n
+        determinant = uu * vv - uv * uv
+        b, c = 0.0, 0.0
+        if determinant > 1e-3 * n * n:  # not all in a line
+            b, c = (vv * uw - uv * vw) / determinant, (uu * vw - uv * uw) / determinant
+        a = (sw - b * su - c * sv) / n
+        for k in range(len(values)):
+            if abs(values[k] - about) <= within:
+                off = 1.0 / values[k] - a - b * place[k, 0] - c * place[k, 1]
+                square += off * off
+        limit = FAR_OFF**2 * square / n
+    return min(max(1.0 / a, low), high) if a > 0.0 else about
 
 
 def reduce(depth, camera, widest):
@@ -57,5 +92,5 @@ def reduce(depth, camera, widest):
     factor = max(1, int(round(depth.shape[1] / widest)))
     filled = np.nan_to_num(np.ascontiguousarray(depth, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     if factor > 1:
-        filled = block_median(filled, factor, max(2, factor * factor // 5))
+        filled = block_middles(filled, factor, max(2, factor * factor // 5))
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor

@@ -115,34 +115,23 @@ def bounding_rectangle(row, projection, height, width):
 
 
 @njit(cache=True, nogil=True, inline="always")
+def between(o, d, half, near, far):
+    """Return the part of a ray's depths near..far in which its coordinate o + depth * d is within half; none: near >
+    far."""
+    if abs(d) < 1e-12:
+        return (near, far) if abs(o) <= half else (FAR, 0.0)
+    inverse = 1.0 / d
+    a, b = (-half - o) * inverse, (half - o) * inverse
+    return max(near, min(a, b)), min(far, max(a, b))
+
+
+@njit(cache=True, nogil=True, inline="always")
 def hit(kind, row, ox, oy, oz, dx, dy, dz):
     """Return the depth of a ray's first hit, or FAR. Origin (o) and direction (d) in the solid's axes."""
     if kind == BOX:
-        near, far = 1e-6, FAR
-        half = 0.5 * row[13]
-        if abs(dx) < 1e-12:
-            if abs(ox) > half:
-                return FAR
-        else:
-            inverse = 1.0 / dx
-            a, b = (-half - ox) * inverse, (half - ox) * inverse
-            near, far = max(near, min(a, b)), min(far, max(a, b))
-        half = 0.5 * row[14]
-        if abs(dy) < 1e-12:
-            if abs(oy) > half:
-                return FAR
-        else:
-            inverse = 1.0 / dy
-            a, b = (-half - oy) * inverse, (half - oy) * inverse
-            near, far = max(near, min(a, b)), min(far, max(a, b))
-        half = 0.5 * row[15]
-        if abs(dz) < 1e-12:
-            if abs(oz) > half:
-                return FAR
-        else:
-            inverse = 1.0 / dz
-            a, b = (-half - oz) * inverse, (half - oz) * inverse
-            near, far = max(near, min(a, b)), min(far, max(a, b))
+        near, far = between(ox, dx, 0.5 * row[13], 1e-6, FAR)
+        near, far = between(oy, dy, 0.5 * row[14], near, far)
+        near, far = between(oz, dz, 0.5 * row[15], near, far)
         return near if near <= far else FAR
     if kind == SPHERE:
         radius = 0.5 * row[13]
@@ -155,8 +144,7 @@ def hit(kind, row, ox, oy, oz, dx, dy, dz):
         t = (-b - np.sqrt(root)) / a
         return t if t > 0 else FAR
     # cylinder about z
-    radius, half = 0.5 * row[13], 0.5 * row[15]
-    near, far = 1e-6, FAR
+    radius, near, far = 0.5 * row[13], 1e-6, FAR
     a = dx * dx + dy * dy
     c = ox * ox + oy * oy - radius * radius
     if a < 1e-14:
@@ -169,13 +157,7 @@ def hit(kind, row, ox, oy, oz, dx, dy, dz):
             return FAR
         root = np.sqrt(root)
         near, far = max(near, (-b - root) / a), min(far, (-b + root) / a)
-    if abs(dz) < 1e-12:
-        if abs(oz) > half:
-            return FAR
-    else:
-        inverse = 1.0 / dz
-        a, b = (-half - oz) * inverse, (half - oz) * inverse
-        near, far = max(near, min(a, b)), min(far, max(a, b))
+    near, far = between(oz, dz, 0.5 * row[15], near, far)
     return near if near <= far else FAR
 
 

@@ -27,7 +27,7 @@ def snap(normal, level=0.16):
 
 def groups_of_faces(surface, orthogonal=0.2, touch=2):
     """Return the index tuples of one to three patches that can be faces of one box: touching, orthogonal, convex."""
-    count = len(surface.count)
+    count = len(surface.pixels)
     pairs = {
         (a, b)
         for a, b in combinations(range(count), 2)
@@ -96,15 +96,15 @@ def box_axes(surface, group, form):
         for k, (normal, kind) in zip(group, snapped, strict=True):
             if kind == "side":
                 angle = np.arctan2(normal[1], normal[0])
-                turn += surface.count[k] * np.exp(4j * angle)
-                weight += surface.count[k]
+                turn += surface.pixels[k] * np.exp(4j * angle)
+                weight += surface.pixels[k]
         if weight > 0:
             yaw = np.angle(turn) / 4
         else:
             yaw = smallest_rectangle(surface.points[group[0]][:, :2])
         c, s = np.cos(yaw), np.sin(yaw)
         return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), UPRIGHT
-    order = sorted(group, key=lambda k: -surface.count[k])
+    order = sorted(group, key=lambda k: -surface.pixels[k])
     first = surface.normal[order[0]]
     if len(order) == 1:
         u, v = tangent(first)

@@ -37,7 +37,7 @@ def cylinder_axes(surface, group, most=3):
     of the patches that are across it or along it.
     """
     normals = surface.normal[list(group)]
-    weight = surface.count[list(group)].astype(float)
+    weight = surface.pixels[list(group)].astype(float)
     candidates = [UP, *normals]
     candidates += [np.cross(a, b) for a, b in combinations(normals, 2) if abs(a @ b) < 0.98]
     found = []
@@ -113,7 +113,7 @@ def fit_circle(points):
 
 def clusters(surface, touch=2):
     """Return tuples of patches joined by convex edges: each with its neighbours, and the whole components."""
-    count = len(surface.count)
+    count = len(surface.pixels)
     joined = np.zeros((count, count), bool)
     for a in range(count):
         for b in range(count):

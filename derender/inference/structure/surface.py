@@ -31,7 +31,7 @@ class Surface(NamedTuple):
     points: list[np.ndarray]
     normal: np.ndarray
     offset: np.ndarray
-    count: np.ndarray  # type: ignore[assignment]
+    pixels: np.ndarray
     centre: np.ndarray
     touching: np.ndarray
     origin: np.ndarray
@@ -43,10 +43,10 @@ def make_surface(points, patches, origin, footprint, sigma):
     """Collect the points (H, W, 3) of each patch."""
     flat = patches.label.ravel()
     order = np.argsort(flat, kind="stable")
-    starts = np.searchsorted(flat[order], np.arange(len(patches.count) + 1))
+    starts = np.searchsorted(flat[order], np.arange(len(patches.pixels) + 1))
     coordinates = points.reshape(-1, 3)
-    lists = [coordinates[order[starts[k] : starts[k + 1]]] for k in range(len(patches.count))]
-    return Surface(lists, patches.normal, patches.offset, patches.count, patches.centre, patches.touching,
+    lists = [coordinates[order[starts[k] : starts[k + 1]]] for k in range(len(patches.pixels))]
+    return Surface(lists, patches.normal, patches.offset, patches.pixels, patches.centre, patches.touching,
                    origin, footprint, sigma)  # fmt: skip
 
 

@@ -173,7 +173,7 @@ def _draw_mixed(canvas, kinds, wall, window):
             mixed_pixels[m] = row * width + column
             part_ends[m], border_ends[m] = part, border
             m += 1
-    canvas.count[0] = m
+    canvas.filled[0] = m
 
 
 @njit(cache=True, nogil=True)

@@ -54,7 +54,7 @@ class Canvas(NamedTuple):
     inverse : (H, W) float64, inverse depth at pixel centres. code : (H, W) int64, what is seen there:
         (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, 1 where a pixel is divided.
     depth : (H, W) float64, the antialiased image in metres.
-    mixed_pixels : (H * W,) int32, row * W + column of the mixed ones. count : (1,) int64, how many there are.
+    mixed_pixels : (H * W,) int32, row * W + column of the mixed ones. filled : (1,) int64, how many there are.
     part_ends, border_ends : (H * W,) int64, where a mixed pixel's parts and borders end; the next one's start there.
     part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands
         for it. What sees nothing is left out.
@@ -75,7 +75,7 @@ class Canvas(NamedTuple):
     mixed: np.ndarray
     depth: np.ndarray
     mixed_pixels: np.ndarray
-    count: np.ndarray
+    filled: np.ndarray
     part_ends: np.ndarray
     border_ends: np.ndarray
     part_code: np.ndarray

@@ -15,15 +15,15 @@ class Records(NamedTuple):
 
     Attributes
     ----------
-    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `count[0]`
-        count.
-    count : (1,) int64.
+    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `filled[0]`
+        are filled.
+    filled : (1,) int64, how many are.
     """
 
     pixel: np.ndarray
     solid: np.ndarray
     form: np.ndarray
-    count: np.ndarray
+    filled: np.ndarray
 
 
 def new_records(camera, solids: int) -> Records:
@@ -40,7 +40,7 @@ def new_records(camera, solids: int) -> Records:
 @njit(cache=True, nogil=True)
 def gather(records, weights, totals):
     """Reverse mode: totals[solid] += sum of weights[pixel] * form. weights : (H * W,), totals : (N, MOTION) float64."""
-    for m in range(records.count[0]):
+    for m in range(records.filled[0]):
         weight = weights[records.pixel[m]]
         total, form = totals[records.solid[m]], records.form[m]
         for c in range(MOTION):
@@ -54,7 +54,7 @@ def spread(records, motions, moves, images):
     motions : (P, N, MOTION) float64, the motion of each solid per unit of each parameter; moves : (P, N) bool, where
     that is not zero.
     """
-    for m in range(records.count[0]):
+    for m in range(records.filled[0]):
         pixel, form = records.pixel[m], records.form[m]
         k = records.solid[m]
         for p in range(motions.shape[0]):

@@ -148,7 +148,7 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                 _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, planes, k, face, x, y, camera)
                 count += 1
     part, border = 0, 0
-    for m in range(canvas.count[0]):
+    for m in range(canvas.filled[0]):
         pixel, begin = canvas.mixed_pixels[m], count
         while part < canvas.part_ends[m]:
             k, face = part_code[part] >> FACE_BITS, part_code[part] & FACE_MASK
@@ -169,4 +169,4 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                             borders[border, 2], borders[border, 3], lines, kinds, prepared, planes, camera, background,
                             poses, sizes)  # fmt: skip
             border += 1
-    records.count[0] = count
+    records.filled[0] = count
