@@ -182,7 +182,7 @@ def test_a_box_seen_on_its_corner_has_three_orthogonal_patches(rng):
             break
     seen = observe(rng, scene["depth"], scene["camera"])
     patches = patches_of(seen)
-    large = patches.normal[patches.count > 60]
+    large = patches.normal[patches.pixels > 60]
     assert len(large) == 3
     # plane fits of over 60 pixels with 1 mm noise are good to about half a degree
     assert np.abs(large @ large.T - np.eye(3)).max() < np.sin(np.radians(3))
