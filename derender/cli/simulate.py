@@ -49,6 +49,9 @@ def command(
     folder, the most probable scene is simulated and shown in the table, and draws of the posterior for P(stable) and
     for each object's P(falls).
 
+    Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, unless the scene file says otherwise beside
+    `shape`: mass: 0.4 (kg), friction: 0.5, elasticity: 0.6 (share of the speed that a bounce gives back).
+
     \b
     Examples:
         derender simulate scene.yaml --animate fall.gif

@@ -177,7 +177,7 @@ def read_physical(node: Node) -> dict[str, float]:
     """Read mass, friction and elasticity where they are given."""
     if not isinstance(node, Section):
         return {}
-    return {key: node[key].number(unit, lower) for key, (unit, lower) in PHYSICAL.items() if key in node}
+    return {key: node[key].number(*limits) for key, limits in PHYSICAL.items() if key in node}
 
 
 def _read_contact(node: Node | None, parents: list[str], child: str, place: Section) -> ContactPrior:

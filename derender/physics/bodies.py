@@ -17,6 +17,7 @@ DENSITY = 500.0
 FRICTION = 0.8
 """Coulomb coefficient between two bodies: wood on wood and cardboard on wood lie at 0.4-0.8."""
 STANDARD_GRAVITY = 9.81
+MATERIAL = ("density", "mass", "friction", "elasticity", "fixed")
 
 
 class Body(NamedTuple):
@@ -32,6 +33,8 @@ class Body(NamedTuple):
     density : kg / m^3, used where `mass` is None.
     mass : kg, or None.
     friction : Coulomb coefficient; of two bodies that touch the greater counts (MuJoCo's rule).
+    elasticity : coefficient of restitution, 0 to 0.99: speed after a bounce over that before it; of two bodies that
+        meet the greater counts.
     fixed : whether it stays where it is. Planes always do.
     """
 
@@ -43,6 +46,7 @@ class Body(NamedTuple):
     density: float = DENSITY
     mass: float | None = None
     friction: float = FRICTION
+    elasticity: float = 0.0
     fixed: bool = False
 
 
@@ -64,7 +68,7 @@ class Matter(NamedTuple):
 def matter_of_graph(graph: "SceneGraph") -> Matter:
     """Return the bodies of a scene graph, in the camera's frame.
 
-    A vertex's options `mass`, `density`, `friction` and `fixed` are taken over.
+    A vertex's options `mass`, `density`, `friction`, `elasticity` and `fixed` are taken over.
     """
     solids = graph.solids()
     bodies = []
@@ -75,7 +79,7 @@ def matter_of_graph(graph: "SceneGraph") -> Matter:
         if kind == "mesh":
             points = solids.meshes[int(solids.mesh[index])][0]
             vertices = points * (solids.size[index] / np.ptp(points, axis=0))
-        given = {key: options[key] for key in ("density", "mass", "friction", "fixed") if key in options}
+        given = {key: options[key] for key in MATERIAL if key in options}
         bodies.append(Body(name, kind, np.array(solids.size[index]), np.array(solids.pose[index]), vertices, **given))
     names = {body.name for body in bodies}
     supports = [

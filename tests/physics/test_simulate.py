@@ -57,6 +57,25 @@ def test_the_verdict_is_the_same_in_any_frame_and_at_any_scale():
             assert verdict.stable is stable, (overhang, scale)
 
 
+@pytest.mark.parametrize("elasticity", [0.5, 0.7, 0.9])
+@pytest.mark.parametrize("who", ["ball", "floor"])
+def test_an_elastic_body_gives_back_its_share_of_the_speed(elasticity, who):
+    """From a height h a ball rebounds to e^2 h, whichever of the two is elastic."""
+    given = {who: {"elasticity": elasticity}}
+    floor = FLOOR._replace(**given.get("floor", {}))
+    ball = Body("ball", "sphere", np.full(3, 0.1), translation(0, 0, 0.55), **given.get("ball", {}))
+    height = simulate(matter(floor, ball), duration=1.0, frames_per_second=500).poses[:, 0, 2, 3] - 0.05
+    bounced = np.flatnonzero(height < 0.01)[0]
+    # a contact cannot pull, so that the bounce ends a little before the spring's half turn: up to 0.03 of the speed
+    assert np.sqrt(height[bounced:].max() / 0.5) == pytest.approx(elasticity, abs=0.03)
+
+
+def test_elastic_towers_stand_too():
+    tower = [cube(f"c{k}", 0, 0.05 + 0.1 * k, elasticity=0.7) for k in range(5)]
+    supports = [("c0", "floor"), *((f"c{k}", f"c{k - 1}") for k in range(1, 5))]
+    assert judge(simulate(matter(FLOOR, *tower, supports=supports))).stable
+
+
 def test_free_fall_is_parabolic():
     trajectory = simulate(matter(cube("a", 0, 1.0)), duration=0.3)
     fallen = trajectory.poses[0, 0, 2, 3] - trajectory.poses[:, 0, 2, 3]

@@ -16,8 +16,8 @@ from derender.model.shapes import shapes
 from derender.registry import suggest
 from derender.yaml_tree import Item, List, Node, Section
 
-# What an object may say besides its geometry, with the unit and the least value of each.
-PHYSICAL = {"mass": ("kg", 1e-9), "friction": ("", 0.0), "elasticity": ("", 0.0)}
+# What an object may say besides its geometry, with the unit and the range of each.
+PHYSICAL = {"mass": ("kg", 1e-9, None), "friction": ("", 0.0, None), "elasticity": ("", 0.0, 0.99)}
 
 
 def read_value(node: Node, unit: str = "") -> Value:
