@@ -13,12 +13,14 @@ from derender.inference.structure.search import greedy
 from derender.inference.structure.shaping import appear, shake, stretch, tilt
 from derender.inference.structure.state import held_out, run_polish
 from derender.inference.structure.supporting import lift, put_under, raise_support, stand
+from derender.inference.structure.surface import THINNEST
 from derender.inference.structure.touch import penetration
 from derender.model.solids import BOX, CYLINDER
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
 HIDDEN = 0.4  # metres between pieces of one cross-section that may be one: as wide as what hides the gap
 ALIGNED = 0.98  # cosine
+TOUCH = 0.004  # metres between boxes whose union may be cut in another way
 FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
@@ -137,6 +139,54 @@ def merge_pair(rng, image, state, settings, i, j, spread):
     return new, {i}
 
 
+def recut(rng, image, state, hypotheses, settings, places):
+    """Cut the union of two aligned boxes that touch in another way."""
+    near = [
+        (i, j) for i, j in aligned_pairs(state)
+        if int(state.rows[i][0]) == BOX and penetration(grown(state.rows[i], TOUCH), state.rows[j]) > 0
+    ]  # fmt: skip
+    if not near:
+        return None
+    i, j = near[int(rng.integers(len(near)))]
+    return recut_pair(rng, image, state, settings, i, j, 1.0 if rng.random() < 0.5 else rng.random())
+
+
+def recut_pair(rng, image, state, settings, i, j, share):
+    """Return (state, changed) with box j grown into box i, which is cut back, and both polished; None: nothing is left.
+
+    share : of i's extent across the faces where they touch. By a share below 1 the cut between them moves; of a whole
+        one j runs on through i to its far side, as an L is two boxes in two ways, and i keeps what is beside j.
+    """
+    row, other = state.rows[i].copy(), state.rows[j].copy()
+    half, turned = 0.5 * row[13:16], rotation_of(row)
+    low, high = extents_along(row, other)
+    axis = int(np.argmax(np.maximum(low - half, -half - high)))
+    sign = 1.0 if low[axis] + high[axis] > 0 else -1.0
+    into = 2.0 * share * half[axis]
+    begin, end = -half, half.copy()
+    if share < 1.0:
+        begin[axis], end[axis] = (begin[axis], end[axis] - into) if sign > 0 else (begin[axis] + into, end[axis])
+    else:
+        left = [(end[k] - high[k], k, True) for k in range(3) if k != axis]
+        left += [(low[k] - begin[k], k, False) for k in range(3) if k != axis]
+        _, k, above = max(left)
+        begin[k], end[k] = (high[k], end[k]) if above else (begin[k], low[k])
+    if (end - begin).min() < THINNEST:
+        return None
+    row[10:13] += turned @ (0.5 * (begin + end))
+    row[13:16] = end - begin
+    own = int(np.argmax(np.abs(rotation_of(other).T @ turned[:, axis])))
+    other[13 + own] += into
+    other[10:13] -= 0.5 * sign * into * turned[:, axis]
+    new = state.copy()
+    new.rows[i], new.rows[j], new.cubes[i], new.cubes[j] = row, other, False, False
+    for k in (i, j) if rng.random() < 0.5 else (j, i):
+        view = held_out(image, new, k)
+        row, form = new.rows[k], new.forms[k]
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+    return new, {i, j}
+
+
 def alignment(row, other):
     """Return how nearly the axes of two boxes agree up to their order, the least of the best cosines; for cylinders,
     the cosine between their own axes."""
@@ -151,8 +201,8 @@ def grown(row, by=0.008):
     return new
 
 
-MOVES = ((explain_anew, 0.26), (split, 0.14), (merge, 0.1), (put_under, 0.06), (raise_support, 0.06), (stand, 0.04),
-         (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
+MOVES = ((explain_anew, 0.2), (split, 0.14), (merge, 0.08), (recut, 0.08), (put_under, 0.06), (raise_support, 0.06),
+         (stand, 0.04), (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
 
 
 def propose(rng, image, state, hypotheses, settings, places):
