@@ -115,13 +115,12 @@ def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, likelih
         seen = label == k
         gain = np.nan
         if k >= 0:
-            pose = solids.pose[k:k + 1].copy()
-            pose[0, :3, 3] = away
+            pose = solids.pose.copy()
+            pose[k, :3, 3] = away
             if solids.kind[k] == PLANE:  # a plane is never behind the camera: move it out to the side, upright
-                pose[0, :3, :3], pose[0, :3, 3] = np.roll(np.eye(3), 1, axis=0), 0.0
-                pose[0, :3, 3] = 1e9 * pose[0, :3, 2]
-            gain = total - evaluator.propose([k], pose, solids.size[k:k + 1])
-            evaluator.reject()
+                pose[k, :3, :3] = np.roll(np.eye(3), 1, axis=0)
+                pose[k, :3, 3] = 1e9 * pose[k, :3, 2]
+            gain = total - evaluator.load(solids._replace(pose=pose))
         values_seen = residual[seen][np.isfinite(residual[seen])]
         shares.append(Share(name, int(seen.sum()), float(per_pixel[seen].sum()), float(gain),
                             float(np.median(values_seen)) if len(values_seen) else np.nan))

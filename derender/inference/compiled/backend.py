@@ -74,7 +74,7 @@ class CompiledBackend:
             self.evaluator.set_values({name: float(values[at]) for name, at in self.held.items()}, rescore=False)
             if self.evaluator.state is None:
                 self.evaluator.load(self._first)
-        load(self.model, self.chain, self.evaluator.state, np.ascontiguousarray(values, np.float64))
+        load(self.model, self.chain, self.evaluator.for_steps(), np.ascontiguousarray(values, np.float64))
         self._loaded = np.array(values)
 
     def evaluate(self, values):

@@ -10,7 +10,7 @@ import numpy as np
 
 ROTATION = 100  # code of the uniform distribution over rotations; smaller codes are those of model.distributions
 CONTACT, SHAPE, ROOT, LIKELIHOOD, HELD = range(5)  # tables that a value can go into; HELD: none, the caller sets it
-CODE, OFFSET, DIRECTION = range(3)  # rows of Model.unknowns
+CODE, OFFSET, DIRECTION, DENSITY_AT, DRAW_AT = range(5)  # rows of Model.unknowns
 PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
 PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID = range(6)  # rows of Model.vertices
@@ -28,7 +28,8 @@ class Model(NamedTuple):
 
     Attributes
     ----------
-    unknowns : (3, U + 1) int64: code of the prior, first value, first direction; the last column ends the latter two.
+    unknowns : (5, U + 1) int64: code of the prior, first value, first direction (the last column ends these two), and
+        the addresses of the prior's kernels (model.distributions.compiled).
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
     places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
     vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place

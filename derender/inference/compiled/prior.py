@@ -3,9 +3,10 @@
 import math
 
 from derender.inference import space
-from derender.inference.compiled.layout import CODE, DIRECTION, OFFSET, PERIOD, ROTATION
+from derender.inference.compiled.layout import CODE, DENSITY_AT, DIRECTION, DRAW_AT, OFFSET, PERIOD, ROTATION
 from derender.kernel_cache import njit
-from derender.model.distributions import compiled, uniform_rotation
+from derender.kernel_call import call_for_number
+from derender.model.distributions import uniform_rotation
 
 wrap = njit(cache=True, nogil=True)(space.wrap)
 turn = njit(cache=True, nogil=True)(space.turn)
@@ -23,7 +24,7 @@ def log_prior(unknowns, laws, values):
         if code == ROTATION:
             total += _rotation_density(values[start : start + 4], laws[i])
         else:
-            total += compiled.log_density(code, laws[i], values[start])
+            total += call_for_number(unknowns[DENSITY_AT, i], values[start], laws[i])
         if not total > -math.inf:
             return -math.inf
     return total
@@ -38,7 +39,7 @@ def resample(rng, unknowns, laws, members, values):
             w, x, y, z = _draw_rotation(rng, laws[i])
             values[start], values[start + 1], values[start + 2], values[start + 3] = w, x, y, z
         else:
-            values[start] = compiled.sample(rng, code, laws[i])
+            values[start] = call_for_number(unknowns[DRAW_AT, i], rng, laws[i])
 
 
 @njit(cache=True, nogil=True)

@@ -26,8 +26,10 @@ from derender.inference.kernels.drift import directions_of, factor_of
 from derender.inference.kernels.flip import flips_of
 from derender.inference.kernels.relocate import mixture_of
 from derender.inference.kernels.slide import marginal_factor
+from derender.kernel_call import address_of
 from derender.model.contacts import contacts
 from derender.model.contacts.compiled import FEATURE_CODES, FRAME
+from derender.model.distributions.compiled import compiled
 from derender.model.priors.root import FreeRoot, LookedAtRoot
 from derender.model.scene import SceneGraph
 from derender.model.shapes import shapes
@@ -46,17 +48,21 @@ def model_of(target) -> Model:
         terms = table_of(target.constraints, graph)
     except NotImplementedError as error:
         raise NotCompiled(f"the constraint {error}") from None
-    codes, laws = [], []
+    codes, laws, twins = [], [], list[tuple[int, int]]()
     for unknown in space.unknowns:
         law = unknown.distribution
         if law.size == 4:
             codes.append(ROTATION)
             laws.append((0.0,) * 7)
+            twins.append((0, 0))
         elif law.code is None:
             raise NotCompiled(f"the distribution of {unknown.address}")
         else:
             codes.append(law.code)
             laws.append((*law.row, unknown.period or 0.0, *target.folds.get(unknown.address, (0.0, 0.0))))
+            density, draw = compiled(law.type)
+            row = np.zeros(len(laws[-1]))
+            twins.append((address_of(density, 0.0, row), address_of(draw, np.random.default_rng(), row)))
     count = len(graph.vertices)
     names = {name: n for n, name in enumerate(graph.names)}
     solids = {name: n for n, name in enumerate(graph.solid_names)}
@@ -74,7 +80,7 @@ def model_of(target) -> Model:
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     return Model(
-        unknowns=np.stack([np.array([*codes, 0]), space.offsets, space.directions]).astype(np.int64),
+        unknowns=np.stack([[*codes, 0], space.offsets, space.directions, *zip(*twins, (0, 0), strict=True)]).astype(np.int64),
         laws=np.array(laws, float).reshape(-1, 7),
         places=np.ascontiguousarray(np.array(places, np.int64).T),
         vertices=vertices,

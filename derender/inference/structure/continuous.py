@@ -17,8 +17,8 @@ from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, directi
 from derender.inference.structure.image import ROW
 from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids
-from derender.vision.raycast.engine import propose_in, propose_state, settle_in, settle_state, with_addresses
-from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE, new_state
+from derender.vision.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
+from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
 
 FIRST, FACTOR, RANK = range(3)  # rows of Proposals.table
 LATTICE = 1e-3  # metres of the first steps
@@ -138,7 +138,7 @@ def engine_of(chart, sensor):
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
     likelihood, observed, wall = sensor.likelihood, sensor.observed, sensor.values["background"]
     row = likelihood.row(sensor.values, likelihood.counted_pixels(observed))
-    state = new_state(sensor.camera, observed, solids, likelihood.code, row, sensor.values["blur"])
+    state = new_engine(sensor.camera, observed, solids, likelihood.code, row, sensor.values["blur"])
     if likelihood.code == GAUSSIAN:
         score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
     else:
@@ -146,7 +146,7 @@ def engine_of(chart, sensor):
     state.images[DEPTH:DEPTH + 2] = wall
     state.images[SCORE:SCORE + 2, :, PAD:PAD + observed.shape[1]] = score
     state.total[:] = state.images[SCORE].astype(float).sum()
-    return with_addresses(state)
+    return for_steps(state)
 
 
 def touched_by(chart, members, size):

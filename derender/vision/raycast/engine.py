@@ -21,15 +21,20 @@ import numpy as np
 from derender.kernel_cache import njit
 from derender.kernel_call import address_of, call_for_nothing, call_for_number
 from derender.model.solids import MESH
-from derender.vision.raycast.convex import prepare_solid
+from derender.vision.raycast.convex import PREPARED, prepare_solid
+from derender.vision.raycast.filter import blur_for
 from derender.vision.raycast.lanes import LANES
 from derender.vision.raycast.mesh import draw_mesh
 from derender.vision.raycast.region import draw_region, score_region
+from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (
     ACCEPTED,
+    BLUR,
+    BOUND,
     CANDIDATE,
     CURRENT,
     DEPTH,
+    DRAW,
     GAUSSIAN,
     HEIGHT,
     LIKELIHOOD,
@@ -39,6 +44,9 @@ from derender.vision.raycast.state import (
     PAD,
     PENDING,
     PROPOSE,
+    RADIUS,
+    RASTERISE,
+    RATE,
     REGIONS,
     SCORE,
     SETTLE,
@@ -46,6 +54,7 @@ from derender.vision.raycast.state import (
     STALE,
     TEMPER,
     WIDTH,
+    new_state,
 )
 
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
@@ -71,16 +80,17 @@ def log_likelihood_of(state, total):
 def _prepare(state, half, k):
     """Find the bounds and the rectangle of solid k; draw it if it is a mesh."""
     settings, parameters, rectangle = state.settings, state.parameters, state.rectangle[half, k]
-    prepare_solid(state.kind[0, k], state.pose[half, k], state.size[half, k], parameters, settings[WIDTH],
-                  settings[HEIGHT], state.prepared[half, k], rectangle)
+    call_for_nothing(settings[BOUND], state.kind[0, k], state.pose[half, k], state.size[half, k], parameters,
+                     settings[WIDTH], settings[HEIGHT], state.prepared[half, k], rectangle)
     if state.kind[0, k] == MESH and rectangle[0] < rectangle[1]:
         image = state.images[MESHES + 2 * state.kind[2, k] + half]
         for row in range(rectangle[2], rectangle[3]):
             for column in range(rectangle[0], rectangle[1]):
                 image[row, column] = 0.0
         mesh = state.kind[1, k]
-        draw_mesh(image, state.vertices, state.triangles, state.starts[mesh], state.starts[mesh + 1],
-                  state.size[half, k], state.extents[mesh], state.pose[half, k], parameters, rectangle, state.points)
+        call_for_nothing(settings[RASTERISE], image, state.vertices, state.triangles, state.starts[mesh],
+                         state.starts[mesh + 1], state.size[half, k], state.extents[mesh], state.pose[half, k],
+                         parameters, rectangle, state.points)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -121,7 +131,8 @@ def load_state(state, poses, sizes):
         _prepare(state, CURRENT, k)
     settings[PENDING], settings[REGIONS] = 0, 0
     _whole(settings, region)
-    draw_region(settings, state.parameters, state.images, state.kind, state.prepared, state.rectangle, CURRENT, region)
+    call_for_nothing(settings[DRAW], settings, state.parameters, state.images, state.kind, state.prepared,
+                     state.rectangle, CURRENT, region)
     return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
 
 
@@ -215,7 +226,8 @@ def propose_state(state, count, indices, poses, sizes):
         _add_region(settings, regions, rectangle[CANDIDATE, k])
     change = 0.0
     for n in range(settings[REGIONS]):
-        draw_region(settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE, regions[DRAWN, n])
+        call_for_nothing(settings[DRAW], settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE,
+                         regions[DRAWN, n])
     for n in range(settings[REGIONS]):
         new, old = score_region(settings, state.parameters, state.taps, images, state.strip, CANDIDATE,
                                 regions[SCORED, n])
@@ -262,11 +274,33 @@ def reject_state(state):
     settle_state(state, CURRENT)
 
 
-def with_addresses(state):
-    """Return a state whose kernels other kernels may call by `propose_in` and `settle_in`, in this process."""
-    index = np.int64(0)
-    state.settings[PROPOSE] = address_of(propose_state, state, index, state.lists[0], state.pose[0], state.size[0])
-    state.settings[SETTLE] = address_of(settle_state, state, index)
+def new_engine(camera, observed, solids, kind, parameters, blur):
+    """Return the state of one chain, see `state.new_state`, with the addresses of what its kernels call.
+
+    So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
+    """
+    state = new_state(camera, observed, solids, kind, parameters, blur)
+    settings, images, numbers = state.settings, state.images, state.parameters
+    pose, size, prepared, rectangle, index = np.eye(4), np.ones(3), np.zeros(PREPARED), state.regions[0, 0], CURRENT
+    settings[BOUND] = address_of(prepare_solid, index, pose, size, numbers, index, index, prepared, rectangle)
+    settings[DRAW] = address_of(draw_region, settings, numbers, images, state.kind, state.prepared, state.rectangle,
+                                index, rectangle)
+    settings[BLUR] = address_of(blur_for(int(settings[RADIUS])), images[0], images[0], state.strip, state.taps,
+                                *5 * [index])
+    settings[RATE] = address_of(score_gaussian if kind == GAUSSIAN else score_robust, numbers, images, *6 * [index])
+    if MESH in state.kind[0]:
+        starts = state.starts[0]
+        settings[RASTERISE] = address_of(draw_mesh, images[0], state.vertices, state.triangles, starts, starts, size,
+                                         state.extents[0], pose, numbers, rectangle, state.points)
+    return state
+
+
+def for_steps(state):
+    """Let other kernels call a state's by `propose_in` and `settle_in`, in this process; return it."""
+    if not state.settings[PROPOSE]:
+        index = np.int64(0)
+        state.settings[PROPOSE] = address_of(propose_state, state, index, state.lists[0], state.pose[0], state.size[0])
+        state.settings[SETTLE] = address_of(settle_state, state, index)
     return state
 
 
@@ -274,7 +308,7 @@ def with_addresses(state):
 def propose_in(state, count, indices, poses, sizes):
     """As `propose_state`, for kernels: the engine is not compiled into them."""
     if state.settings[PROPOSE] == 0:
-        raise ValueError("this state has no addresses: see with_addresses")
+        raise ValueError("this state has no addresses: see for_steps")
     return call_for_number(state.settings[PROPOSE], state, count, indices, poses, sizes)
 
 
@@ -282,5 +316,5 @@ def propose_in(state, count, indices, poses, sizes):
 def settle_in(state, source):
     """As `settle_state`, for kernels: the engine is not compiled into them."""
     if state.settings[SETTLE] == 0:
-        raise ValueError("this state has no addresses: see with_addresses")
+        raise ValueError("this state has no addresses: see for_steps")
     call_for_nothing(state.settings[SETTLE], state, source)

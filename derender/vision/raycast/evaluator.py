@@ -9,15 +9,15 @@ from derender.errors import DerenderError
 from derender.model.solids import Solids
 from derender.vision.likelihoods import likelihoods
 from derender.vision.raycast.engine import (
-    accept_state,
+    for_steps,
     load_state,
+    new_engine,
     propose_state,
-    reject_state,
     rescore_state,
-    with_addresses,
+    settle_state,
 )
 from derender.vision.raycast.score import pixel_log_densities
-from derender.vision.raycast.state import CURRENT, OBSERVED, PAD, SIGMA, EngineState, new_state
+from derender.vision.raycast.state import CANDIDATE, CURRENT, OBSERVED, PAD, SIGMA, EngineState
 
 
 class DepthEvaluator:
@@ -32,7 +32,7 @@ class DepthEvaluator:
 
     Attributes
     ----------
-    state : EngineState of the scene loaded last, for compiled code; None before.
+    state : EngineState of the scene loaded last; None before.
 
     Raises
     ------
@@ -73,8 +73,8 @@ class DepthEvaluator:
         state = self.state
         if state is None or not self._fits(state, solids):
             row = self.likelihood.row(self.values, self.likelihood.counted_pixels(self.observed))
-            state = new_state(self.camera, self.observed, solids, self.likelihood.code, row, self.values["blur"])
-            self.state = with_addresses(state)
+            state = new_engine(self.camera, self.observed, solids, self.likelihood.code, row, self.values["blur"])
+            self.state = state
             self._meshes = solids.meshes
         return load_state(state, np.ascontiguousarray(solids.pose, np.float64),
                           np.ascontiguousarray(solids.size, np.float64))
@@ -113,11 +113,11 @@ class DepthEvaluator:
 
     def accept(self) -> None:
         """Make the proposed scene the current one."""
-        accept_state(self._loaded())
+        settle_state(self._loaded(), CANDIDATE)
 
     def reject(self) -> None:
         """Forget the proposed scene."""
-        reject_state(self._loaded())
+        settle_state(self._loaded(), CURRENT)
 
     def per_pixel(self) -> np.ndarray:
         """Return the log density of each pixel under the current scene, (height, width) float64."""
@@ -129,6 +129,10 @@ class DepthEvaluator:
     def model_depth(self) -> np.ndarray:
         """Return the clean model image of the current scene, with the background wall: (height, width) float32."""
         return self._loaded().images[1, :, PAD:PAD + self.camera.width].copy()
+
+    def for_steps(self) -> EngineState:
+        """Return the state for compiled code that calls the engine's kernels."""
+        return for_steps(self._loaded())
 
     def _loaded(self) -> EngineState:
         if self.state is None:

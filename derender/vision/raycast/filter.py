@@ -1,8 +1,12 @@
 """Blur a region: down strips sixteen pixels wide, the rows around the present one held in registers.
 
 Each row of a strip is blurred along itself and pushed into a window; the window's weighted sum is the blurred pixel.
-There is one function for each usual radius, its taps unrolled, and a plain one for wide blurs; a state's radius always
-takes the same way, so full and incremental values agree.
+There is one kernel for each usual radius, its taps unrolled, and a plain one for wide blurs. All take
+
+    source, result : (>= height, P) float32; `source` holds replicated edges left and right, rows beyond the image are
+        replicated here.
+    strip : (>= height, LANES) float32, scratch. taps : (radius + 1,) float32.
+    left, right (a multiple of LANES apart), top, bottom : what to write of `result`. height : of the image.
 """
 
 from derender.kernel_cache import njit
@@ -25,7 +29,7 @@ def _make_blur(radius: int):
     """Compile the blur of one radius."""
 
     @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-    def blur_strips(source, result, taps, left, right, top, bottom, height):
+    def blur_strips(source, result, strip, taps, left, right, top, bottom, height):
         for column in range(left, right, LANES):
             first = max(top - radius, 0)
             latest = blur_along_row(source, first, column, taps, radius)
@@ -43,7 +47,14 @@ def _make_blur(radius: int):
     return blur_strips
 
 
-_blur_1, _blur_2, _blur_3, _blur_5, _blur_6 = (_make_blur(radius) for radius in (1, 2, 3, 5, 6))
+_UNROLLED = {radius: _make_blur(radius) for radius in (1, 2, 3, 5, 6)}
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _blur_nothing(source, result, strip, taps, left, right, top, bottom, height):
+    for row in range(top, bottom):
+        for column in range(left, right, LANES):
+            store(result, row, column, load(source, row, column))
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -64,27 +75,6 @@ def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
             store(result, row, column, value)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def blur_region(source, result, strip, taps, left, right, top, bottom, height):
-    """Write the blur of image `source` into `result`, columns left:right (a multiple of LANES), rows top:bottom.
-
-    source, result : (>= height, P) float32; `source` holds replicated edges left and right, rows beyond the image are
-    replicated here. strip : (>= height, LANES) float32, scratch. taps : (radius + 1,) float32.
-    """
-    radius = taps.shape[0] - 1
-    if radius == 3:
-        _blur_3(source, result, taps, left, right, top, bottom, height)
-    elif radius == 0:
-        for row in range(top, bottom):
-            for column in range(left, right, LANES):
-                store(result, row, column, load(source, row, column))
-    elif radius == 1:
-        _blur_1(source, result, taps, left, right, top, bottom, height)
-    elif radius == 2:
-        _blur_2(source, result, taps, left, right, top, bottom, height)
-    elif radius == 5:
-        _blur_5(source, result, taps, left, right, top, bottom, height)
-    elif radius == 6:
-        _blur_6(source, result, taps, left, right, top, bottom, height)
-    else:
-        _blur_wide(source, result, strip, taps, left, right, top, bottom, height)
+def blur_for(radius: int):
+    """Return the kernel for a blur that reaches so many pixels."""
+    return _UNROLLED.get(radius, _blur_wide) if radius else _blur_nothing

@@ -3,19 +3,18 @@
 import numpy as np
 
 from derender.kernel_cache import njit
+from derender.kernel_call import call_for_nothing, call_for_two_numbers
 from derender.model.solids import MESH
-from derender.vision.raycast.filter import blur_region
 from derender.vision.raycast.lanes import LANES
 from derender.vision.raycast.rows import fill, invert, raise_solid, raise_to_image
-from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (
     BACKGROUND,
+    BLUR,
     DEPTH,
-    GAUSSIAN,
     HEIGHT,
-    LIKELIHOOD,
     MESHES,
     PAD,
+    RATE,
     SCORE,
     WIDTH,
 )
@@ -51,7 +50,6 @@ def score_region(settings, parameters, taps, images, strip, half, region):
     """
     height = settings[HEIGHT]
     left, right, top, bottom = region[0] + PAD, region[1] + PAD, region[2], region[3]
-    blur_region(images[DEPTH + half], images[SCORE + half], strip, taps, left, right, top, bottom, height)
-    if settings[LIKELIHOOD] == GAUSSIAN:
-        return score_gaussian(images, half, left, right, top, bottom)
-    return score_robust(parameters, images, half, left, right, top, bottom, height)
+    call_for_nothing(settings[BLUR], images[DEPTH + half], images[SCORE + half], strip, taps, left, right, top, bottom,
+                     height)
+    return call_for_two_numbers(settings[RATE], parameters, images, half, left, right, top, bottom, height)

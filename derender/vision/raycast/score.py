@@ -45,7 +45,7 @@ NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients:
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def score_gaussian(images, half, left, right, top, bottom):
+def score_gaussian(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into squared residuals.
 
     Returns their sum and that of the current half's scores in the region.

@@ -18,7 +18,8 @@ from derender.vision.raycast.lanes import LANES
 CURRENT, CANDIDATE = np.int64(0), np.int64(1)
 # entries of `settings` (int64): the image, then what the pending proposal is
 WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = range(9)
-PROPOSE, SETTLE = 9, 10  # of `settings`: the addresses of the engine's kernels, see engine.with_addresses
+# of `settings`: the addresses of kernels, see engine.py
+PROPOSE, SETTLE, BOUND, DRAW, BLUR, RATE, RASTERISE = range(9, 16)
 GAUSSIAN, ROBUST = range(2)  # values of settings[LIKELIHOOD]
 # entries of `parameters` (float64): camera, likelihood; those of ROBUST follow, see raycast/score.py
 FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
@@ -30,7 +31,7 @@ OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np
 class EngineState(NamedTuple):
     """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
 
-    settings : (16,) int64, see WIDTH ... SETTLE.
+    settings : (16,) int64, see WIDTH ... RASTERISE.
     parameters : (64,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a pixel's
         density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the gaussian
         likelihood `log_likelihood_of` is right at once, with the robust one after `rescore_state`.
@@ -79,7 +80,7 @@ def new_state(
     """Allocate the state of one chain for an image and for scenes with as many solids of the same kinds as `solids`.
 
     observed : (height, width) metres, NaN where nothing returned. kind : GAUSSIAN or ROBUST, with its `parameters`.
-    blur : sigma in pixels. Call `engine.load_state` before anything else.
+    blur : sigma in pixels. Kernels take what `engine.new_engine` makes of it.
     """
     height, width = camera.height, camera.width
     padded = PAD + -(-width // LANES) * LANES + 2 * LANES
