@@ -70,12 +70,16 @@ def draws_on_a_floor() -> None:
 
 
 def steps_of_chains() -> None:
-    """Compile the steps of a chain over a given scene. They call the engine by address: it is left to the command."""
+    """Compile the steps of a chain over a given scene, for their types alone: what they call is not asked for.
+
+    The engine and the contacts are left to the command, which needs them first; what it needs last comes last.
+    """
     import numpy as np
 
     from derender.document import read_prior_document
     from derender.inference.adaptation import first_tuning
-    from derender.inference.compiled.program import chain_of, kernels_of, model_of, places_seen
+    from derender.inference.compiled.program import Addresses, addresses_of, chain_of, kernels_of, model_of
+    from derender.inference.compiled.standing import stand_all
     from derender.inference.compiled.steps import sweep
     from derender.inference.kernels import mixture
     from derender.inference.scene import targets
@@ -90,14 +94,17 @@ def steps_of_chains() -> None:
     target, _ = targets(document, image, camera, 0)[0]
     values = target.space.sample(rng)
     parts = mixture(target.space, default_parts(target.space))
-    model = model_of(target)
+    model = model_of(target, lambda kernel, *arguments: 0)
     chain = chain_of(target, model, 1, False)
-    tuning = first_tuning(target.space, values)
-    kernels = kernels_of(target, parts, tuning, frozenset(), places_seen(target, parts, model, chain, tuning.places))
+    no_places = dict.fromkeys(range(len(parts)), np.empty(0))
+    kernels = kernels_of(target, parts, first_tuning(target.space, values), frozenset(), no_places, Addresses())
     engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
     kept, counts = np.empty((1, len(values) + 3)), np.zeros((len(parts), 2), np.int64)
     address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)
+    addresses_of([part for part in parts if not part.type.startswith("relocate")], model, chain)
+    address_of(stand_all, model, chain, kept, counts, np.empty((1, 1, 3)))
     render_depth(target.template.solids(), camera)  # for the report
+    addresses_of(parts, model, chain)
 
 
 PARTS = {"draws": draws_on_a_floor, "steps": steps_of_chains}

@@ -9,6 +9,7 @@ import numpy as np
 from derender.inference.compiled.evaluate import load
 from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels
 from derender.inference.compiled.program import (
+    addresses_of,
     chain_of,
     held,
     kernels_of,
@@ -46,6 +47,7 @@ class CompiledBackend:
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
         self._blank = chain_of(target, self.model, max(counts, default=1), cycle), evaluator
+        self._addresses = addresses_of(parts, self.model, self._blank[0])
         self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
         self._begin()
 
@@ -112,7 +114,7 @@ class CompiledBackend:
         if places is None:
             chain = Chain(*(array.copy() for array in self._blank[0]))
             places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
-        program = kernels_of(self.target, self.parts, tuning, self.taken_as_is, places)
+        program = kernels_of(self.target, self.parts, tuning, self.taken_as_is, places, self._addresses)
         self._programs.append((tuning, program, places))
         return program
 

@@ -10,6 +10,7 @@ from derender.inference.compiled.layout import (
     DIRTY,
     FOLD_CENTRE,
     FOLD_PERIOD,
+    INVERSE_AT,
     KEPT,
     KIND,
     NEXT,
@@ -26,7 +27,8 @@ from derender.inference.compiled.layout import (
 from derender.inference.compiled.poses import place, seen_from
 from derender.inference.compiled.prior import wrap
 from derender.kernel_cache import njit
-from derender.model.contacts.compiled import area_element, invert, outline
+from derender.kernel_call import call_for_two_numbers
+from derender.model.contacts.compiled import area_element, outline
 
 NEAR = 1e-7  # slack that rounding may leave
 
@@ -62,9 +64,9 @@ def touch_anew(vertices, extents, places, laws, values, numbers, pose, marks, pa
         on, by = vertices[PARENT_FACE, c], vertices[CHILD_FACE, c]
         size, child_size = numbers[NEXT, parent, SIZES:SHAPES], own[SIZES:SHAPES]
         marks[DIRTY if moves else KEPT, c] = 1
-        outside, angle = invert(
-            vertices[CONTACT_CODE, c], vertices[KIND, parent], size, vertices[KIND, c], child_size, on, by, scratch, phi
-        )
+        outside, angle = call_for_two_numbers(vertices[INVERSE_AT, c], vertices[CONTACT_CODE, c],
+                                              vertices[KIND, parent], size, vertices[KIND, c], child_size, on, by,
+                                              scratch, phi)  # fmt: skip
         left = max(abs(phi[3] - own[3]), abs(phi[4] - own[4]), abs(phi[5] - own[5]))
         if outside > 1e-9 or angle > NEAR or left > NEAR:
             return math.nan

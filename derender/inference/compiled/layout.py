@@ -13,8 +13,8 @@ CONTACT, SHAPE, ROOT, LIKELIHOOD, HELD = range(5)  # tables that a value can go 
 CODE, OFFSET, DIRECTION, DENSITY_AT, DRAW_AT = range(5)  # rows of Model.unknowns
 PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
-PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID = range(6)  # rows of Model.vertices
-KERNEL, FIRST, FACTOR_FIRST, KEEP = range(4)  # rows of Kernels.table
+PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID, POSE_AT, INVERSE_AT = range(8)  # rows of Model.vertices
+KERNEL, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT = range(6)  # rows of Kernels.table
 CUMULATIVE, SCALE, COUNT, REACH = range(4)  # columns of Kernels.numbers
 NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
 PRIOR, DENSITY, LOG = -3, -2, -1  # the last columns of Chain.values and Chain.row
@@ -32,9 +32,9 @@ class Model(NamedTuple):
         the addresses of the prior's kernels (model.distributions.compiled).
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
     places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
-    vertices : (6, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, and the place
-        among the solids or -1. The last column is the root's; its contact code says how its numbers give its pose
-        (poses.py).
+    vertices : (8, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, the place among
+        the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
+        root's; its contact code says how its numbers give its pose (poses.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
     terms : (T, 9) float64, the constraints, see terms.py; None where there are none.
     """
@@ -52,8 +52,9 @@ class Kernels(NamedTuple):
 
     Attributes
     ----------
-    table : (4, K + 1) int64: code, begin of its unknowns, begin of its factor (the last column ends these two), and the
-        vertex whose children it keeps where they are in the world, or -1.
+    table : (6, K + 1) int64: code, begin of its unknowns, begin of its factor (the last column ends these two), the
+        vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes and of
+        what keeps them.
     numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
     members : flat int64, unknowns; of relocate: theta, the two offsets, the vertex and the face below.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of relocate: then the centres, (K, 3).

@@ -9,11 +9,13 @@ from derender.inference.compiled.layout import (
     NEXT,
     PARENT,
     PARENT_FACE,
+    POSE_AT,
     SHAPES,
     SIZES,
 )
 from derender.kernel_cache import njit
-from derender.model.contacts.compiled import SIX_DOF, compose, relative_pose
+from derender.kernel_call import call_for_nothing
+from derender.model.contacts.compiled import SIX_DOF, compose
 
 FREE_ROOT, FIXED_ROOT, LOOKED_AT = SIX_DOF, 100, 101  # codes of the root
 
@@ -25,8 +27,8 @@ def place_root(vertices, numbers, pose):
     code, values, out = vertices[CONTACT_CODE, root], numbers[NEXT, root], pose[NEXT, root]
     if code == FREE_ROOT:  # the same as a free contact: x, y, z, qw, qx, qy, qz
         size = values[SIZES:SHAPES]
-        relative_pose(SIX_DOF, vertices[KIND, root], size, vertices[KIND, root], size,
-                      vertices[PARENT_FACE, root], vertices[CHILD_FACE, root], values, out)  # fmt: skip
+        call_for_nothing(vertices[POSE_AT, root], SIX_DOF, vertices[KIND, root], size, vertices[KIND, root], size,
+                         vertices[PARENT_FACE, root], vertices[CHILD_FACE, root], values, out)  # fmt: skip
     elif code == LOOKED_AT:  # Rz(roll) T(0, 0, distance) Rx(pi / 2 + elevation) Rz(azimuth)
         c, s = math.cos(math.pi / 2 + values[1]), math.sin(math.pi / 2 + values[1])
         cz, sz = math.cos(values[2]), math.sin(values[2])
@@ -58,7 +60,7 @@ def place(vertices, extents, numbers, pose, relative, n):
         for j in range(3):
             size += extents[n, j + 1, i] * own[SHAPES + j]
         own[SIZES + i] = size
-    relative_pose(vertices[CONTACT_CODE, n], vertices[KIND, parent], numbers[NEXT, parent, SIZES:SHAPES],
-                  vertices[KIND, n], own[SIZES:SHAPES], vertices[PARENT_FACE, n], vertices[CHILD_FACE, n], own,
-                  relative)  # fmt: skip
+    call_for_nothing(vertices[POSE_AT, n], vertices[CONTACT_CODE, n], vertices[KIND, parent],
+                     numbers[NEXT, parent, SIZES:SHAPES], vertices[KIND, n], own[SIZES:SHAPES],
+                     vertices[PARENT_FACE, n], vertices[CHILD_FACE, n], own, relative)  # fmt: skip
     compose(pose[NEXT, parent], relative, pose[NEXT, n])

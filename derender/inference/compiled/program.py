@@ -1,14 +1,18 @@
 """From a scene's target, a mixture and its tuning to the flat arrays of `layout.py`."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.inference.compiled import poses, steps
+from derender.inference.compiled.keep import touch_anew
 from derender.inference.compiled.layout import (
     CONTACT,
     HELD,
+    INVERSE_AT,
     LIKELIHOOD,
+    POSE_AT,
     ROOT,
     ROTATION,
     SCALE,
@@ -18,6 +22,7 @@ from derender.inference.compiled.layout import (
     Kernels,
     Model,
 )
+from derender.inference.compiled.relocate import relocate
 from derender.inference.compiled.standing import stand_all
 from derender.inference.compiled.terms import table_of
 from derender.inference.kernels import kernels
@@ -28,7 +33,7 @@ from derender.inference.kernels.relocate import mixture_of
 from derender.inference.kernels.slide import marginal_factor
 from derender.kernel_call import address_of
 from derender.model.contacts import contacts
-from derender.model.contacts.compiled import FEATURE_CODES, FRAME
+from derender.model.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.model.distributions.compiled import compiled
 from derender.model.priors.root import FreeRoot, LookedAtRoot
 from derender.model.scene import SceneGraph
@@ -41,8 +46,11 @@ class NotCompiled(Exception):
     """Something in the model has no compiled form: the readable kernels have to run."""
 
 
-def model_of(target) -> Model:
-    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form."""
+def model_of(target, address=address_of) -> Model:
+    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form.
+
+    address : compiles a kernel for some arguments and returns where it lies.
+    """
     graph, space = target.template, target.space
     try:
         terms = table_of(target.constraints, graph)
@@ -62,11 +70,11 @@ def model_of(target) -> Model:
             laws.append((*law.row, unknown.period or 0.0, *target.folds.get(unknown.address, (0.0, 0.0))))
             density, draw = compiled(law.type)
             row = np.zeros(len(laws[-1]))
-            twins.append((address_of(density, 0.0, row), address_of(draw, np.random.default_rng(), row)))
-    count = len(graph.vertices)
+            twins.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
+    count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
     names = {name: n for n, name in enumerate(graph.names)}
     solids = {name: n for n, name in enumerate(graph.solid_names)}
-    vertices = np.zeros((6, count + 1), np.int64)
+    vertices = np.zeros((8, count + 1), np.int64)
     extents = np.zeros((count, 4, 3))
     for n, vertex in enumerate(graph.vertices):
         contact = vertex.contact
@@ -74,13 +82,17 @@ def model_of(target) -> Model:
         if code is None:
             raise NotCompiled(f"the contact type {contact.type}")
         faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
-        vertices[:, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solids.get(vertex.name, -1)
+        solid = solids.get(vertex.name, -1)
+        vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
         extents[n] = extents_of(vertex)
-    vertices[:, count] = count, root_code(target), FRAME, -1, -1, -1
+    vertices[:6, count] = count, root_code(target), FRAME, -1, -1, -1
+    arguments = index, index, size, index, size, index, index
+    vertices[POSE_AT] = address(relative_pose, *arguments, np.zeros(SLOTS), frame)
+    vertices[INVERSE_AT] = address(invert, *arguments, frame, np.zeros(SLOTS))
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     return Model(
-        unknowns=np.stack([[*codes, 0], space.offsets, space.directions, *zip(*twins, (0, 0), strict=True)]).astype(np.int64),
+        unknowns=np.array([[*codes, 0], space.offsets, space.directions, *zip(*twins, (0, 0), strict=True)], np.int64),
         laws=np.array(laws, float).reshape(-1, 7),
         places=np.ascontiguousarray(np.array(places, np.int64).T),
         vertices=vertices,
@@ -156,7 +168,7 @@ def contact_slots(graph: SceneGraph, name: str) -> list[str]:
 
 
 def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[int],
-               places: Mapping[int, np.ndarray]) -> Kernels:  # fmt: skip
+               places: Mapping[int, np.ndarray], addresses: "Addresses") -> Kernels:  # fmt: skip
     """Return the mixture's arrays.
 
     readable : numbers of the kernels without a compiled form. places : see `places_seen`.
@@ -186,20 +198,46 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
         keep = names.index(part.block.objects[0]) if kind.keeps_children else -1
-        table.append((code, first, factor_first, keep))
+        proposes = addresses.relocate if kind.code == steps.RELOCATE else addresses.propose
+        table.append((code, first, factor_first, keep, proposes, addresses.keep))
         numbers.append((weight, scale, count, reach))
         members += moved
         factors.append(np.ravel(factor))
         first += len(moved)
         factor_first += factor.size
     return Kernels(
-        table=np.ascontiguousarray(np.array([*table, (0, first, factor_first, -1)], np.int64).T),
+        table=np.ascontiguousarray(np.array([*table, (0, first, factor_first, -1, 0, 0)], np.int64).T),
         numbers=np.array(numbers, float),
         members=np.array(members, np.int64),
         factors=np.concatenate(factors),
-        spread=space.scales,
+        spread=np.array(space.scales),
         mean=np.array(tuning.mean, float),
     )
+
+
+class Addresses(NamedTuple):
+    """Where the kernels of steps lie in this process; 0: not asked for."""
+
+    propose: int = 0
+    relocate: int = 0
+    keep: int = 0
+
+
+def addresses_of(parts: list[Part], model: Model, chain: Chain) -> Addresses:
+    """Compile what a mixture's steps call and return where it lies."""
+    types = [kernels[part.type] for part in parts]
+    rng, index, flat, members = np.random.default_rng(), np.int64(0), np.zeros(1), np.zeros(1, np.int64)
+    relocate_at = keep_at = 0
+    if any(kind.code == steps.RELOCATE for kind in types):
+        relocate_at = address_of(relocate, rng, model.vertices, model.laws, chain.numbers, chain.pose, chain.relative,
+                                 chain.moved_pose, members, index, index, members, flat)  # fmt: skip
+    if any(kind.keeps_children for kind in types):
+        keep_at = address_of(touch_anew, model.vertices, model.extents, model.places, model.laws, chain.values,
+                             chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, members,
+                             chain.moved_pose)  # fmt: skip
+    propose_at = address_of(steps.propose, rng, model.unknowns, model.laws, chain.values, chain.tangents, members, flat,
+                            index, 0.0, flat, flat)  # fmt: skip
+    return Addresses(propose_at, relocate_at, keep_at)
 
 
 def objects_below(target, objects: Sequence[str]) -> np.ndarray:

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 
-from derender.inference.compiled.layout import CHILD_FACE, CONTACT_CODE, FOLD_PERIOD, KIND, NOW, SHAPES, SIZES
+from derender.inference.compiled.layout import CHILD_FACE, CONTACT_CODE, FOLD_PERIOD, KIND, NOW, POSE_AT, SHAPES, SIZES
 from derender.inference.compiled.prior import wrap
 from derender.inference.compiled.standing import UNBOUNDED, stand
 from derender.inference.kernels.place_mixture import DEGREES
 from derender.kernel_cache import njit
-from derender.model.contacts.compiled import compose, relative_pose
+from derender.kernel_call import call_for_nothing
+from derender.model.contacts.compiled import compose
 
 
 @njit(cache=True, nogil=True)
@@ -82,7 +83,8 @@ def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, fac
         stand(vertices, numbers, pose, relative, base, face, n, phi)
         for i in range(3):
             old[3 * c + i], phi[i] = phi[i], new[3 * c + i]
-        relative_pose(contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, phi, relative)
+        call_for_nothing(vertices[POSE_AT, n], contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, phi,
+                         relative)  # fmt: skip
         compose(pose[NOW, base], relative, there[c])
     log_ratio = math.log(mixture_density(places, size, periods, old))
     return log_ratio - math.log(mixture_density(places, size, periods, new))

@@ -3,11 +3,20 @@
 import numpy as np
 
 from derender.inference.compiled.evaluate import put_all
-from derender.inference.compiled.layout import CHILD_FACE, CONTACT_CODE, FOLD_PERIOD, KIND, NOW, SHAPES, SIZES
+from derender.inference.compiled.layout import (
+    CHILD_FACE,
+    CONTACT_CODE,
+    FOLD_PERIOD,
+    INVERSE_AT,
+    KIND,
+    NOW,
+    SHAPES,
+    SIZES,
+)
 from derender.inference.compiled.poses import seen_from
 from derender.inference.compiled.prior import wrap
 from derender.kernel_cache import njit
-from derender.model.contacts.compiled import invert
+from derender.kernel_call import call_for_two_numbers
 from derender.model.solids import PLANE
 from derender.vision.raycast.state import SIGMA
 
@@ -18,8 +27,9 @@ UNBOUNDED = np.int64(PLANE)  # the face below is taken for a plane: offsets on i
 def stand(vertices, numbers, pose, relative, base, face, n, phi):
     """Write the contact that vertex n would have on the plane of a face of vertex `base`: angle, x, y, slack."""
     seen_from(pose[NOW, base], pose[NOW, n], relative)
-    invert(vertices[CONTACT_CODE, n], UNBOUNDED, numbers[NOW, base, SIZES:SHAPES], vertices[KIND, n],
-           numbers[NOW, n, SIZES:SHAPES], face, vertices[CHILD_FACE, n], relative, phi)  # fmt: skip
+    size, child_size = numbers[NOW, base, SIZES:SHAPES], numbers[NOW, n, SIZES:SHAPES]
+    call_for_two_numbers(vertices[INVERSE_AT, n], vertices[CONTACT_CODE, n], UNBOUNDED, size, vertices[KIND, n],
+                         child_size, face, vertices[CHILD_FACE, n], relative, phi)  # fmt: skip
 
 
 @njit(cache=True, nogil=True)

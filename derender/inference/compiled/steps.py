@@ -7,7 +7,6 @@ function calls is compiled into it again.
 import math
 
 from derender.inference.compiled.evaluate import evaluate, settle
-from derender.inference.compiled.keep import touch_anew
 from derender.inference.compiled.layout import (
     COUNT,
     CUMULATIVE,
@@ -17,6 +16,7 @@ from derender.inference.compiled.layout import (
     FACTOR_FIRST,
     FIRST,
     KEEP,
+    KEEP_AT,
     KERNEL,
     LOG,
     NEXT,
@@ -24,6 +24,7 @@ from derender.inference.compiled.layout import (
     OFFSET,
     PERIOD,
     PRIOR,
+    PROPOSE_AT,
     REACH,
     SCALE,
     STEPS,
@@ -38,10 +39,10 @@ from derender.inference.compiled.prior import (
     shaped,
     wrap,
 )
-from derender.inference.compiled.relocate import relocate
 from derender.inference.kernels.independence import DEGREES
 from derender.inference.kernels.window import FINEST
 from derender.kernel_cache import njit
+from derender.kernel_call import call_for_number
 
 RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE = range(7)
 READABLE = -1  # a kernel without a compiled form: the caller takes its step
@@ -170,12 +171,15 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
             spacing = reach * math.exp(rng.random() * math.log(FINEST / reach))
         if code == RELOCATE:
             put, thetas = members[2 : 2 + len(members) // 2 - 1], members[1 + len(members) // 2 :]
-            correction = relocate(rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
-                                  chain.moved_pose, put, members[0], members[1], thetas, factor)  # fmt: skip
+            correction = call_for_number(
+                kernels.table[PROPOSE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
+                chain.moved_pose, put, members[0], members[1], thetas, factor
+            )  # fmt: skip
         else:
-            correction = propose(
-                rng, unknowns, laws, values, chain.tangents, members, factor, code, scale, kernels.spread, kernels.mean
-            )
+            correction = call_for_number(
+                kernels.table[PROPOSE_AT, k], rng, unknowns, laws, values, chain.tangents, members, factor, code, scale,
+                kernels.spread, kernels.mean
+            )  # fmt: skip
         if code == WINDOW:
             places = int(kernels.numbers[k, COUNT])
             present = int(rng.random() * places)
@@ -194,9 +198,9 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
                 move(unknowns, laws, members, values[NOW], chain.tangents[0], step, values[NEXT])
             jacobian = 0.0
             if keep >= 0 and not math.isnan(correction):
-                jacobian = touch_anew(
-                    model.vertices, model.extents, model.places, laws, values, chain.numbers, chain.pose, chain.marks,
-                    engine.parameters, chain.relative, keep, put, chain.moved_pose,
+                jacobian = call_for_number(
+                    kernels.table[KEEP_AT, k], model.vertices, model.extents, model.places, laws, values, chain.numbers,
+                    chain.pose, chain.marks, engine.parameters, chain.relative, keep, put, chain.moved_pose
                 )  # fmt: skip
             if math.isnan(correction + jacobian):
                 values[NEXT, PRIOR] = -math.inf

@@ -3,6 +3,7 @@
 import numpy as np
 
 from derender.kernel_cache import njit
+from derender.kernel_call import address_of, call_for_nothing
 from derender.model.solids import MESH, Solids
 from derender.vision.raycast.convex import PREPARED, inverse_depth, prepare_solid
 from derender.vision.raycast.mesh import draw_mesh
@@ -26,9 +27,10 @@ class FlatMeshes:
 
 
 @njit(cache=True, nogil=True)
-def draw(kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, camera, inverse, label):
+def draw(calls, kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, camera, inverse, label):
     """Write the greatest inverse depth (0: nothing hit) and the index of the solid hit (-1: none) of every pixel.
 
+    calls (2,) int64, the addresses of `prepare_solid` and, where there are meshes, of `draw_mesh`;
     kinds (N,) int64, poses (N, 4, 4), sizes (N, 3), mesh_index (N,) int64; the arrays of FlatMeshes;
     camera (4,) float64 fx, fy, cx, cy; inverse (H, W) float64 and label (H, W) int32 are written.
     """
@@ -38,15 +40,15 @@ def draw(kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, 
     prepared = np.zeros(PREPARED)
     rectangle = np.zeros(4, np.int64)
     for k in range(kinds.shape[0]):
-        prepare_solid(kinds[k], poses[k], sizes[k], camera, width, height, prepared, rectangle)
+        call_for_nothing(calls[0], kinds[k], poses[k], sizes[k], camera, width, height, prepared, rectangle)
         if rectangle[0] >= rectangle[1]:
             continue
         if kinds[k] == MESH:
             m = mesh_index[k]
             first, end = starts[m], starts[m + 1]
             buffer = np.zeros((rectangle[3], rectangle[1]))
-            draw_mesh(buffer, vertices, triangles, first, end, sizes[k], extents[m], poses[k], camera, rectangle,
-                      np.empty((end[0] - first[0], 3)))
+            call_for_nothing(calls[1], buffer, vertices, triangles, first, end, sizes[k], extents[m], poses[k], camera,
+                             rectangle, np.empty((end[0] - first[0], 3)))
             for row in range(rectangle[2], rectangle[3]):
                 for column in range(rectangle[0], rectangle[1]):
                     if buffer[row, column] > inverse[row, column]:
@@ -59,6 +61,24 @@ def draw(kinds, poses, sizes, mesh_index, vertices, triangles, starts, extents, 
                     if value > inverse[row, column]:
                         inverse[row, column] = value
                         label[row, column] = k
+
+
+def bound_address() -> int:
+    """Return the address of `prepare_solid`."""
+    pose, size, bounds, rectangle, index = np.eye(4), np.ones(3), np.zeros(PREPARED), np.zeros(4, np.int64), np.int64(0)
+    return address_of(prepare_solid, index, pose, size, bounds, index, index, bounds, rectangle)
+
+
+def rasterise_address(meshes, buffer: np.ndarray) -> int:
+    """Return the address of `draw_mesh` for an image of inverse depths; 0 where there is no mesh.
+
+    meshes : FlatMeshes, or what else has its arrays.
+    """
+    if len(meshes.starts) == 1:
+        return 0
+    pose, size, starts, points = np.eye(4), np.ones(3), meshes.starts[0], np.zeros((1, 3))
+    return address_of(draw_mesh, buffer, meshes.vertices, meshes.triangles, starts, starts, size, size, pose, size,
+                      starts, points)  # fmt: skip
 
 
 def camera_array(camera) -> np.ndarray:
@@ -95,6 +115,7 @@ def render_depth(solids: Solids, camera, antialias: int = 1, background: float =
     label = np.zeros((height, width), np.int32)
     meshes = FlatMeshes(solids.meshes)
     draw(
+        np.array([bound_address(), rasterise_address(meshes, inverse)]),
         np.ascontiguousarray(solids.kind, np.int64),
         np.ascontiguousarray(solids.pose, np.float64),
         np.ascontiguousarray(solids.size, np.float64),

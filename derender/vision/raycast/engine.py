@@ -21,10 +21,9 @@ import numpy as np
 from derender.kernel_cache import njit
 from derender.kernel_call import address_of, call_for_nothing, call_for_number
 from derender.model.solids import MESH
-from derender.vision.raycast.convex import PREPARED, prepare_solid
+from derender.vision.raycast.depth import bound_address, rasterise_address
 from derender.vision.raycast.filter import blur_for
 from derender.vision.raycast.lanes import LANES
-from derender.vision.raycast.mesh import draw_mesh
 from derender.vision.raycast.region import draw_region, score_region
 from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (
@@ -280,18 +279,14 @@ def new_engine(camera, observed, solids, kind, parameters, blur):
     So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
     """
     state = new_state(camera, observed, solids, kind, parameters, blur)
-    settings, images, numbers = state.settings, state.images, state.parameters
-    pose, size, prepared, rectangle, index = np.eye(4), np.ones(3), np.zeros(PREPARED), state.regions[0, 0], CURRENT
-    settings[BOUND] = address_of(prepare_solid, index, pose, size, numbers, index, index, prepared, rectangle)
-    settings[DRAW] = address_of(draw_region, settings, numbers, images, state.kind, state.prepared, state.rectangle,
-                                index, rectangle)
+    settings, images, index = state.settings, state.images, CURRENT
+    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(state, images[0])
+    settings[DRAW] = address_of(draw_region, settings, state.parameters, images, state.kind, state.prepared,
+                                state.rectangle, index, state.regions[0, 0])
     settings[BLUR] = address_of(blur_for(int(settings[RADIUS])), images[0], images[0], state.strip, state.taps,
                                 *5 * [index])
-    settings[RATE] = address_of(score_gaussian if kind == GAUSSIAN else score_robust, numbers, images, *6 * [index])
-    if MESH in state.kind[0]:
-        starts = state.starts[0]
-        settings[RASTERISE] = address_of(draw_mesh, images[0], state.vertices, state.triangles, starts, starts, size,
-                                         state.extents[0], pose, numbers, rectangle, state.points)
+    settings[RATE] = address_of(score_gaussian if kind == GAUSSIAN else score_robust, state.parameters, images,
+                                *6 * [index])
     return state
 
 
