@@ -14,7 +14,6 @@ import functools
 import gc
 import hashlib
 import os
-import pickle
 import re
 import sys
 import tempfile
@@ -29,6 +28,8 @@ except ImportError:  # Windows
 import numba
 from numba.core import caching, config, event
 from numba.core.runtime import rtsys
+
+from derender.kernel_entries import Entries, Library
 
 PACKAGE = Path(__file__).parent
 IMPORT = re.compile(rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+))",
@@ -92,7 +93,7 @@ class _KernelCache(caching.FunctionCache):
         implementation._filename_base = implementation.get_filename_base(
             f"{source.stem}.{function.__qualname__}", getattr(sys, "abiflags", ""))
         self._name, self._py_func, self._impl, self._cache_path = repr(function), function, implementation, str(folder)
-        self._cache_file = _Entries(folder, implementation.filename_base, source_stamp(source))
+        self._cache_file = Entries(folder, implementation.filename_base, source_stamp(source))
         self._turns: list[_Turn] = []
         self.enable()
 
@@ -101,6 +102,7 @@ class _KernelCache(caching.FunctionCache):
 
         Where there is none it is this process's turn to compile it: another one that is at it already is waited for.
         """
+        target_context.codegen()._library_class = Library
         rtsys.initialize(target_context)
         found = self._load_overload(sig, target_context)
         if found is None:
@@ -144,40 +146,6 @@ class _Turn:
             self.path.unlink(missing_ok=True)
             self.file.close()
             self.file = None
-
-
-class _Entries:
-    """The compiled versions of one function, a file each."""
-
-    def __init__(self, folder: Path, base: str, stamp: str) -> None:
-        self.folder, self.base, self.stamp = folder, base, stamp
-
-    def path(self, key) -> Path:
-        digest = hashlib.sha256(repr((numba.__version__, key)).encode()).hexdigest()
-        return self.folder / f"{self.base}.{self.stamp[:12]}-{digest[:20]}.nbc"
-
-    def load(self, key):
-        try:
-            return pickle.loads(self.path(key).read_bytes())
-        except OSError:
-            return None
-
-    def save(self, key, data) -> None:
-        """Write an entry and delete those of other sources; a full disk costs only the compilation next time."""
-        path = self.path(key)
-        temporary = path.with_name(f"{path.name}.tmp.{os.getpid()}")
-        try:
-            temporary.write_bytes(caching.dumps(data))
-            os.replace(temporary, path)
-            for other in [*self.folder.glob(f"{self.base}.*.nbc"), *self.folder.glob(f"{self.base}.nbi")]:
-                if not other.name.startswith(f"{self.base}.{self.stamp[:12]}-"):
-                    other.unlink(missing_ok=True)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-
-    def flush(self) -> None:
-        for entry in self.folder.glob(f"{self.base}.{self.stamp[:12]}-*.nbc"):
-            entry.unlink(missing_ok=True)
 
 
 @functools.cache

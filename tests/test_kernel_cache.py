@@ -34,7 +34,8 @@ def package(tmp_path):
     folder = tmp_path / "derender"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
-    shutil.copy(PACKAGE / "kernel_cache.py", folder)
+    for file in ("kernel_cache.py", "kernel_entries.py"):
+        shutil.copy(PACKAGE / file, folder)
     (folder / "answer.py").write_text("ANSWER = 41\n")
     (folder / "probe.py").write_text(PROBE)
     return folder
@@ -131,6 +132,15 @@ def inner"""))
     process.communicate(timeout=120)
     assert process.returncode == 9
     assert run(package)[0] == ["42", "False"]
+
+
+def test_what_was_loaded_can_be_compiled_into_another(package):
+    """The bitcode of an entry is parsed only then."""
+    (package / "probe.py").write_text(PROBE.replace("print(kernel(1)", """import os
+    print((inner if os.environ.get("INNER") else kernel)(1)"""))
+    assert run(package, INNER="1")[0] == ["42", "False"]
+    assert run(package)[0] == ["42", "False"]  # inner is loaded and linked into kernel, which is compiled
+    assert run(package)[0] == ["42", "True"]
 
 
 def test_stamps_follow_imports():
