@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import click
@@ -90,16 +89,6 @@ def test_help_imports_nothing_heavy():
 def test_importing_derender_imports_nothing_heavy():
     done = run("-c", "import sys, derender; print(*sys.modules)")
     assert not set(done.stdout.split()) & HEAVY
-
-
-def test_help_answers_in_under_300_milliseconds():
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        done = run("-m", "derender", "--help")
-        times.append(time.perf_counter() - start)
-        assert done.returncode == 0
-    assert min(times) < 0.3  # the best of five: others share the processors
 
 
 def commands():

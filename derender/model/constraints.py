@@ -80,22 +80,3 @@ def support_residual(graph: "SceneGraph", name: str, support: str) -> SupportRes
     tilts = [value for key, value in left.slack.items() if key.startswith("tilt")]
     tilt = math.hypot(*tilts) + left.angle
     return SupportResidual(contact.parent_face, contact.child_face, left.slack.get("gap", 0.0), tilt, left.outside)
-
-
-def support_residuals(graph: "SceneGraph") -> dict[tuple[str, str], SupportResidual]:
-    """Return the residual of every second support in the graph, by (vertex, support)."""
-    return {(v.name, other): support_residual(graph, v.name, other) for v in graph.vertices for other in v.supports}
-
-
-def constraint_residuals(graph: "SceneGraph") -> np.ndarray:
-    """Return by how many metres each of the graph's constraints is violated, (C,) float64; 0 where it holds."""
-    from derender.model.overlap import separation
-
-    if not graph.constraints:
-        return np.zeros(0)
-    solids, names = graph.solids(), graph.solid_names
-    residuals = []
-    for constraint in graph.constraints:
-        first, second = names.index(constraint.first), names.index(constraint.second)
-        residuals.append(max(0.0, constraint.margin - separation(solids, first, second)))
-    return np.array(residuals)

@@ -120,22 +120,6 @@ class SmoothLikelihood:
         return float(self.misfit.numbers[BACKGROUND])
 
 
-def motions_between(poses, sizes, poses_after, sizes_after, poses_before, sizes_before, step: float) -> np.ndarray:
-    """Return (N, 9) the motion per unit of a parameter from placements at plus and minus `step`.
-
-    Central differences of rigid motions: the error is of the order step^2 and, for angles and lengths of everyday
-    size with a step of 1e-6, below 1e-9.
-    """
-    motion = np.empty((len(poses), MOTION))
-    rate = (poses_after - poses_before) / (2.0 * step)
-    turn = rate[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
-    motion[:, 3], motion[:, 4], motion[:, 5] = turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]
-    motion[:, :3] = rate[:, :3, 3] - np.cross(motion[:, 3:6], poses[:, :3, 3])
-    motion[:, 6:] = (sizes_after - sizes_before) / (2.0 * step)
-    motion[np.abs(motion) < 1e-9] = 0.0
-    return motion
-
-
 def _arrays(solids: Solids):
     return (
         np.ascontiguousarray(solids.kind, np.int32),

@@ -485,22 +485,6 @@ def test_figure_3_and_1_count_their_freedom():
         assert read_prior_document(name).prior.sample(np.random.default_rng(0)).degrees_of_freedom() == count
 
 
-def test_densities_are_quick():
-    """For structure inference: well under 100 us for a few objects here; ten times that on a busy machine."""
-    import time
-
-    prior = replace(read_prior_document("grammar").prior, constraints=())
-    rng = np.random.default_rng(0)
-    graphs = [graph for graph in (prior.sample(rng) for _ in range(200)) if 3 <= len(graph.vertices) <= 6]
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        for graph in graphs:
-            prior.log_density(graph)
-        times.append((time.perf_counter() - start) / len(graphs))
-    assert min(times) < 1e-3
-
-
 def test_why_a_prior_rules_a_scene_out():
     prior = read_prior_document("tabletop").prior
     graph = prior.sample(np.random.default_rng(1))
