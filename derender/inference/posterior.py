@@ -148,14 +148,20 @@ class Posterior:
         return float(sum(part.weight for part in self.parts if holds(part.graph)))
 
     def graphs(self, rng: np.random.Generator, count: int) -> list[SceneGraph]:
-        """Return `count` scenes drawn from the posterior: structures by weight, draws uniformly within."""
+        """Return `count` scenes drawn from the posterior: structures by weight, draws uniformly within.
+
+        No draw comes a second time before all of its structure have come once: drawn with replacement they would say
+        less than they hold.
+        """
         weights = np.array([part.weight for part in self.parts])
         chosen = rng.choice(len(self.parts), size=count, p=weights / weights.sum())
-        scenes = []
+        order = [rng.permutation(part.log_density.size) for part in self.parts]
+        scenes, taken = [], [0] * len(self.parts)
         for number in chosen:
-            part = self.parts[number]
-            chains, draws = part.log_density.shape
-            scenes.append(part.graph_at(int(rng.integers(chains)), int(rng.integers(draws))))
+            place = order[number][taken[number] % len(order[number])]
+            taken[number] += 1
+            chain, draw = np.unravel_index(place, self.parts[number].log_density.shape)
+            scenes.append(self.parts[number].graph_at(int(chain), int(draw)))
         return scenes
 
     def graph_at(self, part: int, chain: int, draw: int) -> SceneGraph:

@@ -64,6 +64,14 @@ def test_probabilities_are_sums_of_weights():
     assert abs(counts - 120) < 4.5 * np.sqrt(400 * 0.21)  # binomial, one failure in 150,000
 
 
+def test_each_draw_is_taken_before_one_is_taken_again():
+    _, one = part()
+    count = one.log_density.size
+    graphs = Posterior((one,)).graphs(np.random.default_rng(0), 2 * count)
+    said = [tuple(graph.numbers()[name] for name in one.addresses) for graph in graphs]
+    assert len(set(said[:count])) == count and sorted(said[:count]) == sorted(said[count:])
+
+
 def test_best_is_the_highest():
     _, one = part()
     log_prior = np.zeros((2, 5))
