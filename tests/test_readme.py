@@ -136,6 +136,11 @@ def test_the_list_of_commands_is_fresh():
     assert updated(README) == README
 
 
+def test_the_files_named_are_there():
+    for name in re.findall(r"`((?:derender|data|scripts|tests)/[^`* ]*)", README):
+        assert (ROOT / name).exists(), name
+
+
 def test_the_pictures_are_there():
     for name in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
         assert (ROOT / name).is_file(), name
