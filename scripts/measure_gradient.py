@@ -4,37 +4,47 @@ A plane and four solids of one shape at 64 x 64, one of them moving in a random 
 one pixel. Errors are shares of the norm of what is compared with:
 * `own`: differences of the antialiased image itself, the smallest of four steps (where a curved outline gets one chord
   more, a step may show the change): is the derivative that of the image?
-* `rays`: differences of an image of 64 x 64 rays a pixel, extrapolated to no step;
-* `16`: central differences of an image of 16 x 16 rays with a step of a tenth of a pixel: mostly their own error, as
-  `16 itself` shows, the same differences against those of 64 x 64 rays;
+* `lines`: differences of an image that is integrated exactly along 64 lines a pixel (`exact_rows`), which shares
+  nothing with ours but the solids; `lines itself`: those of 32 lines against those of 64, what is known of them;
+* `16`, `32`, `64`: central differences of images of so many rays a pixel each way with a step of a tenth of a pixel.
+  They are mostly their own error, which falls as rays grow: an edge moves three of 16 rows of rays in such a step, and
+  a larger step rounds off what a pixel sees (`16 itself`: 16 x 16 rays against the lines);
 * `image`: the antialiased image's own error against 64 x 64 rays, as a share of that of one ray a pixel.
-Solids stand on the plane, so a motion into it differs from one away from it: differences with a step are biased by
-a term of first order in the step, which extrapolation takes away.
 """
 
 import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
 
-from derender.model.pose import rotation_x, rotation_z, translation, twist_exp
-from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
-from derender.vision.blur import blur
-from derender.vision.camera import Camera
-from derender.vision.gradient import antialiased_depth, derivative_image
-from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.records import MOTION
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from exact_rows import exact_derivative  # noqa: E402
+
+from derender.model.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
+from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids  # noqa: E402
+from derender.vision.blur import blur  # noqa: E402
+from derender.vision.camera import Camera  # noqa: E402
+from derender.vision.gradient import antialiased_depth, derivative_image  # noqa: E402
+from derender.vision.raycast.depth import render_depth  # noqa: E402
+from derender.vision.raycast.records import MOTION  # noqa: E402
 
 CAMERA = Camera.from_field_of_view(64, 64)
 BACKGROUND, BLUR = 10.0, 1.0
 SHAPES = {"boxes": BOX, "spheres": SPHERE, "cylinders": CYLINDER}
+LINES_STEP = 0.01  # pixels: edges nearly along the lines are then met by some line in spite of their number
 STEPS = (1e-5, 1e-4, 5e-4, 2e-3)  # pixels
 
 
 def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
-    """Return a plane and four solids, scattered or in a stack; the camera looks down, so no horizon is seen."""
+    """Return a plane and four solids, scattered or in a stack; the camera looks down, so no horizon is seen.
+
+    No two of them enter each other.
+    """
     rng = np.random.default_rng(seed)
     root = translation(0, 0.05, 0.9) @ rotation_x(np.pi / 2 + rng.uniform(0.7, 1.1))
-    poses, sizes = [root], [np.zeros(3)]
+    poses, sizes, places = [root], [np.zeros(3)], []
     for i in range(4):
         size = rng.uniform(0.06, 0.14, 3)
         size[1] = size[0] if kind != BOX else size[1]
@@ -42,6 +52,10 @@ def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
         on_top = stacked and i > 0
         base, lift = (poses[-1], sizes[-1][2] / 2) if on_top else (root, 0.0)
         x, y = rng.uniform(-0.3, 0.3, 2) * sizes[-1][:2] if on_top else rng.uniform(-0.2, 0.2, 2)
+        reach = np.linalg.norm(size[:2]) / 2 if kind == BOX else size[0] / 2
+        while not stacked and any(np.hypot(x - a, y - b) < reach + far for a, b, far in places):
+            x, y = rng.uniform(-0.2, 0.2, 2)
+        places.append((x, y, reach))
         poses.append(base @ translation(x, y, lift + size[2] / 2) @ rotation_z(rng.uniform(0, 7)))
         sizes.append(size)
     kinds = np.array([PLANE, *[kind] * 4], np.int32)
@@ -101,9 +115,20 @@ def errors(kind: int, seed: int, rays: bool, edges: bool = True) -> dict[str, fl
 
     found = {"own": min(share(exact, central(ours, step * pixel, 2)) for step in STEPS)}
     if rays:
-        fine = central(lambda step: cast(step, 64), 0.05 * pixel, 3)
-        coarse, same = (central(lambda step, n=n: cast(step, n), 0.1 * pixel) for n in (16, 64))
-        found |= {"rays": share(exact, fine), "16": share(exact, coarse), "16 itself": share(coarse, same)}
+
+        def lines(count):
+            def scene(step):
+                return moved(solids, k, motion, step)
+
+            return blur(exact_derivative(scene, CAMERA, BACKGROUND, LINES_STEP * pixel, count), BLUR)
+
+        fine = lines(64)
+        found |= {"lines": share(exact, fine), "lines itself": share(lines(32), fine)}
+        for count in (16, 32, 64):
+            coarse = central(lambda step, n=count: cast(step, n), 0.1 * pixel)
+            found[str(count)] = share(exact, coarse)
+            if count == 16:
+                found["16 itself"] = share(coarse, fine)
         found["image"] = share(ours(0), cast(0, 64)) / share(cast(0, 1), cast(0, 64))
     return found
 

@@ -14,7 +14,7 @@ from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 NEAR = 1e-3  # metres: the depth that pieces nearer than this are taken to have when their length is reckoned
-LINES = 256  # most lines of one solid
+LINES = 512  # most lines of one solid
 EDGE, DEPTH, NORMAL = 0, 3, 6  # a line's numbers: see `draw_outline`
 LINE = 9
 
@@ -87,7 +87,7 @@ def _arc(centre, across, upright, begin, extent, length, inner, camera, lines, c
     if extent < 1e-9:
         return count
     least = 4.0 + 40.0 * extent / (2.0 * math.pi)
-    pieces = 4 * int(math.ceil(0.25 * min(max(2.0 * length, least), float(LINES // 3 - 8))))
+    pieces = 4 * int(math.ceil(0.25 * min(max(4.0 * length, least), float(LINES // 3 - 8))))
     start, end = np.zeros(3), np.zeros(3)
     # the chord's ends lie on the circle; the arc's middle is beyond the chord's by 1 - cos of half its angle
     beyond = 2.0 / 3.0 * (1.0 - math.cos(0.5 * extent / pieces))
