@@ -14,12 +14,13 @@ from derender.errors import DerenderError
 @click.argument("name", required=False)
 @options.as_json
 def command(name: str | None, as_json: bool) -> None:
-    """List the registered shapes, contacts, distributions, likelihoods, structures and constraints, or explain one.
+    """List the shapes, contacts, distributions, likelihoods, structures, constraints and kernels, or explain one.
 
     \b
     Examples:
         derender types
         derender types face-to-face
+        derender types kernels
         derender types --json | python -m json.tool
     """
     entries = list(_entries())
@@ -42,6 +43,7 @@ def command(name: str | None, as_json: bool) -> None:
 
 def _entries():
     """Yield each registered type: kind, name, what it is, its parameters."""
+    from derender.inference.kernels import kernels
     from derender.model.contacts import contacts
     from derender.model.distributions import distributions
     from derender.model.priors.open_structure import structures
@@ -62,6 +64,9 @@ def _entries():
     for kind, registry in (("structure", structures), ("constraint", term_types)):
         for name in registry:
             yield _entry(kind, name, registry[name], [])
+    for name in kernels:
+        numbers = [{"name": key, "default": value} for key, value in kernels[name].options.items()]
+        yield _entry("kernel", name, kernels[name], [{"name": "weight", "default": 1.0}, *numbers])
 
 
 def _entry(kind: str, name: str, entry: Any, parameters: Any) -> dict[str, Any]:
@@ -116,4 +121,6 @@ def _parameter_line(parameter: dict[str, Any]) -> str:
             parts.append(f"period {parameter['period']:g}")
         if parameter["slack"]:
             parts.append("slack")
+    elif "default" in parameter:
+        parts.append(f"default {parameter['default']:g}")
     return "  ".join(parts).rstrip()

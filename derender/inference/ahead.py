@@ -93,7 +93,7 @@ def steps_of_chains() -> None:
     image = np.full(camera.shape, 0.9)
     target, _ = targets(document, image, camera, 0)[0]
     values = target.space.sample(rng)
-    parts = mixture(target.space, default_parts(target.space))
+    parts = mixture(target.space, default_parts())
     model = model_of(target, lambda kernel, *arguments: 0)
     chain = chain_of(target, model, 1, False)
     no_places = dict.fromkeys(range(len(parts)), np.empty(0))

@@ -142,7 +142,7 @@ def infer_scene(
     for number, ((target, _), weight) in enumerate(zip(found, weights, strict=True)):
         if weight < LEAST_WEIGHT or interrupted:
             continue
-        entries = settings.kernels if settings.kernels is not None else default_parts(target.space)
+        entries = settings.kernels if settings.kernels is not None else default_parts()
         mixed = mixture(target.space, entries, settings.where)
         if method == "smc":
             parts.append(_particles(target, mixed, settings, seed, number, weight, tell))
@@ -273,7 +273,7 @@ def _structure_weights(found, settings: Settings, seed: int, tell) -> list[float
     for number, (target, log_prior) in enumerate(found):
         tell(number / len(found), "weighing structures")
         rng = np.random.default_rng([seed, 2, number])
-        entries = settings.kernels if settings.kernels is not None else default_parts(target.space)
+        entries = settings.kernels if settings.kernels is not None else default_parts()
         mixed = mixture(target.space, entries, settings.where)
         population = tempered(rng, target.space, target.backend(mixed), mixed, 50, 60, settings.particles)
         logs.append(log_prior + population.log_evidence)

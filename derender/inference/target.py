@@ -364,7 +364,7 @@ def _can_relocate(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
     return placed and level and (not graph.descendants(name) or _can_slide(graph, block, unknown))
 
 
-def default_parts(space: Space) -> list[dict[str, Mapping[str, Any]]]:
+def default_parts() -> list[dict[str, Mapping[str, Any]]]:
     """Return the default mixture as data, as a prior file would write it.
 
     Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from derender.cli import main
 from derender.document import built_in_priors, read_document
+from derender.inference.kernels import kernels
 from derender.model.distributions import distributions
 from derender.model.shapes import shapes
 from derender.report.scene_json import scene_json
@@ -129,11 +131,13 @@ def test_a_posterior_adds_its_probabilities():
 def test_types_lists_and_explains_what_is_registered(capfd):
     assert run("types") == 0
     listing = capfd.readouterr().out
-    for name in [*shapes, *distributions, "face-to-face", "gaussian", "grammar", "no-overlap"]:
+    for name in [*shapes, *distributions, "face-to-face", "gaussian", "grammar", "no-overlap", *kernels]:
         assert name in listing
     assert run("types", "face-to-face") == 0
     text = capfd.readouterr().out
     assert "theta" in text and "slack" in text and "period" in text
+    assert run("types", "slide-window") == 0
+    assert re.search(r"^  reach +default 0.5$", capfd.readouterr().out, re.MULTILINE)
     assert run("types", "--json") == 0
     assert {entry["kind"] for entry in json.loads(capfd.readouterr().out)} >= {"shape", "contact", "distribution"}
 

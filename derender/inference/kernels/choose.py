@@ -33,7 +33,7 @@ def choices_of(space, block) -> list[int]:
 
 @kernels.register("choose")
 class ChooseType(KernelType):
-    """Take another value of a discrete unknown: another face of the parent or of the child."""
+    """Take another value of a discrete unknown of a target in Python; a scene's open faces are structures instead."""
 
     def applies(self, space, block):
         return bool(choices_of(space, block))

@@ -20,6 +20,7 @@ from derender.vision.likelihoods.base import (
     with_wall,
 )
 
+RATE = (1e-30, 1.0 - 1e-12)  # of a share: its logarithm and that of the rest are finite; {uniform: [0, 1]} fits in
 DEGREE = 7  # of the polynomial in depth for the log normaliser of a tempered pixel
 
 
@@ -44,11 +45,11 @@ class Robust(Likelihood):
     parameters = (
         SIGMA, BLUR, BACKGROUND, EFFECTIVE_PIXELS,
         Parameter("sigma_growth", "1/m", 0.0, 1.0, 0.0),
-        Parameter("outlier", "", 1e-9, 1.0 - 1e-9, 0.02),
+        Parameter("outlier", "", *RATE, 0.02),
         Parameter("near", "m", 0.0, 1000.0, 0.1),
         Parameter("far", "m", 0.0, 1000.0, 10.0),
-        Parameter("missing", "", 1e-9, 1.0 - 1e-9, 0.02),
-        Parameter("missing_edge", "", 1e-9, 1.0 - 1e-9, 0.3),
+        Parameter("missing", "", *RATE, 0.02),
+        Parameter("missing_edge", "", *RATE, 0.3),
         Parameter("edge_step", "m", 1e-4, 100.0, 0.02),
     )
     code = 1
