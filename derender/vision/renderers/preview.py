@@ -54,7 +54,7 @@ def draw_preview(
         up = planes[0, :3, 2] * (-1 if planes[0, :3, 2] @ planes[0, :3, 3] > 0 else 1)
         sun = 1.1 * up + 0.55 * _unit(np.cross(up, [0.0, 0.0, 1.0])) - [0, 0, 0.35]
         sun /= np.linalg.norm(sun)
-    light = np.clip(normals @ sun, 0, None) * _lit(render_depth, solids, points, label, sun)
+    light = np.clip(normals @ sun, 0, None) * _lit(render_depth, solids, points, normals, label, sun)
     sky = 0.5 + 0.5 * np.clip(-normals @ np.array([0.0, 0.5, 0.87]), -1, 1)
     shade = 0.18 + 0.37 * sky + 0.55 * light
     picture = np.full((*label.shape, 3), 255.0)
@@ -111,7 +111,7 @@ def _normals(points: np.ndarray, label: np.ndarray) -> np.ndarray:
     return normals
 
 
-def _lit(render_depth, solids: Solids, points: np.ndarray, label: np.ndarray, sun: np.ndarray) -> np.ndarray:
+def _lit(render_depth, solids: Solids, points, normals, label: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """Return (height, width) in [0, 1]: the share of sunlight that reaches each point."""
     things = np.flatnonzero(solids.kind != PLANE)
     if not len(things):
@@ -132,7 +132,9 @@ def _lit(render_depth, solids: Solids, points: np.ndarray, label: np.ndarray, su
         kind=solids.kind[things], pose=to_sun @ solids.pose[things], size=solids.size[things], mesh=solids.mesh[things]
     )
     shadow, _ = render_depth(casting, eye, background=np.inf)
-    seen = np.nan_to_num(points, nan=0.0, posinf=0.0) @ rotation.T + to_sun[:3, 3]
+    pixel_size = 2.6 * radius / SUN_PIXELS
+    above = points + 3 * pixel_size * normals  # a face along the sunlight would else cast shadow on itself in stripes
+    seen = np.nan_to_num(above, nan=0.0, posinf=0.0) @ rotation.T + to_sun[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         image = eye.project(seen)
     lit = np.zeros(label.shape)
