@@ -113,6 +113,9 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
         run = {"folder": folder, "resume": resume, "jobs": jobs, "warmup": warmup}
         posterior = _structure(seen, document, method, found, chains, draws, seed, progress, run)
         interrupted = bool(posterior.meta.get("interrupted"))
+        if posterior.meta.get("backdrop"):
+            share = f"{posterior.meta['backdrop']:.0%} of the pixels lie on a plane or beyond"
+            warn(f"{share}: taken as background; with --floor auto solids stand on it")
         fitted = dict(posterior.meta["likelihood"])
         likelihood = LikelihoodPrior(fitted.pop("type"), fitted)
     meta = {

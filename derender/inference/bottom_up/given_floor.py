@@ -3,9 +3,10 @@
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.inference.bottom_up.floor import Floor, back_project
+from derender.inference.bottom_up.floor import Floor, back_project, find_floor
 
 NEAR = 0.02  # metres off a given plane within which its own points are looked for
+BACKDROP, SIDE = 0.3, 0.2  # least shares of the pixels, and of three of the image's sides, that a backdrop holds
 FAR_BELOW = 10.0  # metres under the lowest point at which the floor lies where there is none
 
 
@@ -58,6 +59,22 @@ def given_floor(depth, camera, floor):
     sigma = max(1.4826 * float(np.median(np.abs(residual[near]))), 3e-4)
     inliers = near & (np.abs(residual) < 4 * sigma)
     return Floor(frame_of(normal, offset, points[inliers].mean(axis=0)), sigma, inliers)
+
+
+def find_backdrop(rng, depth, camera):
+    """Return the Floor of a plane before which everything is seen, a table or a wall, and (H, W) bool: what lies on it
+    or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
+    """
+    try:
+        plane = find_floor(rng, depth, camera)
+    except DerenderError:
+        return None
+    seen = np.isfinite(depth) & (depth > 0)
+    height = (back_project(depth, camera) - plane.pose[:3, 3]) @ plane.pose[:3, 2]
+    beyond = seen & ((height < max(0.004, 4.0 * plane.sigma)) | plane.inliers)
+    edges = (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1])
+    reached = sum(edge.mean() > SIDE for edge in edges)
+    return (plane, beyond) if reached >= 3 and plane.inliers.sum() > BACKDROP * seen.sum() else None
 
 
 def frame_of(normal, offset, near):

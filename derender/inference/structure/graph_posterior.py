@@ -1,11 +1,12 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
-Where the noise of neighbouring pixels is independent, the likelihood is the engine's, with the blur and the noise that
-the image shows (`refined.py`), and structures are weighed by integrals (`alternatives.py`).
+Where the noise of neighbouring pixels is independent and hardly anything shows but solids and floor, the likelihood is
+the engine's, with the blur and the noise that the image shows (`refined.py`), and structures are weighed by integrals
+(`alternatives.py`).
 
-On a real sensor's image solids take turns in compiled Metropolis walks (`polish.walk`) under the search's own tempered
-score.  There structures compete by their polished energies: the price of each number in `Settings` stands for the Occam
-factor that its integral would give.
+On other images, such as those of real sensors, solids take turns in compiled Metropolis walks (`polish.walk`) under
+the search's own tempered score.  There structures compete by their polished energies: the price of each number in
+`Settings` stands for the Occam factor that its integral would give.
 """
 
 from dataclasses import replace
@@ -43,6 +44,7 @@ MOST_PARTS = 12
 MOST_MERGES = 4
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
+MOST_BACKGROUND = 0.1  # share of the pixels that show what the engine does not know: the room behind a table
 
 
 def refresh_bottom(state, index):
@@ -167,7 +169,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
     """
-    if len(state) and seen.correlation < INDEPENDENT:
+    if len(state) and seen.correlation < INDEPENDENT and seen.background < MOST_BACKGROUND:
         return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
     if only_best:
         return [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]

@@ -126,6 +126,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
+            "backdrop": seen.background if seen.backdrop else 0.0,
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
     return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
 

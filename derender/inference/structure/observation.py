@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.inference.bottom_up.floor import Floor, back_project, find_floor
 from derender.inference.bottom_up.foreground import joined_to_floor
-from derender.inference.bottom_up.given_floor import given_floor
+from derender.inference.bottom_up.given_floor import find_backdrop, given_floor
 from derender.inference.bottom_up.outline import convex_outline, outline_planes
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
@@ -30,6 +30,8 @@ class Observation(NamedTuple):
     footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
     correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real
         sensors.
+    background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
+    backdrop : whether that is a plane that would have been the floor, where there is to be none.
     """
 
     image: Image
@@ -41,6 +43,8 @@ class Observation(NamedTuple):
     camera: dict
     factor: int
     correlation: float
+    background: float
+    backdrop: bool
 
 
 def observe(rng, depth, camera, widest=160, plane=None):
@@ -50,8 +54,11 @@ def observe(rng, depth, camera, widest=160, plane=None):
     """
     depth, camera, factor = reduce(depth, camera, widest)
     floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
-    sigma = noise_map(depth, floor, camera)
-    correlation = neighbour_correlation(depth, floor, camera)
+    # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
+    backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
+    even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
+    sigma = noise_map(depth, even, camera)
+    correlation = neighbour_correlation(depth, even, camera)
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, REAL_DISCREPANCY)
     blur = estimate_blur(depth, sigma)
@@ -64,17 +71,18 @@ def observe(rng, depth, camera, widest=160, plane=None):
     footprint = np.nan_to_num(depth) / camera["fx"]
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
     inside |= joined_to_floor(points, above, inside, footprint, image.origin[2])
-    mask = above & inside
+    mask = above & inside & ~beyond
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
-    background &= ~wall
+    background = (background & ~wall) | beyond
     image.floor[background] = image.depth[background] + 1e-9
 
     # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
     slope = -image.direction[..., 2]
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
-    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation)
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
+                       float(background.sum() / max(good.sum(), 1)), backdrop is not None)  # fmt: skip
 
 
 def raise_wall(image):
