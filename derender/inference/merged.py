@@ -8,6 +8,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.inference.posterior import Posterior, StructurePosterior
 from derender.model.pose import inverse
+from derender.model.scene import ROOT
 
 
 def merged(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
@@ -31,9 +32,10 @@ def merged(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
             raise DerenderError(f"its structure or unknowns are not those of {names[0]}", name,
                                 "report them one by one")  # fmt: skip
     draws = min(part.values.shape[1] for part in parts)
+    parts = [as_seen_from(first, part) for part in parts]
     joined = replace(
         first,
-        values=np.concatenate([values_as_seen_from(first, part)[:, :draws] for part in parts]),
+        values=np.concatenate([part.values[:, :draws] for part in parts]),
         log_prior=np.concatenate([part.log_prior[:, :draws] for part in parts]),
         log_likelihood=np.concatenate([part.log_likelihood[:, :draws] for part in parts]),
         root_pose=None if first.root_pose is None else np.concatenate([part.root_pose[:, :draws] for part in parts]),
@@ -42,26 +44,32 @@ def merged(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
     return replace(posteriors[0], parts=(joined,))
 
 
-def values_as_seen_from(first: StructurePosterior, part: StructurePosterior) -> np.ndarray:
-    """Return a part's values (chains, draws, P) with x, y (metres) and theta (radians) on planes in another's frame.
+def as_seen_from(first: StructurePosterior, part: StructurePosterior) -> StructurePosterior:
+    """Return a part with x, y (metres) and theta (radians) on its floor told in the frame of another part's floor.
 
-    The planes are taken to be one: how much they differ in height and tilt is left out. A plane that is itself unknown
-    is another in each draw: what stands on it stays as it is.
+    The two are taken to be one plane: by how much they differ in height and tilt is left out. A floor or a root whose
+    pose has addresses of its own is another in each draw: then all stays as it is.
     """
-    values = part.values.copy()
+    floors = [vertex for vertex in part.graph.vertices if vertex.shape == "plane"]
+    if len(floors) != 1 or any(address.startswith(("root.", f"{floors[0].name}.")) for address in part.addresses):
+        return part
+    floor = floors[0].name
     here, there = part.graph.poses(), first.graph.poses()
-    known = [plane.name for plane in part.graph.vertices if plane.shape == "plane" and part.root_pose is None
-             and not any(address.startswith(f"{plane.name}.") for address in part.addresses)]  # fmt: skip
+    change = inverse(there[floor]) @ here[floor]
+    if np.array_equal(change, np.eye(4)):
+        return part
+    values = part.values.copy()
     for vertex in part.graph.vertices:
         addresses = [f"{vertex.name}.contact.{key}" for key in ("x", "y", "theta")]
-        if vertex.parent not in known or not set(addresses) <= set(part.addresses):
-            continue
-        change = inverse(there[vertex.parent]) @ here[vertex.parent]
-        if vertex.contact.parent_face != "+z" or np.array_equal(change, np.eye(4)):
+        if vertex.parent != floor or vertex.contact.parent_face != "+z" or not set(addresses) <= set(part.addresses):
             continue
         places = [part.addresses.index(address) for address in addresses]
         x, y, theta = np.moveaxis(part.values[:, :, places], -1, 0)
         points = np.stack([x, y, np.zeros_like(x), np.ones_like(x)], -1) @ change.T
         turn = np.arctan2(change[1, 0], change[0, 0])
         values[:, :, places] = np.stack([points[..., 0], points[..., 1], theta + turn], -1)
-    return values
+    roots = part.root_pose
+    if roots is not None:  # so that each draw's poses are what they were
+        own, other = inverse(here[ROOT]) @ here[floor], inverse(there[ROOT]) @ there[floor]
+        roots = roots @ own @ inverse(change) @ inverse(other)
+    return replace(part, values=values, root_pose=roots)

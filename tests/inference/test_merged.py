@@ -37,16 +37,29 @@ def test_other_unknowns_are_refused_by_name():
         merged([one, other], ("first", "second"))
 
 
-def test_a_floor_found_elsewhere_changes_no_pose():
-    """Two runs whose floors have other origins and turns agree about where the box is, or they are called apart."""
+@pytest.mark.parametrize("wandering", [False, True], ids=["fixed", "wandering"])
+def test_a_floor_found_elsewhere_changes_no_pose(wandering):
+    """Two runs whose floors have other origins and turns agree about where the box is, or they are called apart.
+
+    A floor that wanders from draw to draw about where its run found it does so still.
+    """
     rng = np.random.default_rng(1)
     there = translation(0.4, -0.2, 0.0) @ rotation_z(0.3)
     values = rng.uniform(size=(1, 6, 3))
     other = run(there, values)
     first = run(np.eye(4), rng.uniform(size=(1, 6, 3)))
+    if wandering:
+        other, first = (wander(rng, each) for each in (other, first))
     joined = merged([first, other], ("a", "b")).parts[0]
     for draw in range(6):
         before = other.best_part.graph_at(0, draw).poses()["box"]
         after = joined.graph_at(1, draw).poses()["box"]
         np.testing.assert_allclose(after, before, atol=1e-12)  # one chain of 4 x 4 products against another
     assert not np.allclose(joined.values[1], values[0])
+
+
+def wander(rng, posterior):
+    """Return a posterior whose root is a little higher or lower in each draw."""
+    part = posterior.best_part
+    poses = np.array([[translation(0, 0, z) for z in chain] for chain in rng.normal(0, 0.01, part.values.shape[:2])])
+    return replace(posterior, parts=(replace(part, root_pose=poses),))
