@@ -12,6 +12,7 @@ import numpy as np
 
 from derender.inference.structure.image import ROW
 from derender.inference.structure.polish import FREE
+from derender.inference.structure.sizes import CUBE, NO_SIZES, box_log_density, log_density_at
 from derender.inference.structure.state import FLOOR
 from derender.inference.structure.touch import highest, lowest, penetration, reach
 from derender.kernel_cache import njit
@@ -38,11 +39,15 @@ class Rules(NamedTuple):
     slack : metres within which a solid that is not held stands on its support.
     overlap : metres by which solids may interpenetrate; inf: the term against interpenetration is off.
     floating : whether the term against floating is off: then any height is as likely.
+    sizes : their densities, see sizes.py; an empty table: those of TYPICAL and SPREAD.
+    cubes : probability that a box is a cube.
     """
 
     slack: float
     overlap: float = OVERLAP
     floating: bool = False
+    sizes: np.ndarray = NO_SIZES
+    cubes: float = CUBE_SHARE
 
 
 class Chart(NamedTuple):
@@ -55,7 +60,7 @@ class Chart(NamedTuple):
     base : (N, ROW) float64, the solids at the start: rotations are turns from there.
     order : (N,) int64, supports before what they carry.
     floor : (4, 4) float64, floor frame to camera at the start.
-    slack, overlap, floating : as in Rules.
+    slack, overlap, floating, sizes, cubes : as in Rules.
     """
 
     flags: np.ndarray
@@ -66,6 +71,8 @@ class Chart(NamedTuple):
     slack: float
     overlap: float
     floating: bool
+    sizes: np.ndarray
+    cubes: float
 
 
 def make_chart(state, floor_pose, rules):
@@ -212,21 +219,28 @@ def touching_area(row, on):
 def solid_log_prior(chart, rows, k):
     """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
 
-    Edges are log-normal and independent; a box is a cube with probability CUBE_SHARE. On the floor solids are a
-    Poisson process of FLOOR_RATE; on another's top, of STACKED_RATE spread over the places where the two touch. Turns
-    are uniform: a box in (length, width, theta) has two names in each half turn, a cube one in each quarter.
+    Edges are log-normal and independent, or as chart.sizes has them; a box is a cube with probability chart.cubes. On
+    the floor solids are a Poisson process of FLOOR_RATE; on another's top, of STACKED_RATE spread over the places where
+    the two touch. Turns are uniform: a box in (length, width, theta) has two names in each half turn, a cube one in
+    each quarter.
     """
     row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
     kind = flag[KIND]
     cube = kind == BOX and slot[SIZE] == slot[SIZE + 1]
-    total = np.log(CUBE_SHARE if cube else 1.0 - CUBE_SHARE) if kind == BOX else 0.0
-    for i in range(3):
-        if i > 0 and slot[SIZE + i] == slot[SIZE + i - 1]:
-            continue
-        extent = row[13 + i]
-        if extent < 0.004:
-            return -np.inf
-        total -= 0.5 * (np.log(extent / TYPICAL) / SPREAD) ** 2 + np.log(extent * SPREAD * np.sqrt(2.0 * np.pi))
+    total = np.log(max(chart.cubes if cube else 1.0 - chart.cubes, 1e-12)) if kind == BOX else 0.0
+    if min(row[13], row[14], row[15]) < 0.004:
+        return -np.inf
+    if len(chart.sizes) > 0 and kind == BOX and not cube:
+        total += box_log_density(chart.sizes[BOX], row[13:16], flag[VERTICAL])
+    else:
+        for i in range(3):
+            if i > 0 and slot[SIZE + i] == slot[SIZE + i - 1]:
+                continue
+            extent = row[13 + i]
+            if len(chart.sizes) > 0:
+                total += log_density_at(chart.sizes[CUBE if cube else kind, i], extent)
+            else:
+                total -= 0.5 * (np.log(extent / TYPICAL) / SPREAD) ** 2 + np.log(extent * SPREAD * np.sqrt(2.0 * np.pi))
     parent = flag[PARENT]
     if parent == FLOOR:
         total += np.log(FLOOR_RATE)
@@ -268,52 +282,3 @@ def log_prior(chart, rows):
             if depth > chart.overlap:
                 total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
     return total
-
-
-def directions(chart, count):
-    """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
-
-    Each face moved while the opposite one stays, shifts, turns about the centre and about the four corners of the
-    ground plan, edges of a cube scaled about a corner.
-    """
-    found = []
-    for k in range(len(chart.flags)):
-        slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
-        rotation = base[1:10].reshape(3, 3)
-
-        def shifted(vector, move, slot=slot):
-            for i in range(3):
-                if slot[i] >= 0:
-                    vector[slot[i]] += move[i]
-            return vector
-
-        for axis in range(3):
-            if slot[axis] >= 0:
-                found.append(shifted(np.zeros(count), np.eye(3)[axis]))
-            found.append(shifted(np.zeros(count), rotation[:, axis]))
-        sizes = sorted({int(s) for s in slot[SIZE:]})
-        for index in sizes:
-            axes = [i for i in range(3) if slot[SIZE + i] == index]
-            for signs in np.ndindex(*([2] * len(axes))):
-                vector = np.zeros(count)
-                vector[index] = 1.0
-                for axis, sign in zip(axes, signs, strict=True):
-                    shifted(vector, (sign - 0.5) * rotation[:, axis])
-                found.append(vector)
-        for axis in range(3):
-            index = slot[TURN + axis]
-            if index < 0:
-                continue
-            about = np.array([0.0, 0.0, 1.0]) if flag[VERTICAL] else rotation[:, axis]
-            radius = 0.5 * float(np.linalg.norm(base[13:16]))
-            for x, y in ((0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
-                vector = np.zeros(count)
-                vector[index] = 1.0 / radius
-                corner = rotation @ (0.5 * base[13:16] * np.array([x, y, 0.0]))
-                found.append(shifted(vector, np.cross(about, -corner) / radius))
-    for axis in range(FLOOR_WAYS):
-        vector = np.zeros(count)
-        vector[count - FLOOR_WAYS + axis] = 0.1
-        found.append(vector)
-    kept = [v for v in found if np.abs(v).max() > 1e-9]
-    return np.array(kept)

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, directions, log_prior, place_rows
+from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, log_prior, place_rows
+from derender.inference.structure.directions import directions
 from derender.inference.structure.image import ROW
 from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids

@@ -9,6 +9,7 @@ from derender.inference.structure.observation import observe, patches_of
 from derender.inference.structure.proposals import all_hypotheses
 from derender.inference.structure.search import Settings
 from derender.inference.structure.searches import search
+from derender.inference.structure.sizes import sizes_of
 from derender.inference.structure.support import final_parents
 from derender.inference.structure.surface import make_surface
 
@@ -40,7 +41,8 @@ def settings_of(options):
     """Return the Settings that a mapping of options asks for; an open prior among them says what it allows.
 
     Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
-    term `no-overlap`) and float (a contact `6dof` and no term `no-floating`). An option is stricter or looser still.
+    term `no-overlap`) and float (a contact `6dof` and no term `no-floating`); weights and draws take its sizes. An
+    option is stricter or looser still.
     """
     settings = Settings()
     prior = options.get("prior")
@@ -51,6 +53,7 @@ def settings_of(options):
             remedy = "the search knows " + ", ".join(settings.shapes)
             raise DerenderError("the prior has no shape that can be looked for", "shapes", remedy)
         settings = settings._replace(
+            sizes=sizes_of(prior),
             shapes=tuple(name for name in settings.shapes if name in kinds),
             may_overlap="no-overlap" not in terms,
             may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),

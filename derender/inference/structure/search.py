@@ -34,6 +34,7 @@ class Settings(NamedTuple):
     floating_price : nats that a solid costs that nothing carries.
     uneven : metres by which a floor and its image may be off the plane.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
+    sizes : what sizes_of returns of a prior, empty without one: for weights and draws, the search has its own prior.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
@@ -55,13 +56,15 @@ class Settings(NamedTuple):
     uneven: float = 0.01
     may_overlap: bool = False
     may_float: bool = False
+    sizes: tuple = ()
 
     @property
     def rules(self):
         """What solids may do to each other, see chart.Rules."""
         from derender.inference.structure.chart import OVERLAP, Rules
 
-        return Rules(self.slack, np.inf if self.may_overlap else OVERLAP, self.may_float)
+        overlap = np.inf if self.may_overlap else OVERLAP
+        return Rules(self.slack, overlap, self.may_float, *self.sizes)
 
     @property
     def price_of_floating(self):
