@@ -22,13 +22,10 @@ def compile_ahead(name: str) -> None:
         when_compiling(functools.partial(_start, name))
 
 
-_pipe = None  # to the other process, kept open as long as this one lives
-
-
-def _start(name: str) -> None:
-    global _pipe
-    _pipe = subprocess.Popen([sys.executable, "-m", "derender.inference.ahead", name], stdin=subprocess.PIPE,
-                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).stdin  # fmt: skip
+@functools.cache  # it keeps the pipe to the other process open as long as this one lives
+def _start(name: str) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-m", "derender.inference.ahead", name], stdin=subprocess.PIPE,
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 
 def _leave_with_parent() -> None:

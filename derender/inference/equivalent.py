@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from derender.inference.target import period_of
+from derender.inference.scene_space import period_of
 from derender.model.distributions import Distribution
 from derender.model.priors.tree import TreePrior
 from derender.model.scene import SceneGraph
