@@ -255,7 +255,7 @@ def _announce() -> None:
         for helper in _helpers:
             helper()
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
-        print(f"{clear}derender: compiling kernels for this machine, once (up to half a minute; the result is cached)",
+        print(f"{clear}derender: compiling kernels for this machine, once (ten seconds or more; the result is cached)",
               file=sys.stderr, flush=True)
 
 

@@ -49,7 +49,7 @@ def rescale(
     gain : how far log scale goes for an acceptance rate that is wrong by 1.
     """
     scale = dict(scale)
-    for part, (steps, accepted) in zip(parts, counts, strict=True):
+    for part, (steps, accepted) in zip(parts, counts.tolist(), strict=True):
         kind = kernels[part.type]
         if kind.adapts and steps > 0:
             trust = min(1.0, steps / 20)

@@ -78,8 +78,8 @@ def fly(space: Space, backends: list, parts: list[Part], movers: list, seed: int
     starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
     stage, density, rising = 0, -math.inf, True
     while stage < len(STAGES) or (rising and stage < MOST_STAGES):
-        for rung in rungs:
-            backends[0].program(rung)
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(backends[0].program, rungs))
         rounds = STAGES[min(stage, len(STAGES) - 1)]
         climbs = each(lambda n, rng, start, rounds=rounds, rungs=rungs:
                       climb(rng, backends[n], parts, rungs, start, rounds, thin), rngs, starts)  # fmt: skip

@@ -99,9 +99,10 @@ class CompiledBackend:
 
     def program(self, tuning: Tuning) -> Kernels:
         """Return the mixture's arrays under a tuning; those of the last ones are kept, for all twins."""
-        if self._tuned is None or self._tuned[0] is not tuning:
-            self._tuned = tuning, self._program(tuning)
-        return self._tuned[1]
+        tuned = self._tuned
+        if tuned is None or tuned[0] is not tuning:
+            tuned = self._tuned = tuning, self._program(tuning)
+        return tuned[1]
 
     def _program(self, tuning: Tuning) -> Kernels:
         places = None

@@ -15,32 +15,44 @@ from derender.model.contacts.compiled import compose
 
 @njit(cache=True, nogil=True)
 def mixture_density(places, size, periods, place):
-    """Return q(place) up to its constant. places : of each component 2 size + size^2 + 1 numbers, PlaceMixture.flat.
+    """Return q(place) up to its constant. places : see PlaceMixture.flat; periods : of the angles, every third number.
 
-    periods : of the angles, which are every third number.
+    Number by number over all components, and not component by component: so the processor takes several at once.
     """
-    triangle = size * (size + 1) // 2
-    steps = np.empty(size)
-    whole = (DEGREES + size) // 2
-    total = 0.0
-    for k in range(0, len(places), size + 2 * triangle + 1):
-        for i in range(size):
-            steps[i] = place[i] - places[k + i]
-            if i % 3 == 0:
-                steps[i] -= periods[i // 3] * math.floor(steps[i] / periods[i // 3] + 0.5)
-        at = k + size + triangle
-        squared = 0.0
-        for i in range(size):
-            white = 0.0
-            for j in range(i + 1):
-                white += places[at + j] * steps[j]
-            at += i + 1
-            squared += white * white
-        base = 1.0 + squared / DEGREES
-        power = math.sqrt(base) if (DEGREES + size) % 2 else 1.0  # to the power of (DEGREES + size) / 2
-        for _ in range(whole):
-            power *= base
-        total += places[at] / power
+    first = size + size * (size + 1) // 2  # of the inverses' rows
+    count = len(places) // (2 * first - size + 1)
+    steps, white, squared = np.empty((size, count)), np.empty(count), np.zeros(count)
+    for i in range(size):
+        step, centre = steps[i], places[i * count : (i + 1) * count]
+        for k in range(count):
+            step[k] = place[i] - centre[k]
+        if i % 3 == 0:
+            period = periods[i // 3]
+            for k in range(count):
+                step[k] -= period * math.floor(step[k] / period + 0.5)
+    at = first
+    for i in range(size):
+        white[:] = 0.0
+        for j in range(i + 1):
+            step, factor = steps[j], places[at * count : (at + 1) * count]
+            for k in range(count):
+                white[k] += factor[k] * step[k]
+            at += 1
+        for k in range(count):
+            squared[k] += white[k] * white[k]
+    for k in range(count):
+        squared[k] = 1.0 + squared[k] / DEGREES
+    power = white  # to the power of (DEGREES + size) / 2
+    power[:] = 1.0
+    if (DEGREES + size) % 2:
+        for k in range(count):
+            power[k] = math.sqrt(squared[k])
+    for _ in range((DEGREES + size) // 2):
+        for k in range(count):
+            power[k] *= squared[k]
+    determinant, total = places[at * count :], 0.0
+    for k in range(count):
+        total += determinant[k] / power[k]
     return total
 
 
@@ -53,9 +65,8 @@ def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, fac
     count = len(put)
     size = 3 * count
     below = numbers[NOW, base, SIZES:SHAPES]
-    triangle = size * (size + 1) // 2
-    width = size + 2 * triangle + 1
-    k = width * int(rng.random() * (len(places) // width))
+    number = len(places) // (size + size * (size + 1) + 1)
+    k = int(rng.random() * number)
     normal = np.empty(size)
     for i in range(size):
         normal[i] = rng.standard_normal()
@@ -64,14 +75,14 @@ def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, fac
         chi_squared += rng.standard_normal() ** 2
     stretch = math.sqrt(DEGREES / chi_squared)
     old, new, periods, phi = np.empty(size), np.empty(size), np.empty(count), np.empty(7)
-    at = k + size
+    at = size
     for i in range(size):
         step = 0.0
         for j in range(i + 1):
-            step += places[at + j] * normal[j]
-        at += i + 1
+            step += places[at * number + k] * normal[j]
+            at += 1
         step *= stretch
-        new[i] = places[k + i] + step
+        new[i] = places[i * number + k] + step
         if i % 3 == 0:
             period = laws[thetas[i // 3], FOLD_PERIOD]
             if not abs(step) <= 0.5 * period:

@@ -47,11 +47,11 @@ class PlaceMixture(NamedTuple):
         return np.array([wrap(x, period) if period else x for x, period in zip(place, self.periods, strict=True)])
 
     def flat(self) -> np.ndarray:
-        """Return flat float64, of each place: centre, lower triangle, the inverse's, the inverse's determinant."""
+        """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""
         below = np.tril_indices(len(self.periods))
         determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
         rows = [self.centres, self.factors[:, *below], self.inverses[:, *below], determinants[:, None]]
-        return np.concatenate(rows, axis=1).ravel()
+        return np.concatenate(rows, axis=1).T.ravel()
 
 
 def shortest(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
@@ -81,13 +81,14 @@ def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
         covariances = np.tile(np.diag(np.square(np.where(around > 0.0, *UNSEEN))), (len(centres), 1, 1))
     else:
         floor = LEAST**2 * np.eye(size)
-        metric = np.einsum("kni,knj->ij", steps, steps) / (2.0 * len(centres) ** 2) + floor
+        all_steps = steps.reshape(-1, size)
+        metric = all_steps.T @ all_steps / (2.0 * len(centres) ** 2) + floor
         for _ in range(2):
-            white = np.linalg.solve(np.linalg.cholesky(metric), steps.reshape(-1, size).T)
+            white = np.linalg.inv(np.linalg.cholesky(metric)) @ all_steps.T
             distances = np.sum(white * white, axis=0).reshape(len(centres), -1)
             nearest = np.argpartition(distances, near, axis=1)[:, : near + 1]
             close = np.take_along_axis(steps, nearest[..., None], axis=1)
-            covariances = np.einsum("kni,knj->kij", close, close) / near + floor
+            covariances = close.transpose(0, 2, 1) @ close / near + floor
             metric = np.linalg.inv(np.linalg.inv(covariances).mean(axis=0))
     factors = np.linalg.cholesky(covariances)
     return PlaceMixture(centres, factors, np.linalg.inv(factors), around)
