@@ -16,6 +16,7 @@ import numpy as np
 
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import from_search, merges, of_one_solid, supports_within
+from derender.inference.structure.discrepancy import with_offsets
 from derender.inference.structure.graph import names_of, periods_of, pose_of, scene_graph
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.polish import walk
@@ -153,6 +154,9 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
     else:
         rows, energies = draw_rows(rng, image, state, settings, chains, draws)
+        if settings.discrepancy > 0.0:
+            for chain, draw in np.ndindex(energies.shape):
+                rows[chain, draw] = with_offsets(rng, rows[chain, draw], state, settings.discrepancy)
         rows[0, 0], energies[0, 0] = state.rows, total_energy(image, state, settings)
     values = np.empty((*energies.shape, len(addresses)))
     for chain, draw in np.ndindex(energies.shape):

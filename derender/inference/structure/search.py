@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.image import added_misfit
+from derender.inference.structure.observation import CORRELATED, REAL_DISCREPANCY
 from derender.inference.structure.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
 from derender.inference.structure.state import State, energy, held_out, in_the_way, run_polish
 from derender.inference.structure.support import assign_supports
@@ -33,6 +34,7 @@ class Settings(NamedTuple):
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
     uneven : metres by which a floor and its image may be off the plane.
+    discrepancy : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
     sizes : what sizes_of returns of a prior, empty without one: for weights and draws, the search has its own prior.
     repairs : most moves between structures.
@@ -54,6 +56,7 @@ class Settings(NamedTuple):
     floating_price: float = 30.0
     temper: float = 1.0
     uneven: float = 0.01
+    discrepancy: float = 0.0
     may_overlap: bool = False
     may_float: bool = False
     sizes: tuple = ()
@@ -78,13 +81,15 @@ class Settings(NamedTuple):
         cut off at their limit are less correlated than small ones: the power 1.5 did best on real frames (1: solids are
         split along their dents; 2: small ones are lost).
         """
+        discrepancy = REAL_DISCREPANCY if correlation > CORRELATED else 0.0
         correlation = min(max(correlation, 0.0), 0.75)
         if correlation < 0.1:
             return self
         factor = ((1 + correlation) / (1 - correlation)) ** 1.5
         return self._replace(price=self.price * factor, cube_bonus=self.cube_bonus * factor,
                              free_price=self.free_price * factor, floating_price=self.floating_price * factor,
-                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK, temper=factor)  # fmt: skip
+                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK, temper=factor,
+                             discrepancy=discrepancy)  # fmt: skip
 
 
 def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
