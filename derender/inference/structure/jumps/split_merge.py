@@ -8,6 +8,7 @@ import numpy as np
 
 from derender.inference.structure.jumps.base import Applied, Move, moves
 from derender.inference.structure.jumps.charts import HAAR, Rest, _log_two, _two, draw_rest, log_rest
+from derender.inference.structure.jumps.on_top import on_top, opposite, read_on_top, twist
 from derender.inference.structure.jumps.recast import (
     Cast,
     Slot,
@@ -22,7 +23,7 @@ from derender.inference.structure.jumps.recast import (
 )
 from derender.inference.structure.jumps.reparent import _own
 from derender.inference.structure.jumps.vocabulary import log_uniform_choice
-from derender.model.pose import from_rotation_vector, inverse, quaternion, rotation_vector, rotation_z
+from derender.model.pose import inverse
 from derender.model.shapes.base import AXES, FACE_NAMES, box_face
 from derender.model.shapes.cube import ROTATIONS
 
@@ -53,10 +54,6 @@ class Merge(NamedTuple):
     kind: str
     rests: tuple[Rest, Rest]
     rotation: int
-
-
-def _opposite(face: str) -> str:
-    return ("-" if face[0] == "+" else "+") + face[1]
 
 
 @moves.register("split-merge")
@@ -90,7 +87,7 @@ class SplitMerge(Move):
                 contact = graph.vertex(above[0]).contact
                 foot = graph.vertex(lower).contact.child_face
                 faces = (contact.type, contact.parent_face, contact.child_face)
-                if faces == ("face-to-face", _opposite(foot), foot):
+                if faces == ("face-to-face", opposite(foot), foot):
                     found.append((lower, above[0]))
         return found
 
@@ -165,12 +162,12 @@ class SplitMerge(Move):
         up = -whole.pose[:3, :3] @ box_face(foot, np.ones(3)).frame[:3, 2]
         below = whole.pose.copy()
         below[:3, 3] -= 0.5 * (whole.extents[k] - low[k]) * up
-        above = below @ _on_top(foot, low, high, choice.place)
+        above = below @ on_top(foot, low, high, choice.place)
         return whole, Cast(low, below, 0.0), Cast(high, above, 0.0), k
 
     def _upper_slot(self, graph, choice):
         foot = graph.vertex(choice.name).contact.child_face
-        return Slot(choice.upper, choice.name, ("face-to-face", _opposite(foot), foot))
+        return Slot(choice.upper, choice.name, ("face-to-face", opposite(foot), foot))
 
     def _names_of_axes(self, words, graph, choice):
         """Return the indices of the rotations under which the upper box may stand on the lower."""
@@ -241,7 +238,7 @@ class SplitMerge(Move):
         )
         turned = low.T @ high @ ROTATIONS
         k = AXES.index(graph.vertex(lower).contact.child_face[1])
-        good = np.array([_twist(rotation, k) < ALIGNED and rotation[k, k] > math.cos(ALIGNED) for rotation in turned])
+        good = np.array([twist(rotation, k) < ALIGNED and rotation[k, k] > math.cos(ALIGNED) for rotation in turned])
         places = np.flatnonzero(good)
         if len(places) != 1:
             return None
@@ -264,7 +261,7 @@ class SplitMerge(Move):
         up = -low.pose[:3, :3] @ box_face(foot, np.ones(3)).frame[:3, 2]
         middle = low.pose.copy()
         middle[:3, 3] += 0.5 * (height - low.extents[k]) * up
-        place = _read_on_top(foot, low.extents, extents, inverse(low.pose) @ pose)
+        place = read_on_top(foot, low.extents, extents, inverse(low.pose) @ pose)
         logs = (math.log(extents[i] / low.extents[i]), math.log(extents[j] / low.extents[j]))
         slot = slot_of(words, graph, choice.lower)._replace(kind=choice.kind)
         table, kinds = table_of(words, graph, slot), words.kinds(graph, slot.parent)
@@ -297,46 +294,3 @@ def _core(whole, low, high, k, tilt):
     total += math.log(math.sin(a) / a) if a > 1e-9 else 0.0
     products = [float(np.sum(np.log(box.extents))) for box in (whole, low, high)]
     return total + products[0] - products[1] - products[2]
-
-
-def _frames(foot: str, low, high):
-    """Return the lower's top face and the upper's foot as frames in their own axes."""
-    return box_face(_opposite(foot), low).frame, box_face(foot, high).frame
-
-
-def _on_top(foot, low, high, place):
-    """Return the (4, 4) pose of the upper box in the lower's axes: aligned at place zero."""
-    x, y, gap, theta, *tilt = place
-    top, bottom = _frames(foot, low, high)
-    shift = np.eye(4)
-    shift[:3, 3] = x, y, gap
-    turn = rotation_z(theta) @ from_rotation_vector((*tilt, 0.0))
-    return top @ shift @ turn @ _straight(foot) @ inverse(bottom)
-
-
-def _straight(foot):
-    """Return the rotation between the two faces at which the boxes' axes agree: FLIP, turned about the normal."""
-    top, bottom = _frames(foot, np.ones(3), np.ones(3))
-    straight = np.eye(4)
-    straight[:3, :3] = np.round(top[:3, :3].T @ bottom[:3, :3])
-    return straight
-
-
-def _read_on_top(foot, low, high, relative):
-    """Return `place` of the upper box's (4, 4) pose in the lower's axes: the inverse of `_on_top`."""
-    top, bottom = _frames(foot, low, high)
-    meeting = inverse(top) @ relative @ bottom @ inverse(_straight(foot))
-    w, _, _, z = quaternion(meeting)
-    theta = math.remainder(2.0 * math.atan2(z, w), math.tau)
-    tilt = rotation_vector(rotation_z(-theta)[:3, :3] @ meeting[:3, :3])
-    x, y, gap = (float(part) for part in meeting[:3, 3])
-    return x, y, gap, theta, float(tilt[0]), float(tilt[1])
-
-
-def _twist(rotation, k):
-    """Return the angle, without sign, of a rotation's twist about the axis k."""
-    i, j = (k + 1) % 3, (k + 2) % 3
-    return abs(math.atan2(rotation[j, i] - rotation[i, j], rotation[i, i] + rotation[j, j]))
-
-
-
