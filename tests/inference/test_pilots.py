@@ -6,8 +6,9 @@ from toy_worlds import World
 
 from derender.inference import pilots
 from derender.inference.kernels import mixture
+from derender.inference.kernels.base import Tuning
 from derender.inference.kernels.place_mixture import fitted
-from derender.inference.sampler import MixtureSampler
+from derender.inference.sampler import MixtureSampler, ReadableBackend
 from derender.inference.space import Block, Unknown
 from derender.model.distributions import distributions
 
@@ -77,3 +78,17 @@ def test_place_mixture_is_a_density_around_the_seam(size):
     (first, error), (second, other) = estimates
     assert abs(first - second) < 4.5 * np.hypot(error, other)
     assert error < 0.1 * first and other < 0.1 * second
+
+
+@pytest.mark.parametrize("better", [0, 1])
+def test_neighbours_exchange_places_by_the_metropolis_rule(better):
+    """The colder rung takes the better place, whoever has it; here nothing else moves and the rule leaves no doubt."""
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    parts = mixture(world.space, [{"drift": {"scale": 1e-12}}])
+    cold = Tuning(np.zeros(1), np.eye(1), {})
+    start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
+    backend = ReadableBackend(target, parts)
+    last = pilots.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
+                        pilots.STRETCH, 1).last  # fmt: skip
+    np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)
