@@ -4,9 +4,18 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from numba import typeof
 
-from derender.inference.ahead import PARTS
+from derender import kernel_call
+from derender.document import read_prior_document
+from derender.inference.ahead import PARTS, steps_of_chains
+from derender.inference.compiled import backend, program
+from derender.inference.kernels import mixture
+from derender.inference.sampler import MixtureSampler
+from derender.inference.scene import targets
+from derender.inference.target import default_parts
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -20,3 +29,26 @@ def _open_end() -> int:
     """Return the reading end of a pipe that stays open: the process leaves when its starter has gone."""
     reading, _writing = os.pipe()
     return reading
+
+
+def test_the_steps_of_chains_are_compiled_for_the_types_that_a_chain_has(monkeypatch):
+    """Else both processes would compile them, each for itself."""
+    asked, used = {}, {}
+
+    def noted(kernel, notes, call):
+        def note(*given):
+            notes[kernel] = tuple(map(typeof, given))
+            return call(*given)
+
+        return note
+
+    with monkeypatch.context() as patched:
+        patched.setattr(kernel_call, "address_of", lambda kernel, *given: noted(kernel, asked, lambda *_: 0)(*given))
+        steps_of_chains()
+    monkeypatch.setattr(backend, "sweep", noted(backend.sweep, used, backend.sweep))
+    monkeypatch.setattr(program, "stand_all", noted(program.stand_all, used, program.stand_all))
+    document = read_prior_document("figure-4")
+    target = targets(document, np.full(document.camera.shape, 0.9), document.camera, 0)[0][0]
+    sampler = MixtureSampler(target, mixture(target.space, default_parts()), particles=2)
+    sampler.advance(np.random.default_rng(0), sampler.start(np.random.default_rng(0)), 1)
+    assert asked == used and len(used) == 2
