@@ -21,8 +21,9 @@ from derender.vision.blur import blur  # noqa: E402
 from derender.vision.camera import Camera  # noqa: E402
 from derender.vision.likelihoods import likelihoods  # noqa: E402
 from derender.vision.raycast.depth import render_depth  # noqa: E402
-from derender.vision.raycast.engine import accept_state, load_state, propose_state, reject_state  # noqa: E402
+from derender.vision.raycast.engine import load_state, propose_state, settle_state  # noqa: E402
 from derender.vision.raycast.evaluator import DepthEvaluator  # noqa: E402
+from derender.vision.raycast.state import CANDIDATE, CURRENT  # noqa: E402
 
 SIGMA, BLUR = 0.005, 1.0
 SCENE_SPREAD = 0.16  # metres between the boxes of the four-box scene
@@ -71,10 +72,7 @@ def evaluate_moves(state, poses, sizes, jitter, count):
         for axis in range(3):
             pose[0, axis, 3] += jitter[n % len(jitter), axis]
         value = propose_state(state, 1, index, pose, size)
-        if n % 2:
-            accept_state(state)
-        else:
-            reject_state(state)
+        settle_state(state, CANDIDATE if n % 2 else CURRENT)
     return value
 
 

@@ -9,7 +9,7 @@ from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 from derender.vision.camera import Camera
 from derender.vision.likelihoods import likelihoods
 from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.engine import accept_state, load_state, propose_state, reject_state
+from derender.vision.raycast.engine import load_state, propose_state, settle_state
 from derender.vision.raycast.evaluator import DepthEvaluator
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD, SCORE
 
@@ -87,9 +87,9 @@ def _wander(state, fresh, moves, count, indices, steps, choices):
             full = load_state(fresh, state.pose[1], state.size[1])
             worst = max(worst, abs(value - full) / abs(full))
         if choices[n, 2] % 2 == 0:
-            accept_state(state)
+            settle_state(state, CANDIDATE)
         else:
-            reject_state(state)
+            settle_state(state, CURRENT)
     return worst
 
 

@@ -5,7 +5,7 @@ use propose_in and settle_in, which compile faster):
 
     load_state(state, poses, sizes)                           -> log likelihood of a scene, now the current one
     propose_state(state, count, indices, poses, sizes)        -> log likelihood with solids indices[:count] moved
-    accept_state(state) or reject_state(state)                 before the next proposal
+    settle_state(state, CANDIDATE) accepts it, (state, CURRENT) rejects it: before the next proposal
     log_likelihood_of(state, state.total[CURRENT])             again, after parameters[SIGMA] was changed (gaussian)
     rescore_state(state)                                       the same after any parameter but the background changed
 
@@ -199,7 +199,7 @@ def _add_region(settings, regions, rectangle):
 
 @njit(cache=True, nogil=True)
 def propose_state(state, count, indices, poses, sizes):
-    """Return the log likelihood with some solids moved or resized; `accept_state` or `reject_state` must follow.
+    """Return the log likelihood with some solids moved or resized; `settle_state` must follow.
 
     count : how many. indices : (>= count,) int64, no solid twice. poses : (>= count, 4, 4), sizes : (>= count, 3).
     """
@@ -259,18 +259,6 @@ def settle_state(state, source):
                 for column in range(PAD, PAD + width):
                     fresh += images[SCORE + CURRENT, row, column]
             total[CURRENT] = fresh
-
-
-@njit(cache=True, nogil=True)
-def accept_state(state):
-    """Make the proposed scene the current one."""
-    settle_state(state, CANDIDATE)
-
-
-@njit(cache=True, nogil=True)
-def reject_state(state):
-    """Forget the proposal."""
-    settle_state(state, CURRENT)
 
 
 def new_engine(camera, observed, solids, kind, parameters, blur):
