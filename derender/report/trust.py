@@ -42,14 +42,14 @@ def doubts_of(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: i
     rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
     """
     doubts = [f"{lost} of the chains died"] if lost else []
+    structures = posterior.meta.get("structure_chains", {})
+    evidence = structures.get("log_evidence") or posterior.meta.get("log_evidence") or [0.0]  # the latter of jumps
+    if max(evidence) - min(evidence) > APART:
+        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
         return tuple(doubts)
     largest, smallest = limits(chains * draws)
-    structures = posterior.meta.get("structure_chains", {})
-    evidence = structures.get("log_evidence", [0.0])
-    if max(evidence) - min(evidence) > APART:
-        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     over = structures.get("r_hat")
     if over is not None and over > largest:
         doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")

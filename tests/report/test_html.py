@@ -6,6 +6,7 @@ import json
 import re
 import time
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -194,6 +195,13 @@ def test_doubtful_chains_are_marked():
         tables.parameter_rows(["a.x", "b.contact.theta"], np.concatenate([good] * 2, axis=2))
     )
     assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
+
+
+@pytest.mark.parametrize("meta", [{"log_evidence": [1.0, 9.0]}, {"structure_chains": {"log_evidence": [1.0, 9.0]}}])
+def test_populations_that_disagree_are_told(meta):
+    """Of leaps and of jumps, however few draws the likeliest structure has."""
+    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((1, 2, 1))))
+    assert trust.doubts_of(posterior, []) == ("the populations' log evidences are 8.0 apart",)
 
 
 def test_numbers_are_read_in_their_own_units():
