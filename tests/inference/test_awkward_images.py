@@ -187,9 +187,10 @@ def test_without_a_floor_a_table_that_fills_the_image_is_background():
         assert min(np.abs(np.sort(size[:2]) - np.delete(each, k)).max() for each in found for k in range(3)) < 0.005
 
 
-def test_what_shows_beyond_the_floor_does_not_cut_solids_into_pieces():
-    """Kinect noise reduced from 640 columns, a wall 4 m away: the sensor's likelihood would know of no wall."""
-    floor, camera = floor_pose(distance=0.9, elevation=20.0), camera_of(640, 480)
+@pytest.mark.parametrize("place", [{"distance": 0.9, "elevation": 20.0}, {"distance": 1.0, "elevation": 89.9}])
+def test_a_large_image_of_a_rough_sensor_shows_whole_solids(place):
+    """A wall 4 m away, of which the sensor's likelihood would know nothing; from above, edges would cut boxes."""
+    floor, camera = floor_pose(**place), camera_of(640, 480)
     depth, label = render_floor_scene(["box"] * 2, floor @ POSES, SIZES, floor, camera)
     depth = kinect_noise(np.random.default_rng(0), np.minimum(np.nan_to_num(depth, nan=4.0), 4.0), label)
     options = {"chains": 1, "draws": 5}

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from derender.inference.structure.discrepancy import with_offsets
-from derender.inference.structure.image import make_row
+from derender.inference.structure.graph_posterior import undo_spin
+from derender.inference.structure.image import make_row, rotation_of
 from derender.inference.structure.polish import FREE, UPRIGHT
 from derender.inference.structure.search import Settings
 from derender.inference.structure.state import FLOOR, State
@@ -66,3 +67,14 @@ def test_each_face_has_an_offset_of_its_own(drawn):
 def test_only_images_of_real_sensors_have_it():
     assert Settings().for_correlation(0.2).discrepancy == 0.0
     assert Settings().for_correlation(0.8).discrepancy == OFF
+
+
+def test_turns_of_a_cylinder_about_its_own_axis_are_undone():
+    rng = np.random.default_rng(0)
+    start = rotation_z(0.3)[:3, :3] @ rotation_x(np.pi / 2)[:3, :3]  # lying
+    tilts = [rotation_z(turn)[:3, :3] @ start for turn in rng.normal(0.0, 0.3, 20)]
+    rows = np.array([make_row(CYLINDER, tilt @ rotation_z(rng.uniform(0, 6))[:3, :3], [0, 0, 0.1], [0.1] * 3)
+                     for tilt in tilts])  # fmt: skip
+    undo_spin(rows, make_row(CYLINDER, start, [0, 0, 0.1], [0.1] * 3))
+    for row, tilt in zip(rows, tilts, strict=True):
+        assert np.allclose(rotation_of(row), tilt)

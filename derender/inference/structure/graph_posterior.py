@@ -1,8 +1,8 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
-Where the noise of neighbouring pixels is independent and hardly anything shows but solids and floor, the likelihood is
-the engine's, with the blur and the noise that the image shows (`refined.py`), and structures are weighed by integrals
-(`alternatives.py`).
+Where neighbouring pixels are the image's own and their noise is independent, and hardly anything shows but solids and
+floor, the likelihood is the engine's, with the blur and the noise that the image shows (`refined.py`), and structures
+are weighed by integrals (`alternatives.py`).
 
 On other images, such as those of real sensors, solids take turns in compiled Metropolis walks (`polish.walk`) under
 the search's own tempered score.  There structures compete by their polished energies: the price of each number in
@@ -18,6 +18,7 @@ from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import from_search, merges, of_one_solid, supports_within
 from derender.inference.structure.discrepancy import with_offsets
 from derender.inference.structure.graph import names_of, periods_of, pose_of, scene_graph
+from derender.inference.structure.image import CENTRE, ROTATION, rotation_of
 from derender.inference.structure.naming import matched_names, structure_key
 from derender.inference.structure.polish import walk
 from derender.inference.structure.refined import (
@@ -37,7 +38,7 @@ from derender.inference.structure.touch import highest
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
 from derender.model.scene import ROOT
-from derender.model.solids import BOX, SPHERE
+from derender.model.solids import BOX, CYLINDER, SPHERE
 
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
@@ -45,6 +46,9 @@ MOST_PARTS = 12
 MOST_MERGES = 4
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
+# By how much an image may be reduced: pixels are then sure to a fraction of a millimetre, so that the few that take the
+# other side of an edge would outweigh a whole solid; the search's score cuts them off.
+MOST_REDUCED = 2
 MOST_BACKGROUND = 0.1  # share of the pixels that show what the engine does not know: the room behind a table
 
 
@@ -67,7 +71,7 @@ def walk_solid(rng, image, state, index, settings, scales, steps, adapt):
     )  # fmt: skip
 
 
-def draw_rows(rng, image, state, settings, chains, draws, steps=60):
+def draw_rows(rng, image, state, settings, chains, draws, steps=120):
     """Return rows (chains, draws, N, ROW) and energies (chains, draws) of states of this structure."""
     rows = np.empty((chains, draws, *state.rows.shape))
     energies = np.empty((chains, draws))
@@ -81,6 +85,20 @@ def draw_rows(rng, image, state, settings, chains, draws, steps=60):
                 rows[chain, sweeps - 4] = now.rows
                 energies[chain, sweeps - 4] = total_energy(image, now, settings)
     return rows, energies
+
+
+def undo_spin(rows, start):
+    """Turn cylinders (..., ROW) about their own axes to where they are turned least from a row, in place.
+
+    Nothing shows how a cylinder is turned about its axis; the walk's small tilts add up to such turns, of which a
+    contact's angle would say that the chains disagree.
+    """
+    turns = rows[..., ROTATION:CENTRE].reshape(*rows.shape[:-1], 3, 3)
+    axis, first = turns[..., 2], rotation_of(start)[:, 0]
+    first = first - (axis @ first)[..., None] * axis
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    turns = np.stack([first, np.cross(axis, first), axis], axis=-1)
+    rows[..., ROTATION:CENTRE] = turns.reshape(*rows.shape[:-1], 9)
 
 
 def numbers_of(graph, state, rows, names, floor_pose):
@@ -154,6 +172,9 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
     else:
         rows, energies = draw_rows(rng, image, state, settings, chains, draws)
+        for k in range(len(state)):
+            if int(state.rows[k][0]) == CYLINDER:
+                undo_spin(rows[:, :, k], state.rows[k])
         if settings.discrepancy > 0.0:
             for chain, draw in np.ndindex(energies.shape):
                 rows[chain, draw] = with_offsets(rng, rows[chain, draw], state, settings.discrepancy)
@@ -173,7 +194,8 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
     """
-    if len(state) and seen.correlation < INDEPENDENT and seen.background < MOST_BACKGROUND:
+    knowable = seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
+    if len(state) and seen.correlation < INDEPENDENT and knowable:
         return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
     if only_best:
         return [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]
