@@ -46,6 +46,7 @@ def draws_on_a_floor() -> None:
     from derender.inference.structure.refined import only_draw, refined_at, structure_posterior
     from derender.inference.structure.sensor import Sensor, model_depth
     from derender.inference.structure.state import State
+    from derender.inference.structure.steps import make_proposals, single_steps
     from derender.model.pose import rotation_x, translation
     from derender.model.solids import BOX
     from derender.vision.camera import Camera
@@ -59,7 +60,7 @@ def draws_on_a_floor() -> None:
     sensor = Sensor(camera, np.full((HEIGHT, WIDTH), 0.8), likelihoods["robust"], {})
     sensor = sensor.changed(sigma=0.01, blur=0.5)
     engine = continuous.engine_of(chart, sensor)
-    proposals = continuous.make_proposals(continuous.single_steps(chart, len(values)))
+    proposals = make_proposals(single_steps(chart))
     draws = continuous.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
     model_depth(chart, values, camera)
     refined = refined_at(state, chart, values, sensor, *draws.densities[0])

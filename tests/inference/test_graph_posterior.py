@@ -14,6 +14,7 @@ from derender.inference.structure.chart import (
     Rules,
     camera_poses,
     log_prior,
+    log_prior_about,
     make_chart,
     place_rows,
     solid_log_prior,
@@ -23,12 +24,10 @@ from derender.inference.structure.continuous import (
     engine_of,
     load,
     log_evidence,
-    make_proposals,
-    own_members,
     run,
     sample,
-    single_steps,
 )
+from derender.inference.structure.curvature import Curvature
 from derender.inference.structure.graph import scene_graph
 from derender.inference.structure.graph_posterior import leading
 from derender.inference.structure.image import ROW, make_row
@@ -45,6 +44,7 @@ from derender.inference.structure.sensor import (
     noise_of,
 )
 from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.steps import make_proposals, own_members, single_steps, touched_by
 from derender.model.pose import rotation_x, rotation_z
 from derender.model.scene import Contact, Vertex
 from derender.model.solids import BOX, CYLINDER, SPHERE
@@ -180,7 +180,7 @@ def test_walk_draws_sizes_from_their_prior():
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
     rng = np.random.default_rng(3)
     side = int(chart.slots[0, charts.SIZE])
-    proposals = make_proposals(single_steps(chart, len(values), own_members(chart, 0)))
+    proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
     proposals.scale[:] = 0.05
     draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
     z = (np.log(draws.values[:, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
@@ -211,8 +211,9 @@ def test_evidence_of_cube_against_box_is_that_of_quadrature():
         chart, values = make_chart(state, floor_pose(), Rules(0.0015))
         sizes = sorted({int(s) for s in chart.slots[0, charts.SIZE :]})
         engine = engine_of(chart, sensor)
-        draws = sample(rng, engine, chart, values, 600, 12, sizes)
-        found.append(log_evidence(draws, sizes))
+        drawn = sample(rng, chart, sensor, values, 1, 600, 12, sizes)
+        found.append(log_evidence(drawn, sizes))
+        (draws,) = drawn
         spread = draws.values[:, sizes].std(axis=0).max()
         start = values.copy()
         start[sizes] = draws.values[:, sizes].mean(axis=0)
@@ -288,6 +289,38 @@ def test_solids_that_overlap_are_unlikely():
     free = log_prior(chart, rows_at(chart, values))
     values[chart.slots[2, charts.X]] -= 0.10
     assert log_prior(chart, rows_at(chart, values)) < free - 100
+
+
+def test_a_step_s_change_of_the_prior_is_that_of_the_whole():
+    rng = np.random.default_rng(10)
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
+    before, short = rows_at(chart, values), 0
+    for k in range(4):
+        moved = values.copy()
+        moved[own_members(chart, k)] += 0.002 * rng.standard_normal(len(own_members(chart, k)))
+        after, touched = rows_at(chart, moved), touched_by(chart, own_members(chart, k))
+        change = log_prior_about(chart, after, touched) - log_prior_about(chart, before, touched)
+        assert change == pytest.approx(log_prior(chart, after) - log_prior(chart, before), abs=1e-9)
+        # a broken twin: what stands on the solid left out
+        alone = np.arange(5) == k + 1
+        alone_change = solid_log_prior(chart, after, k) - solid_log_prior(chart, before, k)
+        short += abs(alone_change - change) > 1e-3 and (touched != alone).any()
+    assert short == 1  # the cube under the box
+
+
+def test_the_normal_about_a_mode_is_about_as_wide_as_the_draws():
+    rng = np.random.default_rng(11)
+    sensor, chart, values = observe(rng, stack(), {"sigma": 0.002}, camera(96, 72))
+    (draws,) = sample(rng, chart, sensor, values, 1, 400, 60)
+    engine = engine_of(chart, sensor)
+    load(engine, chart, values)
+    members = list(range(len(values)))
+    factor = np.linalg.cholesky(Curvature(engine, chart, sensor, values).precision(members))
+    ratios = np.linalg.eigvalsh(factor.T @ np.cov(draws.values.T) @ factor)
+    # edges are only roughly accounted for; steps of one length in metres are wrong by far more
+    assert 1e-2 < ratios.min() and ratios.max() < 20.0
+    plain = np.linalg.eigvalsh(np.cov(draws.values.T))
+    assert plain.max() / plain.min() > 5.0 * ratios.max() / ratios.min()
 
 
 def test_names_follow_solids_between_structures():

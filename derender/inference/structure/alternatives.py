@@ -33,6 +33,7 @@ HOPELESS = 25.0  # nats below the best mode at which a change is not looked at a
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 NEIGHBOURS = 0.004  # metres between boxes that may be one
+WHOLE_DRAWS = 150  # from which the integral over everything is taken
 QUICK = 100  # steps of each temperature for one changed solid
 
 
@@ -158,18 +159,17 @@ def merges(rng, best, rules):
     return found
 
 
-def whole_evidence(rng, refined, draws=150):
+def whole_evidence(rng, refined):
     """Return the log of the density's integral over all coordinates."""
     steps = 10 + 5 * len(refined.state)
-    engine = engine_of(refined.chart, refined.sensor)
-    found = sample(rng, engine, refined.chart, refined.values, draws, steps)
+    found = sample(rng, refined.chart, refined.sensor, refined.values, 1, WHOLE_DRAWS, steps)
     return log_evidence(found, list(range(len(refined.values))))
 
 
-def from_search(rng, best, pool, energy, rules):
+def from_search(rng, best, pool, energy, rules, evidence):
     """Return (Refined, log odds against the best) of structures that the search met on its way.
 
-    pool : (state, energy) of them. energy : the best one's.
+    pool : (state, energy) of them. energy : the best one's. evidence : as `whole_evidence`, for the best.
     """
     names = names_of(best.state)
     seen = {structure_key(best.state, names)}
@@ -193,5 +193,6 @@ def from_search(rng, best, pool, energy, rules):
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
     if not trials:
         return []
-    own, *weights = in_threads(rng, [partial(whole_evidence, refined=each) for each in (best, *trials)])
+    own = evidence(rng, best)
+    weights = in_threads(rng, [partial(whole_evidence, refined=each) for each in trials])
     return [(trial, weight - own) for trial, weight in zip(trials, weights, strict=True)]

@@ -269,16 +269,28 @@ def solid_log_prior(chart, rows, k):
 @njit(cache=True, nogil=True)
 def log_prior(chart, rows):
     """Return the log prior density of all solids: each one's own, and that they do not interpenetrate."""
+    return log_prior_about(chart, rows, np.ones(len(rows) + 1, np.bool_))
+
+
+@njit(cache=True, nogil=True)
+def log_prior_about(chart, rows, touched):
+    """Return those terms of the log prior density that change when solids do.
+
+    touched : (1 + N,) bool, whether the floor (which does not count) and each solid move.
+    """
     total = 0.0
     for k in range(len(rows)):
-        total += solid_log_prior(chart, rows, k)
-        if total == -np.inf:
-            return total
-        low = lowest(rows[k])
-        if low < -OVERLAP:
-            total -= 0.5 * (low / OVERLAP + 1.0) ** 2
+        parent = chart.flags[k, PARENT]
+        if touched[k + 1] or (parent >= 0 and touched[parent + 1]):
+            total += solid_log_prior(chart, rows, k)
+            if total == -np.inf:
+                return total
+            low = lowest(rows[k])
+            if low < -OVERLAP:
+                total -= 0.5 * (low / OVERLAP + 1.0) ** 2
         for j in range(k):
-            depth = penetration(rows[k], rows[j])
-            if depth > chart.overlap:
-                total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
+            if touched[k + 1] or touched[j + 1]:
+                depth = penetration(rows[k], rows[j])
+                if depth > chart.overlap:
+                    total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
     return total

@@ -1,51 +1,45 @@
 """Draws of all free numbers of one structure under the image's likelihood: a compiled adaptive Metropolis walk.
 
-Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix: one column for the steps in which
-a depth image is informative (`chart.directions`), Cholesky factors of the covariance seen so far for one solid, for a
-solid with all that it carries, for the floor, and for everything. All are symmetric, so the log acceptance ratio is
+Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix (`steps.py`). All are symmetric, so
+the log acceptance ratio is
 
     log prior(q') - log prior(q) + temperature * (log likelihood(q') - log likelihood(q)).
 
 Scales and factors are learnt in the warm-up and fixed afterwards.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, log_prior, place_rows
-from derender.inference.structure.directions import directions
+from derender.inference.diagnostics import bulk_ess, r_hat
+from derender.inference.structure.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
+from derender.inference.structure.curvature import Curvature
 from derender.inference.structure.image import ROW
+from derender.inference.structure.steps import (
+    FACTOR,
+    FIRST,
+    RANK,
+    block_steps,
+    make_proposals,
+    single_steps,
+    unseen_steps,
+)
+from derender.inference.structure.threads import in_threads
 from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids
 from derender.vision.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
 
-FIRST, FACTOR, RANK = range(3)  # rows of Proposals.table
-LATTICE = 1e-3  # metres of the first steps
 # Some steps along one direction are up to exp(WIDEST) times as long: a hidden side is as wide as its prior.
 WIDE_SHARE, WIDEST = 0.15, 4.0
-
-
-class Proposals(NamedTuple):
-    """Steps to choose from. M of them.
-
-    Attributes
-    ----------
-    table : (3, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns.
-    members : flat int64, coordinates. factors : flat float64, matrices row by row.
-    touched : (M, 1 + N) bool, whether the floor and each solid move in the camera.
-    cumulative : (M,) float64, running sum of the weights.
-    scale : (M,) float64; wanted : (M,) float64, the acceptance rate that the warm-up aims at.
-    """
-
-    table: np.ndarray
-    members: np.ndarray
-    factors: np.ndarray
-    touched: np.ndarray
-    cumulative: np.ndarray
-    scale: np.ndarray
-    wanted: np.ndarray
+# The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
+ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40)), 20, 10
+SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
+MORE = 2  # times as many steps between draws where those made first do not agree
+AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
+TRUSTED = 10  # draws for each coordinate that the covariance at the beginning is worth
 
 
 @njit(cache=True, nogil=True)
@@ -62,7 +56,8 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
     Returns the number of accepted steps.
     """
     count, size = len(chart.flags), len(values)
-    trial_rows = np.empty((count, ROW))
+    rows, trial_rows = np.empty((count, ROW)), np.empty((count, ROW))
+    place_rows(chart, values, rows)
     poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
     moved_poses, moved_sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
     indices = np.empty(count + 1, np.int64)
@@ -86,14 +81,19 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
             for r in range(rank):
                 trial[proposals.members[first + i]] += proposals.factors[start + i * rank + r] * normal[r]
         place_rows(chart, trial, trial_rows)
-        new_prior = log_prior(chart, trial_rows)
+        touched = proposals.touched[p]
+        new_prior = prior
+        if prior == -np.inf:
+            new_prior = log_prior(chart, trial_rows)
+        elif proposals.members[first] < size - FLOOR_WAYS:  # over a floor that moves solids stay where they are
+            new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
         taken_up = False
         threshold = np.log(1.0 - rng.random())
         if new_prior > -np.inf:
             camera_poses(chart, trial, trial_rows, poses, sizes)
             moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
             for k in range(count + 1):
-                if proposals.touched[p, k]:
+                if touched[k]:
                     indices[moved] = k
                     for i in range(4):
                         for j in range(4):
@@ -108,6 +108,7 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                 prior, likelihood = new_prior, new
                 for i in range(size):
                     values[i] = trial[i]
+                rows, trial_rows = trial_rows, rows
                 accepted += 1
         if gain > 0.0:
             proposals.scale[p] *= np.exp(gain * ((1.0 if taken_up else 0.0) - proposals.wanted[p]))
@@ -150,104 +151,6 @@ def engine_of(chart, sensor):
     return for_steps(state)
 
 
-def touched_by(chart, members, size):
-    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do."""
-    count = len(chart.flags)
-    touched = np.zeros(count + 1, bool)
-    members = set(int(m) for m in members)
-    if any(m >= size - FLOOR_WAYS for m in members):
-        touched[:] = True
-        return touched
-    for k in chart.order:
-        parent = chart.flags[k, 2]
-        carried = parent >= 0 and touched[parent + 1] and chart.flags[k, 3]
-        touched[k + 1] = carried or bool(members & {int(s) for s in chart.slots[k]})
-    return touched
-
-
-def own_members(chart, k):
-    """Return the sorted coordinates of a solid."""
-    return sorted({int(s) for s in chart.slots[k] if s >= 0})
-
-
-def blocks_of(chart, size):
-    """Return lists of coordinates that move together: each solid, each with all that it carries, floor, everything."""
-    count = len(chart.flags)
-    own = [own_members(chart, k) for k in range(count)]
-    blocks = list(own)
-    for k in range(count):
-        tree = {k}
-        for j in chart.order:
-            if int(chart.flags[j, 2]) in tree:
-                tree.add(int(j))
-        if len(tree) > 1:
-            blocks.append(sorted(m for j in tree for m in own[j]))
-    floor = list(range(size - FLOOR_WAYS, size))
-    blocks.append(floor)
-    if count > 1:
-        blocks.append(list(range(size)))
-    return blocks
-
-
-class Step(NamedTuple):
-    """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there."""
-
-    members: np.ndarray
-    matrix: np.ndarray
-    touched: np.ndarray
-    weight: float
-    scale: float
-    wanted: float
-
-
-def single_steps(chart, size, only=None):
-    """Return the Steps along one direction each, of LATTICE metres; only : coordinates that may move, None for all."""
-    free = np.isin(np.arange(size), list(range(size) if only is None else only))
-    ways = list({v.tobytes(): v for v in directions(chart, size) * free if np.any(v)}.values())
-    steps = []
-    for vector in ways:
-        members = np.flatnonzero(vector)
-        steps.append(Step(members, vector[members][:, None], touched_by(chart, members, size), 1.0 / len(ways), LATTICE,
-                          0.4))  # fmt: skip
-    return steps
-
-
-def block_steps(chart, covariance, only=None, shrink=5e-5):
-    """Return the Steps of coordinates that move together as a covariance (D, D) says.
-
-    shrink : metres added to every spread, so that few draws do not make a factor singular.
-    """
-    size = len(covariance)
-    allowed = set(range(size)) if only is None else set(only)
-    blocks = [b for b in ([m for m in block if m in allowed] for block in blocks_of(chart, size)) if b]
-    # those that move the floor draw the whole image anew: fewer of them
-    weights = [0.4 if max(block) >= size - FLOOR_WAYS else 1.0 for block in blocks]
-    steps = []
-    for block, share in zip(blocks, weights, strict=True):
-        factor = np.linalg.cholesky(covariance[np.ix_(block, block)] + shrink**2 * np.eye(len(block)))
-        steps.append(Step(np.array(block), factor, touched_by(chart, block, size), 2.0 * share / sum(weights),
-                          1.5 / np.sqrt(len(block)), 0.25))  # fmt: skip
-    return steps
-
-
-def make_proposals(steps):
-    """Return the Proposals that choose among Steps."""
-    table = np.zeros((3, len(steps) + 1), np.int64)
-    for p, step in enumerate(steps):
-        table[FIRST, p + 1] = table[FIRST, p] + len(step.members)
-        table[FACTOR, p + 1] = table[FACTOR, p] + step.matrix.size
-        table[RANK, p] = step.matrix.shape[1]
-    return Proposals(
-        table=table,
-        members=np.concatenate([step.members for step in steps]).astype(np.int64),
-        factors=np.concatenate([np.ravel(step.matrix) for step in steps]),
-        touched=np.array([step.touched for step in steps]),
-        cumulative=np.cumsum([step.weight for step in steps]),
-        scale=np.array([step.scale for step in steps]),
-        wanted=np.array([step.wanted for step in steps]),
-    )
-
-
 class Draws(NamedTuple):
     """values : (n, D); densities : (n, 2), log prior and log likelihood; accepted : share of the steps."""
 
@@ -273,30 +176,74 @@ def anneal(rng, engine, chart, values, proposals, steps, temperatures=(0.03, 0.1
     return draws
 
 
-def sample(rng, engine, chart, values, count, thin, only=None, warm=None):
-    """Return Draws of one chain from `values`: warm-up with adaptation, then `count` draws `thin` steps apart.
+def sample(rng, chart, sensor, values, chains, count, thin, only=None):
+    """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
-    warm : steps in each of the three rounds of the warm-up; each round's covariance shapes the next one's steps.
+    The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
+    all chains have met; at the beginning, with a likelihood that counts less, they go where they like.
+
+    only : coordinates that may move, None for all.
     """
-    values = values.copy()
-    warm = max(count * thin // 4, 400) if warm is None else warm
-    singles = single_steps(chart, len(values), only)
-    proposals = make_proposals(singles)
-    run(rng, engine, chart, values, proposals, 1.0, 0.15, max(warm // 10, 20), 10)
-    scales = proposals.scale
-    for _ in range(3):
-        history = run(rng, engine, chart, values, proposals, 1.0, 0.08, max(warm // 10, 20), 10)
-        recent = history.values[len(history.values) // 3 :]
-        proposals = make_proposals([*singles, *block_steps(chart, np.cov(recent.T), only)])
-        proposals.scale[: len(singles)] = scales
-    run(rng, engine, chart, values, proposals, 1.0, 0.05, max(warm // 20, 10), 10)
-    return run(rng, engine, chart, values, proposals, 1.0, 0.0, count, thin)
+    members = list(range(len(values)) if only is None else only)
+    engines = [engine_of(chart, sensor) for _ in range(chains)]
+    load(engines[0], chart, values)
+    curvature = Curvature(engines[0], chart, sensor, values)
+    spread = np.linalg.inv(curvature.precision(members))
+    factor = np.linalg.cholesky(spread)
+    walkers = [(engine, chart, values.copy()) for engine in engines]
+    singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
+    singles += unseen_steps(chart, only)
+    met = np.empty((0, len(members)))
+    for temperature, length in ROUNDS:
+        steps = [*singles, *block_steps(chart, spread, only)]
+        steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
+        singles = steps[: len(singles)]
+        if temperature == 1.0:
+            met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
+            spread = spread_of(met, factor)
+    for more in (True, False):
+        steps = [*singles, *block_steps(chart, spread, only)]
+        steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
+        steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
+        if not more or chains == 1 or agree(drawn, members):
+            return drawn
+        spread = spread_of(np.concatenate([draws.values[:, members] for draws in drawn]), factor)
+        singles, thin = steps[: len(singles)], MORE * thin
 
 
-def log_evidence(draws, members):
-    """Return the log of the integral of the density over coordinates `members`, from draws: the normal with their
-    mean and covariance has E[log density] + entropy for it, exact where the posterior is normal."""
-    values = draws.values[:, members]
+def spread_of(met, factor):
+    """Return the covariance (n, n) that places met (K, n) suggest to whoever believed in factor factor' before."""
+    seen = np.linalg.solve(factor, (met - met.mean(axis=0)).T)
+    share = len(met) / (len(met) + TRUSTED * len(factor))
+    return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
+
+
+def agree(drawn, members):
+    """Whether chains of enough draws to tell mix well enough to be trusted for a quick look."""
+    values = np.stack([draws.values[:, members] for draws in drawn])
+    if values.shape[1] < FEW:
+        return True
+    return all(r_hat(values[..., n]) < AGREE and bulk_ess(values[..., n]) > ENOUGH for n in range(len(members)))
+
+
+def stretch(rng, walkers, steps, temperature, gain, count, thin):
+    """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
+
+    The scales are the geometric means of those to which each walker's adapted.
+    """
+    proposals = [make_proposals(steps) for _ in walkers]
+    drawn = in_threads(rng, [
+        partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
+                count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
+    ])  # fmt: skip
+    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
+    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
+
+
+def log_evidence(drawn, members):
+    """Return the log of the integral of the density over coordinates `members`, from the Draws of chains: the normal
+    with their mean and covariance has E[log density] + entropy for it, exact where the posterior is normal."""
+    values = np.concatenate([draws.values[:, members] for draws in drawn])
     covariance = np.atleast_2d(np.cov(values.T)) + 1e-14 * np.eye(len(members))
     entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * covariance)[1]
-    return float(np.mean(draws.densities.sum(axis=1)) + entropy)
+    return float(np.mean([draws.densities.sum(axis=1).mean() for draws in drawn]) + entropy)

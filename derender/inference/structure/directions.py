@@ -5,14 +5,16 @@ import numpy as np
 from derender.inference.structure.chart import FLOOR_WAYS, SIZE, TURN, VERTICAL
 
 
-def directions(chart, count):
+def directions(chart, count, solids=None):
     """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
+
+    Those of some solids only, or of all (None).
 
     Each face moved while the opposite one stays, shifts, turns about the centre and about the four corners of the
     ground plan, edges of a cube scaled about a corner.
     """
     found = []
-    for k in range(len(chart.flags)):
+    for k in range(len(chart.flags)) if solids is None else solids:
         slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
         rotation = base[1:10].reshape(3, 3)
 

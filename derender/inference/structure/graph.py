@@ -90,20 +90,27 @@ def scene_graph(
         vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
         parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
         if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
-            contact = best_contact(graph.add(vertex), names[k], parent, state.rows[k])
+            row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]
+            faces = ("+z", "-z") if upright(row) and (on is None or upright(on)) else (None, None)
+            contact = best_contact(graph.add(vertex), names[k], parent, row, *faces)
             if contact is not None:
                 vertex = replace(vertex, parent=parent, contact=contact)
         graph = graph.add(vertex)
     return graph
 
 
-def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> Contact | None:
-    """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near."""
+def best_contact(
+    graph: SceneGraph, name: str, parent: str, row: np.ndarray, on: str | None = None, by: str | None = None
+) -> Contact | None:
+    """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near.
+
+    on, by : the parent's and the child's face, None for any; of a floor it is +z.
+    """
     best, chosen = np.inf, None
     reach = 0.5 * float(np.linalg.norm(row[13:16]))
     for place, kind in enumerate(ON_A_FACE):
         try:
-            contact, left = graph.nearest_contact(name, parent, kind, "+z" if parent == FLOOR_NAME else None)
+            contact, left = graph.nearest_contact(name, parent, kind, "+z" if parent == FLOOR_NAME else on, by)
         except DerenderError:
             continue
         gap = abs(contact.values.get("gap", 0.0))
@@ -122,6 +129,11 @@ def best_contact(graph: SceneGraph, name: str, parent: str, row: np.ndarray) -> 
         for t in TILTS:
             values.pop(t, None)
     return replace(contact, values=values)
+
+
+def upright(row: np.ndarray) -> bool:
+    """Whether a solid with ends stands on one of them: then that is the face by which it touches what is below."""
+    return int(row[0]) != SPHERE and row[9] > 1.0 - 1e-12
 
 
 def periods_of(graph, addresses):

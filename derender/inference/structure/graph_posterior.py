@@ -15,7 +15,15 @@ from functools import partial
 import numpy as np
 
 from derender.inference.posterior import StructurePosterior
-from derender.inference.structure.alternatives import from_search, merges, of_one_solid, supports_within
+from derender.inference.structure.alternatives import (
+    WHOLE_DRAWS,
+    from_search,
+    merges,
+    of_one_solid,
+    supports_within,
+    whole_evidence,
+)
+from derender.inference.structure.continuous import log_evidence
 from derender.inference.structure.discrepancy import with_offsets
 from derender.inference.structure.graph import names_of, periods_of, pose_of, scene_graph
 from derender.inference.structure.image import CENTRE, ROTATION, rotation_of
@@ -27,8 +35,8 @@ from derender.inference.structure.refined import (
     floor_pose_of,
     only_draw,
     refine,
-    settled,
     structure_posterior,
+    with_sensor_refitted,
 )
 from derender.inference.structure.search import sweep, total_energy, try_cube
 from derender.inference.structure.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
@@ -207,14 +215,22 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
     first = refine(rng, seen, state, settings.rules)
     if only_best:
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
-    kept = weighed_structures(rng, first, total_energy(seen.image, state, settings), pool, settings.rules)
+    made: dict = {}
+
+    def evidence(rng, refined):
+        """Return its evidence from the draws that it will need anyway, should it stay the best."""
+        made["of"], made["draws"] = refined, chains_of(rng, refined, chains, draws)
+        return log_evidence(made["draws"], list(range(len(refined.values))))
+
+    kept = weighed_structures(rng, first, total_energy(seen.image, state, settings), pool, settings.rules,
+                              evidence if chains * draws >= WHOLE_DRAWS else whole_evidence)  # fmt: skip
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
     weights = np.exp([odds - kept[0][1] for _, odds, _ in kept])
     weights /= weights.sum()
     parts = []
     for place, ((trial, _, own), weight) in enumerate(zip(kept, weights, strict=True)):
         if place == 0:
-            drawn = chains_of(rng, trial, chains, draws)
+            drawn = made["draws"] if made.get("of") is trial else chains_of(rng, trial, chains, draws)
         elif weight > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, 100,
                             temperatures=(0.3, 1.0))  # fmt: skip
@@ -225,14 +241,15 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
     return parts
 
 
-def weighed_structures(rng, first, energy, pool, rules):
+def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence):
     """Return (Refined, log odds, names) of the structures that the search met and of those one step from the best.
 
     The likeliest comes first, with odds 0; a solid has the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
+    evidence : of the first, see `whole_evidence`.
     """
-    best, others = leading(first, from_search(rng, first, pool, energy, rules))
+    best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
     for _ in range(MOST_MERGES):
         former = best
         best, others = leading(best, [*others, *merges(rng, best, rules)])
@@ -252,7 +269,7 @@ def weighed_structures(rng, first, energy, pool, rules):
         if best is former:
             break
     if best is not first:
-        best = settled(rng, best)
+        best = with_sensor_refitted(rng, best)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0, names)}
     for trial, odds in others:

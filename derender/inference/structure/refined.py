@@ -16,22 +16,19 @@ from derender.inference.structure.continuous import (
     engine_of,
     load,
     log_evidence,
-    make_proposals,
-    own_members,
     sample,
-    single_steps,
 )
 from derender.inference.structure.graph import scene_graph
 from derender.inference.structure.image import ROW
 from derender.inference.structure.numbers import numbers_of_draws
 from derender.inference.structure.sensor import Sensor, final_sensor, first_sensor, model_image
-from derender.inference.structure.threads import in_threads
+from derender.inference.structure.steps import make_proposals, own_members, single_steps
+from derender.inference.structure.threads import THREADS, in_threads
 from derender.vision.camera import Camera
 
 ANNEALING = 400  # steps of each temperature for each solid
-MORE_TRIES, HOTTER = 1, (0.01, 0.03, 0.1, 0.3, 1.0)  # of annealing, where outliers are left
-STEPS = 50  # between two draws: at least so many, and so many for each solid
-MOST_STEPS = 300
+HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3, 1.0), 600  # of annealing, and its steps, where outliers are left
+STEPS, MOST_STEPS = 4, 200  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
 
 
@@ -65,7 +62,7 @@ def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, t
 def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
     """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
     engine = engine_of(chart, sensor)
-    proposals = make_proposals(single_steps(chart, len(values), members))
+    proposals = make_proposals(single_steps(chart, members))
     count = len(state) if members is None else 1
     draws = anneal(rng, engine, chart, values, proposals, steps * max(count, 1), temperatures)
     best = int(np.argmax(draws.densities.sum(axis=1)))
@@ -115,15 +112,16 @@ def settled(rng, refined):
     Not where the noise grows with depth: such sensors have outliers at edges of their own.
     """
     best = with_sensor_refitted(rng, refined)
-    for _ in range(MORE_TRIES):
-        if best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
-            break
-        # pixels that no noise explains: perhaps some edge is caught a pixel away from where it belongs
-        values = best.values.copy()
-        hot = climb(rng, best.state, best.chart, values, best.sensor, 3 * ANNEALING, None, HOTTER)
-        again = with_sensor_refitted(rng, hot)
-        best = max(best, again, key=lambda each: each.log_likelihood - robust_offset(each.sensor))
-    return best
+    if best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
+        return best
+
+    def hot(stream):
+        """Return it after a walk from hotter: perhaps some edge is caught a pixel away from where it belongs."""
+        found = climb(stream, best.state, best.chart, best.values.copy(), best.sensor, LONGER, None, HOTTER)
+        return with_sensor_refitted(stream, found)
+
+    tries = in_threads(rng, [hot] * THREADS)
+    return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
 
 
 def robust_offset(sensor):
@@ -143,16 +141,8 @@ def with_sensor_refitted(rng, refined):
 
 def chains_of(rng, refined, chains, draws, only=None):
     """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it."""
-    steps = min(max(STEPS, STEPS * len(refined.state)), MOST_STEPS)
-
-    def chain(stream):
-        engine = engine_of(refined.chart, refined.sensor)
-        values = refined.values.copy()
-        proposals = make_proposals(single_steps(refined.chart, len(values), only))
-        anneal(stream, engine, refined.chart, values, proposals, ANNEALING, (0.05, 0.3, 1.0))
-        return sample(stream, engine, refined.chart, values, draws, steps, only)
-
-    return in_threads(rng, [chain] * chains)
+    steps = min(STEPS * len(refined.values), MOST_STEPS)
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, only)
 
 
 def floor_pose_of(refined):
@@ -190,11 +180,10 @@ def only_draw(refined):
 def local_evidence(rng, refined, solids):
     """Return the log of the density's integral over the coordinates of some solids, all others held at the mode."""
     members = sorted({m for k in solids for m in own_members(refined.chart, k)})
-    engine = engine_of(refined.chart, refined.sensor)
-    steps, warm = LOCAL_STEPS * len(solids), 400 * len(solids)
-    draws = sample(rng, engine, refined.chart, refined.values, LOCAL_DRAWS, steps, members, warm)
-    return log_evidence(draws, members)
+    steps = LOCAL_STEPS * len(solids)
+    drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
+    return log_evidence(drawn, members)
 
 
 __all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
-           "settled", "structure_posterior"]  # fmt: skip
+           "settled", "structure_posterior", "with_sensor_refitted"]  # fmt: skip

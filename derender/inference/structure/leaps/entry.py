@@ -5,19 +5,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.inference.structure.chart import FLOOR_WAYS, HELD, PARENT, SLOTS, TURN, VERTICAL, Chart
-from derender.inference.structure.continuous import (
-    Proposals,
-    block_steps,
-    engine_of,
-    make_proposals,
-    run,
-    sample,
-    single_steps,
-)
+from derender.inference.structure.continuous import engine_of, run, sample
 from derender.inference.structure.graph import order_of
 from derender.inference.structure.leaps.region import Region, folded
 from derender.inference.structure.refined import Refined
 from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.steps import Proposals, block_steps, make_proposals, single_steps
 
 DRAWS = 300  # from which an entry's normal is fitted
 ENOUGH = 0.5  # of the draws inside the region: else nothing holds the solids in place
@@ -135,14 +128,14 @@ def make_entry(rng, refined: Refined, names, draws=DRAWS) -> Entry | None:
     """
     chart, sensor = refined.chart, refined.sensor
     engine, region = engine_of(chart, sensor), Region(sensor)
-    found = sample(rng, engine, chart, refined.values, draws, 10 + 5 * len(names))
+    (found,) = sample(rng, chart, sensor, refined.values, 1, draws, 10 + 5 * len(names))
     values = np.array([folded(chart, draw) for draw in found.values])
     inside = np.array([region.holds(chart, draw) for draw in values])
     if inside.mean() < ENOUGH:
         return None
     values, densities = values[inside], found.densities[inside].sum(axis=1)
     covariance = np.atleast_2d(np.cov(values.T)) + 1e-12 * np.eye(len(refined.values))
-    proposals = make_proposals([*single_steps(chart, len(refined.values)), *block_steps(chart, covariance)])
+    proposals = make_proposals([*single_steps(chart), *block_steps(chart, covariance)])
     run(rng, engine, chart, values[-1].copy(), proposals, 1.0, 0.05, 20 * (1 + len(names)), 10)
     entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * covariance)[1]
     return Entry(refined.state, tuple(names), chart, values[int(np.argmax(densities))].copy(),

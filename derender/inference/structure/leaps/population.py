@@ -19,13 +19,14 @@ import numpy as np
 
 from derender.inference.smc import systematic
 from derender.inference.structure.chart import FLOOR_WAYS
-from derender.inference.structure.continuous import block_steps, engine_of, load, make_proposals, run, single_steps
+from derender.inference.structure.continuous import engine_of, load, run
 from derender.inference.structure.leaps.catalogue import pull_of
 from derender.inference.structure.leaps.chain import Place, Walker
 from derender.inference.structure.leaps.entry import Entry
 from derender.inference.structure.leaps.leap import conditional
 from derender.inference.structure.leaps.region import folded
 from derender.inference.structure.sensor import model_image
+from derender.inference.structure.steps import block_steps, make_proposals, single_steps
 
 STEPS = 20  # of each particle for each solid that is there, after each resampling
 ROUNDS = 3  # of walks and leaps at the end
@@ -64,7 +65,7 @@ def first_solids(entry: Entry, k: int) -> Entry:
     size = len(entry.mean)
     columns = [*range(1 + int(slots.max(initial=-1))), *range(size - FLOOR_WAYS, size)]
     covariance = entry.covariance[np.ix_(columns, columns)]
-    steps = [*single_steps(chart, len(columns)), *block_steps(chart, covariance)]
+    steps = [*single_steps(chart), *block_steps(chart, covariance)]
     return entry._replace(names=entry.names[:k], chart=chart, start=entry.start[columns], mean=entry.mean[columns],
                           labels=tuple(entry.labels[i] for i in columns), covariance=covariance,
                           proposals=make_proposals(steps))  # fmt: skip
