@@ -30,7 +30,7 @@ cube = Solids(np.array([BOX], np.int32), pose, np.full((1, 3), 0.1), np.array([-
 try:
     depth, label = find_renderer(sys.argv[1]).render_depth(cube, Camera(60, 60, 31.5, 31.5, 64, 64))
 except DerenderError as error:
-    sys.exit(str(error))
+    sys.exit(error.what)  # its remedy stands below
 if abs(depth[32, 32] - 0.5) > 1e-4 or label[32, 32] != 0:
     sys.exit(f"it draws, but wrong: depth {depth[32, 32]:.4f} m where 0.5 is right")
 """
