@@ -21,7 +21,7 @@ from derender.report.html import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
 from derender.vision.blur import blur, blur_taps
 from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.normal_equations import new_misfit, watch_all
+from derender.vision.raycast.normal_equations import new_misfit
 
 JOBS = 2
 TIMES = (0.0, 0.3, 0.6, 1.2)
@@ -176,7 +176,7 @@ class Ascent:
             path, costs = np.empty((steps + 1, 3)), np.empty(steps + 1)
             scratch: Any = (np.zeros(3), np.zeros((3, 3)))
             arguments = self._common(values, misfit)
-            _, accepted, _ = levenberg(*arguments, steps, 1e-3, True, 0, path, costs, *scratch)  # type: ignore[call-arg]
+            _, accepted, _ = levenberg(*arguments, steps, 1e-3, True, path, costs, *scratch)  # type: ignore[call-arg]
             whole.append(path[1 : accepted + 1])
             values = path[accepted].copy()
         return np.concatenate(whole)
@@ -185,7 +185,6 @@ class Ascent:
         """Return minus the log posterior density up to a constant, of the image as it is or of a more blurred one."""
         misfit = self.misfits[level]
         count = len(misfit.kinds)
-        watch_all(misfit)
         scratch: Any = (np.zeros(3), np.zeros(3), np.empty((count, 4, 4)), np.empty((count, 3)))
         return cost_at(misfit, self.placement, values.copy(), *scratch)
 

@@ -18,7 +18,7 @@ from derender.inference.optimise.placement import new_placement
 from derender.model.scene import SceneGraph
 from derender.registry import suggest
 from derender.vision.blur import blur_taps
-from derender.vision.raycast.normal_equations import new_misfit, watch_all
+from derender.vision.raycast.normal_equations import new_misfit
 from derender.vision.raycast.records import MOTION
 
 METHODS = ("gauss-newton", "gradient")
@@ -27,7 +27,6 @@ COARSE_ROWS = 16  # of the image that a start is looked for in
 LATTICE, GENERATORS = 24, (1, 5, 11, 7)  # points of the scan, and their rank-1 lattice in up to four parameters
 KEPT = 2  # places of the scan that are descended from
 COARSE_STEPS, COARSE_STEPS_ALONE = 4, 12  # with a scan before, and without
-MARGIN = 4  # pixels that a solid may go in the fine descent before what it uncovers is out of sight
 DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 
 
@@ -113,7 +112,6 @@ class MapProblem:
         """Return Eq. 6's log likelihood on the antialiased image, plus the normal priors' log density up to a
         constant."""
         poses, sizes = self._scratch()
-        watch_all(self._fine)
         values = np.array(values, np.float64)
         return self._constant - cost_at(self._fine, self.placement, values, self._mean, self._precision, poses, sizes)
 
@@ -123,7 +121,6 @@ class MapProblem:
         count = len(self.addresses)
         motions, gradient, hessian = np.zeros((count, len(poses), MOTION)), np.zeros(count), np.zeros((count, count))
         values = np.array(values, np.float64)
-        watch_all(self._fine)
         law = self._mean, self._precision, poses, sizes
         value = cost_at(self._fine, self.placement, values, *law)
         equations_at(self._fine, self.placement, values, *law, motions, self.edges, gradient, hessian)
@@ -175,14 +172,12 @@ class MapProblem:
             iterations,
             tolerance,
             self.edges,
-            MARGIN,
             path,
             costs,
             *scratch,
         )
-        top = self.log_density(values)
-        densities = top + costs[accepted] - costs[: accepted + 1]  # in the window a constant is left out
-        return Maximum(values, top, path[: accepted + 1].copy(), densities, before + accepted)
+        densities = self._constant - costs[: accepted + 1]
+        return Maximum(values, float(densities[-1]), path[: accepted + 1].copy(), densities, before + accepted)
 
     @property
     def _law(self):
@@ -202,7 +197,6 @@ class MapProblem:
             shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
             places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
         scratch = self._scratch()
-        watch_all(self._coarse)
         costs = [
             cost_at(self._coarse, self.placement, place, self._mean, self._precision, *scratch) for place in places
         ]
@@ -212,7 +206,7 @@ class MapProblem:
         for number in np.argsort(costs)[:KEPT]:
             values = places[number].copy()
             height, accepted, _ = levenberg(  # type: ignore[call-arg]
-                self._coarse, self.placement, values, *self._law, steps, 5.0, True, 0, path, heights, *matrices
+                self._coarse, self.placement, values, *self._law, steps, 5.0, True, path, heights, *matrices
             )
             ends.append((height, accepted, values))
         _, accepted, values = min(ends, key=lambda end: end[0])
@@ -221,7 +215,6 @@ class MapProblem:
     def _fixed(self, start, iterations, step, difference) -> Maximum:
         values, domain = np.array(start, np.float64), self.domain
         path, costs = np.zeros((iterations + 1, len(values))), np.zeros(iterations + 1)
-        watch_all(self._fine)
         fixed_step(self._fine, self.placement, values, domain.lower, domain.upper, domain.period, self._mean,
                    self._precision, iterations, step, self.edges, difference, path, costs)  # fmt: skip
         densities = self._constant - costs

@@ -7,7 +7,7 @@ import numpy as np
 
 from derender.inference.optimise.placement import find_motions, place
 from derender.kernel_cache import njit
-from derender.vision.raycast.normal_equations import cost, cost_gradient, normal_equations, watch, watch_all
+from derender.vision.raycast.normal_equations import cost, cost_gradient, normal_equations
 from derender.vision.raycast.records import MOTION
 
 
@@ -104,7 +104,6 @@ def levenberg(
     iterations,
     tolerance,
     edges,
-    margin,
     path,
     costs,
     gradient,
@@ -113,24 +112,12 @@ def levenberg(
     """Minimise by Levenberg-Marquardt, in place, and return (cost, accepted states, tried steps).
 
     values : (P,) float64, start and end. lower, upper, period : the domain. mean, precision : normal priors.
-    iterations : most steps to try. tolerance : nats; a smaller gain ends it. margin : compare only pixels so near to
-        the
-    moving solids' first place (the cost then lacks a constant), 0 for the whole image. path : (iterations + 1, P) and
-    costs : (iterations + 1,), written: the accepted states. gradient, hessian : those of the last state.
+    iterations : most steps to try. tolerance : nats; a smaller gain ends it. path : (iterations + 1, P) and costs :
+    (iterations + 1,), written: the accepted states. gradient, hessian : those of the last state.
     """
     count, solids = values.shape[0], misfit.kinds.shape[0]
     poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))
     motions = np.empty((count, solids, MOTION))
-    if margin > 0:
-        moving = np.zeros(solids, np.bool_)
-        bring(values, lower, upper, period)
-        place(placement, values, poses, sizes)
-        find_motions(placement, values, motions)
-        for k in range(solids):
-            moving[k] = np.any(motions[:, k] != 0.0)
-        watch(misfit, poses, sizes, moving, margin)
-    else:
-        watch_all(misfit)
     step, trial, held = np.zeros(count), np.empty(count), np.zeros(count, np.bool_)
     damped = np.empty((count, count))
     bring(values, lower, upper, period)

@@ -8,6 +8,8 @@ in a pixel if their difference at its centre is less than their range over it.
 
 import math
 
+import numpy as np
+
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
 from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, draw_outlines, prepare_all
@@ -139,19 +141,19 @@ def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _draw_mixed(canvas, kinds, wall, window):
-    """Divide and integrate the mixed pixels of a window: write their depths, parts and borders, and how many there are.
+    """Divide and integrate the mixed pixels of a window: write their depths, parts and borders.
 
     Arrays are handed on one by one: a whole canvas costs more to pass than most pixels to divide.
     """
     pieces, prepared, rectangle, order = canvas.pieces, canvas.prepared, canvas.rectangle, canvas.order
     lines, line_counts, mixed, depth = canvas.lines, canvas.line_counts, canvas.mixed, canvas.depth
-    mixed_pixels, part_ends, border_ends = canvas.mixed_pixels, canvas.part_ends, canvas.border_ends
+    part_range, border_range = canvas.part_range, canvas.border_range
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
     facets, sides = canvas.facets, kinds.shape[0] * LINES
     if facets.first[kinds.shape[0]] > 0:
         list_facets(facets, mixed, window)
     width = depth.shape[1]
-    m, part, border = 0, 0, 0
+    part, border = canvas.used[0], canvas.used[1]
     for row in range(window[2], window[3]):
         for column in range(window[0], window[1]):
             if mixed[row, column] == 0:
@@ -167,28 +169,45 @@ def _draw_mixed(canvas, kinds, wall, window):
                     count = insert_facets(facets, pieces, prepared, lines, sides, k, x, y, count)
                 else:
                     count = insert_solid(pieces, prepared, lines, line_counts, k, float(column), float(row), count)
+            pixel = row * width + column
+            part_range[pixel, 0], border_range[pixel, 0] = part, border
             depth[row, column], part, border = integrate(
                 pieces, prepared, part_code, parts, border_code, borders, count, float(column), float(row), part, border
             )
-            mixed_pixels[m] = row * width + column
-            part_ends[m], border_ends[m] = part, border
-            m += 1
-    canvas.filled[0] = m
+            part_range[pixel, 1], border_range[pixel, 1] = part, border
+    canvas.used[0], canvas.used[1] = part, border
 
 
-@njit(cache=True, nogil=True)
-def draw_antialiased(canvas, kinds, poses, sizes, background, window):
-    """Draw the antialiased depth image inside a window of pixels.
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _differs(code, mixed, row, column, label):
+    """Has a pixel without an outline another label?"""
+    return mixed[row, column] != 1 and code[row, column] >> FACE_BITS != label
 
-    Parameters
-    ----------
-    canvas : Canvas, written. kinds : (N,) int32, poses : (N, 4, 4), sizes : (N, 3) float64, as in Solids.
-    background : depth in metres of a wall behind everything: what hits nothing, or lies beyond, has this depth.
-    window : (4,) int64, first column, end column, first row, end row. Outside it nothing changes, except that the list
-        of mixed pixels is that of this window.
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _mark_labels(code, mixed, window, around):
+    """Mark pixels between which only the label changes: solids that cut into each other show in no outline.
+
+    Marks are 2 and follow from pixels with and without an outline alone, so each can be made by itself. around : the
+    window of what has been drawn, in which neighbours count.
     """
-    prepare_all(canvas, kinds, poses, sizes)
-    draw_outlines(canvas, kinds, poses, sizes)
+    for row in range(window[2], window[3]):
+        for column in range(window[0], window[1]):
+            if mixed[row, column] == 1:
+                continue
+            here = code[row, column] >> FACE_BITS
+            if (
+                (column > around[0] and _differs(code, mixed, row, column - 1, here))
+                or (column + 1 < around[1] and _differs(code, mixed, row, column + 1, here))
+                or (row > around[2] and _differs(code, mixed, row - 1, column, here))
+                or (row + 1 < around[3] and _differs(code, mixed, row + 1, column, here))
+            ):
+                mixed[row, column] = 2
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _draw_window(canvas, kinds, background, window, around):
+    """Draw the prepared solids inside a window, within the window `around` of all that has been drawn."""
     inverse, code, mixed = canvas.inverse, canvas.code, canvas.mixed
     c0, c1, r0, r1 = window[0], window[1], window[2], window[3]
     for row in range(r0, r1):
@@ -215,19 +234,70 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
         for column in range(c0, c1):
             if inverse[row, column] <= wall:
                 code[row, column] = NOTHING
-    for row in range(r0, r1):  # where two solids cut into each other, only the labels of neighbours show it
-        for column in range(c0, c1):
-            here = code[row, column] >> FACE_BITS
-            if mixed[row, column] == 0:
-                if column + 1 < c1 and mixed[row, column + 1] == 0 and code[row, column + 1] >> FACE_BITS != here:
-                    mixed[row, column] = 1
-                    mixed[row, column + 1] = 1
-                if row + 1 < r1 and mixed[row + 1, column] == 0 and code[row + 1, column] >> FACE_BITS != here:
-                    mixed[row, column] = 1
-                    mixed[row + 1, column] = 1
+    _mark_labels(code, mixed, window, around)
     for row in range(r0, r1):
         for column in range(c0, c1):
             if mixed[row, column] == 0:
                 seen = code[row, column] != NOTHING
                 canvas.depth[row, column] = 1.0 / inverse[row, column] if seen else background
     _draw_mixed(canvas, kinds, wall, window)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _include(rectangle, margin, window, dirty):
+    """Enlarge `dirty` by a rectangle with a margin, as far as it lies in the window."""
+    if rectangle[0] < rectangle[1] and rectangle[2] < rectangle[3]:
+        dirty[0] = max(min(dirty[0], rectangle[0] - margin), window[0])
+        dirty[1] = min(max(dirty[1], rectangle[1] + margin), window[1])
+        dirty[2] = max(min(dirty[2], rectangle[2] - margin), window[2])
+        dirty[3] = min(max(dirty[3], rectangle[3] + margin), window[3])
+
+
+@njit(cache=True, nogil=True)
+def draw_antialiased(canvas, kinds, poses, sizes, background, window):
+    """Draw the antialiased depth image inside a window of pixels.
+
+    What the canvas shows already is kept: of the same window only the pixels are drawn, `canvas.dirty`, in which a
+    solid that has moved or grown since was or is, and their neighbours, whose marks it may change. The result is the
+    same to the last bit. `forget` makes it draw everything, as a change of kinds or background requires.
+
+    Parameters
+    ----------
+    canvas : Canvas, written. kinds : (N,) int32, poses : (N, 4, 4), sizes : (N, 3) float64, as in Solids.
+    background : depth in metres of a wall behind everything: what hits nothing, or lies beyond, has this depth.
+    window : (4,) int64, first column, end column, first row, end row. Outside it nothing changes.
+    """
+    dirty, last, rectangle = canvas.dirty, canvas.drawn_window, canvas.rectangle
+    all_of_it = canvas.used[0] > canvas.parts.shape[0] // 2 or canvas.used[1] > canvas.borders.shape[0] // 2
+    for n in range(4):
+        all_of_it = all_of_it or last[n] != window[n]
+    changed = np.zeros(kinds.shape[0], np.bool_)
+    dirty[0], dirty[1], dirty[2], dirty[3] = window[1], window[0], window[3], window[2]
+    for k in range(kinds.shape[0]):
+        changed[k] = all_of_it or not (
+            np.array_equal(canvas.drawn_pose[k], poses[k]) and np.array_equal(canvas.drawn_size[k], sizes[k])
+        )
+        if changed[k]:
+            _include(canvas.drawn_rectangle[k], 1, window, dirty)  # where it was
+    prepare_all(canvas, kinds, poses, sizes)
+    draw_outlines(canvas, kinds, poses, sizes)
+    for k in range(kinds.shape[0]):
+        if changed[k]:
+            _include(rectangle[k], 1, window, dirty)
+            canvas.drawn_pose[k] = poses[k]
+            canvas.drawn_size[k] = sizes[k]
+            canvas.drawn_rectangle[k] = rectangle[k]
+    if all_of_it:
+        canvas.used[:] = 0
+        for n in range(4):
+            last[n] = dirty[n] = window[n]
+    if dirty[0] < dirty[1] and dirty[2] < dirty[3]:
+        _draw_window(canvas, kinds, background, dirty, window)
+    else:
+        dirty[:] = 0
+
+
+@njit(cache=True, nogil=True)
+def forget(canvas):
+    """Make the next drawing draw everything."""
+    canvas.drawn_window[:] = 0

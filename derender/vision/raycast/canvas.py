@@ -52,10 +52,13 @@ class Canvas(NamedTuple):
         line_counts : (N, 2) int64, see `draw_outline`. facets : Facets, the T triangles of meshes.
     order : (N,) int64, the solids from near to far, planes last: what is hidden then cuts nothing.
     inverse : (H, W) float64, inverse depth at pixel centres. code : (H, W) int64, what is seen there:
-        (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, 1 where a pixel is divided.
+        (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, not 0 where a pixel is divided: 1
+        for an outline or crease, 2 for a neighbour of another label.
     depth : (H, W) float64, the antialiased image in metres.
-    mixed_pixels : (H * W,) int32, row * W + column of the mixed ones. filled : (1,) int64, how many there are.
-    part_ends, border_ends : (H * W,) int64, where a mixed pixel's parts and borders end; the next one's start there.
+    part_range, border_range : (H * W, 2) int64, first and end of each mixed pixel's parts and borders. used : (2,)
+        int64, how many parts and borders are taken; those of pixels drawn again since are among them.
+    drawn_pose : (N, 4, 4), drawn_size : (N, 3) float64, drawn_rectangle : (N, 4), drawn_window : (4,) int64, of what
+        was drawn last; an empty window if nothing was. dirty : (4,) int64, the pixels that the last drawing drew.
     part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands
         for it. What sees nothing is left out.
     border_code : (B, 2) int64, the edge (see Pieces) and the code of the piece that it bounds. borders : (B, 4)
@@ -74,10 +77,14 @@ class Canvas(NamedTuple):
     code: np.ndarray
     mixed: np.ndarray
     depth: np.ndarray
-    mixed_pixels: np.ndarray
-    filled: np.ndarray
-    part_ends: np.ndarray
-    border_ends: np.ndarray
+    part_range: np.ndarray
+    border_range: np.ndarray
+    used: np.ndarray
+    drawn_pose: np.ndarray
+    drawn_size: np.ndarray
+    drawn_rectangle: np.ndarray
+    drawn_window: np.ndarray
+    dirty: np.ndarray
     part_code: np.ndarray
     parts: np.ndarray
     border_code: np.ndarray
@@ -113,10 +120,14 @@ def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
         np.zeros((height, width), np.int64),
         np.zeros((height, width), np.uint8),
         np.zeros((height, width)),
-        np.zeros(pixels, np.int32),
-        np.zeros(1, np.int64),
-        np.zeros(pixels, np.int64),
-        np.zeros(pixels, np.int64),
+        np.zeros((pixels, 2), np.int64),
+        np.zeros((pixels, 2), np.int64),
+        np.zeros(2, np.int64),
+        np.zeros((solids, 4, 4)),
+        np.zeros((solids, 3)),
+        np.zeros((solids, 4), np.int64),
+        np.zeros(4, np.int64),
+        np.zeros(4, np.int64),
         np.zeros(room, np.int64),
         np.zeros((room, 3)),
         np.zeros((room, 2), np.int64),

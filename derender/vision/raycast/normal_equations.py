@@ -13,7 +13,7 @@ import numpy as np
 
 from derender.kernel_cache import njit
 from derender.vision.raycast.antialias import draw_antialiased
-from derender.vision.raycast.canvas import Canvas, new_canvas, prepare_all
+from derender.vision.raycast.canvas import Canvas, new_canvas
 from derender.vision.raycast.records import MOTION, Records, gather, new_records, spread
 from derender.vision.raycast.sensitivity import record
 from derender.vision.raycast.smooth import blur_adjoint, blur_rectangle
@@ -31,10 +31,10 @@ class Misfit(NamedTuple):
     observed : (H, W) float64 metres, any number where missing. precision : (H, W) float64, 1 / sigma^2, 0 where
         missing.
     numbers : (2,) float64, the background depth and the limit of the robust cost (infinite: normal).
-    taps : (R + 1,) float64, of the blur. window : (4,) int64, the pixels that are compared.
-    blurred, weighted, scratch, weight : (H, W) float64: blurred model; derivative of the cost by it; weight of each
-        pixel
-        in the normal equations.
+    taps : (R + 1,) float64, of the blur. window : (4,) int64, all pixels.
+    row_costs : (H,) float64, of each row.
+    blurred, weighted, scratch, weight, spare : (H, W) float64: blurred model; derivative of the cost by it; scratch;
+        weight of each pixel in the normal equations; scratch.
     images : (P, H * W) float64, derivatives of the blurred image by the parameters. bounds : (P, 4) int64, where not
         zero.
     """
@@ -47,11 +47,12 @@ class Misfit(NamedTuple):
     numbers: np.ndarray
     taps: np.ndarray
     window: np.ndarray
-    drawn: np.ndarray
+    row_costs: np.ndarray
     blurred: np.ndarray
     weighted: np.ndarray
     scratch: np.ndarray
     weight: np.ndarray
+    spare: np.ndarray
     images: np.ndarray
     bounds: np.ndarray
 
@@ -63,7 +64,7 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
     seen = np.isfinite(observed) & (observed > 0)
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
-    zeros = [np.zeros((height, width)) for _ in range(4)]
+    zeros = [np.zeros((height, width)) for _ in range(5)]
     return Misfit(
         new_canvas(camera, len(kinds), scene),
         new_records(camera, len(kinds)),
@@ -73,7 +74,7 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
         np.array([background, limit], np.float64),
         np.ascontiguousarray(taps, np.float64),
         np.array([0, width, 0, height], np.int64),
-        np.zeros(4, np.int64),
+        np.zeros(height),
         *zeros,
         np.zeros((parameters, height * width)),
         np.zeros((parameters, 4), np.int64),
@@ -81,61 +82,44 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
 
 
 @njit(cache=True, nogil=True)
-def grow(window, margin, width, height, grown):
-    """Write a rectangle grown by a margin and clipped to the image."""
-    grown[0], grown[1] = max(window[0] - margin, 0), min(window[1] + margin, width)
-    grown[2], grown[3] = max(window[2] - margin, 0), min(window[3] + margin, height)
-
-
-@njit(cache=True, nogil=True)
-def watch(misfit, poses, sizes, moving, margin):
-    """Set the window to where the moving solids are seen and `margin` pixels around; everything if they are not.
-
-    moving : (N,) bool. While the solids stay in it, costs differ from those of the whole image by a constant.
-    """
-    height, width = misfit.observed.shape
-    prepare_all(misfit.canvas, misfit.kinds, poses, sizes)
-    window = misfit.window
-    window[0], window[1], window[2], window[3] = width, 0, height, 0
-    for k in range(moving.shape[0]):
-        rectangle = misfit.canvas.rectangle[k]
-        if moving[k] and rectangle[0] < rectangle[1]:
-            window[0], window[1] = min(window[0], rectangle[0]), max(window[1], rectangle[1])
-            window[2], window[3] = min(window[2], rectangle[2]), max(window[3], rectangle[3])
-    if window[0] >= window[1]:
-        watch_all(misfit)
-    else:
-        grow(window.copy(), margin + misfit.taps.shape[0] - 1, width, height, window)
-
-
-@njit(cache=True, nogil=True)
-def watch_all(misfit):
-    """Set the window to the whole image."""
-    misfit.window[0], misfit.window[2] = 0, 0
-    misfit.window[1], misfit.window[3] = misfit.observed.shape[1], misfit.observed.shape[0]
-
-
-@njit(cache=True, nogil=True)
 def cost(misfit, poses, sizes):
-    """Draw, blur and compare: return the cost (minus log likelihood up to a constant) over the window."""
-    window = misfit.window
+    """Draw, blur and compare: return the cost (minus log likelihood up to a constant).
+
+    What the last call has found is used again wherever nothing has changed, to the same last bit.
+    """
+    canvas = misfit.canvas
     height, width = misfit.observed.shape
-    grow(window, misfit.taps.shape[0] - 1, width, height, misfit.drawn)
-    draw_antialiased(misfit.canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.drawn)
-    blur_rectangle(misfit.canvas.depth, misfit.taps, window, misfit.scratch, misfit.blurred)
+    margin = misfit.taps.shape[0] - 1
+    draw_antialiased(canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.window)
+    dirty, changed = canvas.dirty, np.empty(4, np.int64)
+    if dirty[0] < dirty[1]:
+        changed[0], changed[1] = max(dirty[0] - margin, 0), min(dirty[1] + margin, width)
+        changed[2], changed[3] = max(dirty[2] - margin, 0), min(dirty[3] + margin, height)
+        blur_rectangle(canvas.depth, misfit.taps, changed, misfit.scratch, misfit.blurred)
+        _compare(misfit, changed[2], changed[3])
+    total = 0.0
+    for row in range(height):
+        total += misfit.row_costs[row]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _compare(misfit, top, bottom):
+    """Compare the rows from `top` to `bottom` of the blurred image with the observed one: costs, weights, residuals."""
+    width = misfit.observed.shape[1]
     limit = misfit.numbers[LIMIT]
     floor = math.exp(-limit)
-    total = 0.0
-    for row in range(window[2], window[3]):
+    for row in range(top, bottom):
+        total = 0.0
         if math.isinf(limit):
-            for column in range(window[0], window[1]):
+            for column in range(width):
                 r = misfit.blurred[row, column] - misfit.observed[row, column]
                 weight = misfit.precision[row, column]
                 misfit.weight[row, column] = weight
                 misfit.weighted[row, column] = weight * r
                 total += 0.5 * weight * r * r
         else:
-            for column in range(window[0], window[1]):
+            for column in range(width):
                 r = misfit.blurred[row, column] - misfit.observed[row, column]
                 weight = misfit.precision[row, column]
                 inlier = math.exp(-min(0.5 * weight * r * r, 700.0))
@@ -143,7 +127,7 @@ def cost(misfit, poses, sizes):
                 weight *= inlier / (inlier + floor)
                 misfit.weight[row, column] = weight
                 misfit.weighted[row, column] = weight * r
-    return total
+        misfit.row_costs[row] = total
 
 
 @njit(cache=True, nogil=True)
@@ -153,17 +137,8 @@ def cost_gradient(misfit, poses, sizes, active, edges, totals):
     `cost` must have been called last for the same placement: its image and residuals are used.
     active : (N,) bool. edges : bool, see `sensitivity.record`. totals : (N, MOTION) float64, written.
     """
-    record(
-        misfit.canvas,
-        misfit.records,
-        misfit.kinds,
-        poses,
-        sizes,
-        active,
-        misfit.numbers[BACKGROUND],
-        misfit.drawn,
-        edges,
-    )
+    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
+           misfit.window, edges)  # fmt: skip
     carried = misfit.images[0].reshape(misfit.blurred.shape)
     blur_adjoint(misfit.weighted, misfit.taps, misfit.window, misfit.scratch, carried)
     totals[:] = 0.0
@@ -183,7 +158,7 @@ def _products(first, second, weight, start, end):
 def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
     """Write the gradient (P,) of the cost and its Gauss-Newton Hessian (P, P) by parameters with the given motions.
 
-    `cost` must have been called last for the same placement: its image and residuals are used, and spoilt.
+    `cost` must have been called last for the same placement: its image and residuals are used.
     motions : (P, N, MOTION) float64, the motion of each solid per unit of each parameter.
     """
     count, solids = motions.shape[0], motions.shape[1]
@@ -197,21 +172,11 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                 if motions[p, k, c] != 0.0:
                     moves[p, k] = True
                     active[k] = True
-    record(
-        misfit.canvas,
-        misfit.records,
-        misfit.kinds,
-        poses,
-        sizes,
-        active,
-        misfit.numbers[BACKGROUND],
-        misfit.drawn,
-        edges,
-    )
+    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
+           misfit.window, edges)  # fmt: skip
     spread(misfit.records, motions, moves, misfit.images)
     radius = misfit.taps.shape[0] - 1
-    window, drawn = misfit.window, misfit.drawn
-    blurred = misfit.canvas.inverse  # free now: the next rendering overwrites it
+    blurred = misfit.spare
     for p in range(count):
         bounds = misfit.bounds[p]
         bounds[0], bounds[1], bounds[2], bounds[3] = width, 0, height, 0
@@ -221,8 +186,8 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                 if rectangle[0] < rectangle[1]:
                     bounds[0], bounds[1] = min(bounds[0], rectangle[0]), max(bounds[1], rectangle[1])
                     bounds[2], bounds[3] = min(bounds[2], rectangle[2]), max(bounds[3], rectangle[3])
-        bounds[0], bounds[1] = max(bounds[0] - radius, window[0]), min(bounds[1] + radius, window[1])
-        bounds[2], bounds[3] = max(bounds[2] - radius, window[2]), min(bounds[3] + radius, window[3])
+        bounds[0], bounds[1] = max(bounds[0] - radius, 0), min(bounds[1] + radius, width)
+        bounds[2], bounds[3] = max(bounds[2] - radius, 0), min(bounds[3] + radius, height)
         if bounds[0] < bounds[1] and bounds[2] < bounds[3] and radius > 0:
             image = misfit.images[p].reshape(height, width)
             blur_rectangle(image, misfit.taps, bounds, misfit.scratch, blurred)
@@ -247,5 +212,6 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
             hessian[p, q] = total
             hessian[q, p] = total
     for p in range(count):  # leave the images clean for the next call
-        for row in range(drawn[2], drawn[3]):
-            misfit.images[p, row * width + drawn[0] : row * width + drawn[1]] = 0.0
+        first = misfit.bounds[p]
+        for row in range(first[2], first[3]):
+            misfit.images[p, row * width + first[0] : row * width + first[1]] = 0.0

@@ -136,37 +136,44 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
     camera, code, mixed, prepared, lines = canvas.camera, canvas.code, canvas.mixed, canvas.prepared, canvas.lines
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
     pixels, solids, forms = records.pixel, records.solid, records.form
+    part_range, border_range = canvas.part_range, canvas.border_range
     planes, owners, triangles = canvas.facets.plane, canvas.facets.solid, kinds.shape[0] * LINES
     width, count = code.shape[1], 0
-    for row in range(window[2], window[3]):
-        for column in range(window[0], window[1]):
-            here = code[row, column]
-            if mixed[row, column] == 0 and here != NOTHING and active[here >> FACE_BITS]:
-                k, face = here >> FACE_BITS, here & FACE_MASK
-                slot = _slot_of(pixels, solids, forms, count, count, row * width + column, k)
-                x, y = float(column), float(row)
-                _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, planes, k, face, x, y, camera)
-                count += 1
-    part, border = 0, 0
-    for m in range(canvas.filled[0]):
-        pixel, begin = canvas.mixed_pixels[m], count
-        while part < canvas.part_ends[m]:
-            k, face = part_code[part] >> FACE_BITS, part_code[part] & FACE_MASK
-            slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
-            if slot >= 0:
-                count = max(count, slot + 1)
-                _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, planes, k, face,
-                             parts[part, 1], parts[part, 2], camera)  # fmt: skip
-            part += 1
-        while border < canvas.border_ends[m]:
-            edge = border_code[border, 0]
-            line = edge >> 1
-            k = line // LINES if line < triangles else owners[(line - triangles) // 3]
-            slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if edges and active[k] else -1
-            if slot >= 0:
-                count = max(count, slot + 1)
-                _add_border(forms, slot, k, edge, border_code[border, 1], borders[border, 0], borders[border, 1],
-                            borders[border, 2], borders[border, 3], lines, kinds, prepared, planes, camera, background,
-                            poses, sizes)  # fmt: skip
-            border += 1
+    left, right, top, bottom = window[1], window[0], window[3], window[2]
+    for k in range(kinds.shape[0]):  # elsewhere no active solid is seen
+        rectangle = canvas.rectangle[k]
+        if active[k] and rectangle[0] < rectangle[1]:
+            left, right = min(left, max(rectangle[0], window[0])), max(right, min(rectangle[1], window[1]))
+            top, bottom = min(top, max(rectangle[2], window[2])), max(bottom, min(rectangle[3], window[3]))
+    for row in range(top, bottom):
+        for column in range(left, right):
+            pixel, begin, here = row * width + column, count, code[row, column]
+            if mixed[row, column] == 0:
+                if here != NOTHING and active[here >> FACE_BITS]:
+                    k, face = here >> FACE_BITS, here & FACE_MASK
+                    slot = _slot_of(pixels, solids, forms, begin, count, pixel, k)
+                    x, y = float(column), float(row)
+                    if slot >= 0:
+                        _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, planes, k, face, x, y, camera)
+                        count += 1
+                continue
+            for part in range(part_range[pixel, 0], part_range[pixel, 1]):
+                k, face = part_code[part] >> FACE_BITS, part_code[part] & FACE_MASK
+                slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
+                if slot >= 0:
+                    count = max(count, slot + 1)
+                    _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, planes, k, face,
+                                 parts[part, 1], parts[part, 2], camera)  # fmt: skip
+            if not edges:
+                continue
+            for border in range(border_range[pixel, 0], border_range[pixel, 1]):
+                edge = border_code[border, 0]
+                line = edge >> 1
+                k = line // LINES if line < triangles else owners[(line - triangles) // 3]
+                slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
+                if slot >= 0:
+                    count = max(count, slot + 1)
+                    _add_border(forms, slot, k, edge, border_code[border, 1], borders[border, 0], borders[border, 1],
+                                borders[border, 2], borders[border, 3], lines, kinds, prepared, planes, camera,
+                                background, poses, sizes)  # fmt: skip
     records.filled[0] = count
