@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.inference.optimise.descent import cost_at, equations_at, fixed_step, levenberg
+from derender.inference.optimise.descent import cost_at, costs_at, equations_at, fixed_step, levenberg
 from derender.inference.optimise.placement import new_placement
 from derender.model.scene import SceneGraph
 from derender.registry import suggest
@@ -196,10 +196,7 @@ class MapProblem:
         if count <= len(GENERATORS) and np.all(np.isfinite(length)):
             shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
             places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
-        scratch = self._scratch()
-        costs = [
-            cost_at(self._coarse, self.placement, place, self._mean, self._precision, *scratch) for place in places
-        ]
+        costs = costs_at(self._coarse, self.placement, np.ascontiguousarray(places), self._mean, self._precision)
         path, heights = np.zeros((steps + 1, count)), np.zeros(steps + 1)
         matrices = np.zeros(count), np.zeros((count, count))
         ends = []

@@ -70,6 +70,16 @@ def cost_at(misfit, placement, values, mean, precision, poses, sizes):
 
 
 @njit(cache=True, nogil=True)
+def costs_at(misfit, placement, places, mean, precision):
+    """Return the costs (S,) at places (S, P)."""
+    solids = misfit.kinds.shape[0]
+    poses, sizes, found = np.empty((solids, 4, 4)), np.empty((solids, 3)), np.empty(places.shape[0])
+    for n in range(places.shape[0]):
+        found[n] = cost_at(misfit, placement, places[n], mean, precision, poses, sizes)
+    return found
+
+
+@njit(cache=True, nogil=True)
 def equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian):
     """Write gradient (P,) and Gauss-Newton Hessian (P, P) of the cost where `cost_at` has been called last."""
     find_motions(placement, values, motions)

@@ -12,7 +12,7 @@ import numpy as np
 
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
-from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, draw_outlines, prepare_all
+from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, prepare, sort_solids
 from derender.vision.raycast.convex import DISCRIMINANT, FACES, inverse_depth
 from derender.vision.raycast.facet_pieces import draw_facets, insert_facets, list_facets
 from derender.vision.raycast.integral import integrate
@@ -271,22 +271,18 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
     all_of_it = canvas.used[0] > canvas.parts.shape[0] // 2 or canvas.used[1] > canvas.borders.shape[0] // 2
     for n in range(4):
         all_of_it = all_of_it or last[n] != window[n]
-    changed = np.zeros(kinds.shape[0], np.bool_)
     dirty[0], dirty[1], dirty[2], dirty[3] = window[1], window[0], window[3], window[2]
     for k in range(kinds.shape[0]):
-        changed[k] = all_of_it or not (
+        changed = all_of_it or not (
             np.array_equal(canvas.drawn_pose[k], poses[k]) and np.array_equal(canvas.drawn_size[k], sizes[k])
         )
-        if changed[k]:
-            _include(canvas.drawn_rectangle[k], 1, window, dirty)  # where it was
-    prepare_all(canvas, kinds, poses, sizes)
-    draw_outlines(canvas, kinds, poses, sizes)
-    for k in range(kinds.shape[0]):
-        if changed[k]:
+        if changed:
+            _include(rectangle[k], 1, window, dirty)  # where it was
+            prepare(canvas, k, kinds, poses, sizes)
             _include(rectangle[k], 1, window, dirty)
             canvas.drawn_pose[k] = poses[k]
             canvas.drawn_size[k] = sizes[k]
-            canvas.drawn_rectangle[k] = rectangle[k]
+    sort_solids(canvas, kinds, poses)
     if all_of_it:
         canvas.used[:] = 0
         for n in range(4):

@@ -57,8 +57,8 @@ class Canvas(NamedTuple):
     depth : (H, W) float64, the antialiased image in metres.
     part_range, border_range : (H * W, 2) int64, first and end of each mixed pixel's parts and borders. used : (2,)
         int64, how many parts and borders are taken; those of pixels drawn again since are among them.
-    drawn_pose : (N, 4, 4), drawn_size : (N, 3) float64, drawn_rectangle : (N, 4), drawn_window : (4,) int64, of what
-        was drawn last; an empty window if nothing was. dirty : (4,) int64, the pixels that the last drawing drew.
+    drawn_pose : (N, 4, 4), drawn_size : (N, 3) float64, drawn_window : (4,) int64, of what was drawn last; an empty
+        window if nothing was. dirty : (4,) int64, the pixels that the last drawing drew.
     part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands
         for it. What sees nothing is left out.
     border_code : (B, 2) int64, the edge (see Pieces) and the code of the piece that it bounds. borders : (B, 4)
@@ -82,7 +82,6 @@ class Canvas(NamedTuple):
     used: np.ndarray
     drawn_pose: np.ndarray
     drawn_size: np.ndarray
-    drawn_rectangle: np.ndarray
     drawn_window: np.ndarray
     dirty: np.ndarray
     part_code: np.ndarray
@@ -125,7 +124,6 @@ def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
         np.zeros(2, np.int64),
         np.zeros((solids, 4, 4)),
         np.zeros((solids, 3)),
-        np.zeros((solids, 4), np.int64),
         np.zeros(4, np.int64),
         np.zeros(4, np.int64),
         np.zeros(room, np.int64),
@@ -137,15 +135,20 @@ def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
 
 
 @njit(cache=True, nogil=True)
-def prepare_all(canvas, kinds, poses, sizes):
-    """Prepare every solid and widen its rectangle by a pixel: a solid may reach into pixels whose centres it misses."""
+def prepare(canvas, k, kinds, poses, sizes):
+    """Prepare solid k: bounds, outline, and rectangle, a pixel wider: it may reach pixels whose centres it misses."""
     height, width = canvas.depth.shape
-    for k in range(kinds.shape[0]):
-        rectangle = canvas.rectangle[k]
-        prepare_solid(kinds[k], poses[k], sizes[k], canvas.camera, width, height, canvas.prepared[k], rectangle)
-        if rectangle[0] < rectangle[1]:
-            rectangle[0], rectangle[1] = max(rectangle[0] - 1, 0), min(rectangle[1] + 1, width)
-            rectangle[2], rectangle[3] = max(rectangle[2] - 1, 0), min(rectangle[3] + 1, height)
+    rectangle = canvas.rectangle[k]
+    prepare_solid(kinds[k], poses[k], sizes[k], canvas.camera, width, height, canvas.prepared[k], rectangle)
+    if rectangle[0] < rectangle[1]:
+        rectangle[0], rectangle[1] = max(rectangle[0] - 1, 0), min(rectangle[1] + 1, width)
+        rectangle[2], rectangle[3] = max(rectangle[2] - 1, 0), min(rectangle[3] + 1, height)
+    if kinds[k] == MESH:
+        sides = kinds.shape[0] * LINES
+        pose_facets(canvas.facets, k, poses[k], sizes[k], canvas.camera, width, height, canvas.lines, sides)
+    elif rectangle[0] < rectangle[1]:
+        lines = canvas.lines[k * LINES : (k + 1) * LINES]
+        draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, lines, canvas.line_counts[k])
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -155,19 +158,11 @@ def _farther(kinds, poses, first, second):
 
 
 @njit(cache=True, nogil=True)
-def draw_outlines(canvas, kinds, poses, sizes):
-    """Write the outlines of all solids that `prepare_all` has found in the image, and the solids' order."""
+def sort_solids(canvas, kinds, poses):
+    """Write the solids' order."""
     for k in range(kinds.shape[0]):
         n = k
         while n > 0 and kinds[k] != PLANE and _farther(kinds, poses, canvas.order[n - 1], k):
             canvas.order[n] = canvas.order[n - 1]
             n -= 1
         canvas.order[n] = k
-        base = k * LINES
-        if kinds[k] == MESH:
-            height, width = canvas.depth.shape
-            sides = kinds.shape[0] * LINES
-            pose_facets(canvas.facets, k, poses[k], sizes[k], canvas.camera, width, height, canvas.lines, sides)
-        elif canvas.rectangle[k, 0] < canvas.rectangle[k, 1]:
-            lines = canvas.lines[base : base + LINES]
-            draw_outline(kinds[k], poses[k], sizes[k], canvas.camera, lines, canvas.line_counts[k])
