@@ -7,10 +7,11 @@ from test_graph_posterior import camera, floor_pose, observe, row
 
 from derender.document import read_prior_document
 from derender.inference.structure.chart import SIZE, SLOTS, Rules, make_chart
-from derender.inference.structure.continuous import engine_of, make_proposals, own_members, run, single_steps
+from derender.inference.structure.continuous import engine_of, run
 from derender.inference.structure.infer import settings_of
 from derender.inference.structure.sizes import CUBE, box_log_density, log_density_at, sizes_of
 from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.steps import make_proposals, own_members, single_steps
 from derender.model.distributions import distributions
 from derender.model.priors.shapes import ShapePrior
 from derender.model.solids import BOX, CYLINDER, SPHERE
@@ -75,7 +76,7 @@ def test_walk_draws_sizes_from_the_file():
     state = State().add(row(BOX, 0.4, 0.0, 0.0, 0.0, (0.12, 0.05, 0.04)), UPRIGHT, False, FLOOR, 0.0)
     chart, values = make_chart(state, floor_pose(), Rules(0.0015, sizes=sizes_of(PRIOR)[0]))
     sensor, _, _ = observe(np.random.default_rng(0), state, {"sigma": 0.01}, camera(16, 12))
-    proposals = make_proposals(single_steps(chart, len(values), own_members(chart, 0)))
+    proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
     proposals.scale[:] = 0.01
     draws = run(np.random.default_rng(3), engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1000, 80)
     length, height = (draws.values[::2, int(chart.slots[0, SIZE + axis])] for axis in (0, 2))
