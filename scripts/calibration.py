@@ -204,7 +204,7 @@ def draw_diagram(records, path):
             left.errorbar(p[chosen].mean(), rate, yerr=spread, fmt="o", color=colour, ms=3 + 2 * np.log10(n), capsize=2)
         left.plot([], [], "o", color=colour, label=f"{kind}: {len(said)}, error {expected_error(said):.3f}")
     left.set(xlabel="probability stated", ylabel="share that is right", xlim=(-0.03, 1.03), ylim=(-0.03, 1.05))
-    left.legend(loc="upper left", frameon=False)
+    left.legend(loc="center", frameon=False)
     edges = np.linspace(0, 1, 11)
     for kind, colour in (("size", "C0"), ("position", "C1"), ("turn", "C2")):
         ranks = [e[2] for r in records for e in r["intervals"] if e[0] == kind]
