@@ -10,10 +10,14 @@ one pixel. Errors are shares of the norm of what is compared with:
   They are mostly their own error, which falls as rays grow: an edge moves three of 16 rows of rays in such a step, and
   a larger step rounds off what a pixel sees (`16 itself`: 16 x 16 rays against the lines);
 * `image`: the antialiased image's own error against 64 x 64 rays, as a share of that of one ray a pixel.
+
+The last lines say what derivatives by all numbers of a chain of ten cubes cost, in forward renders (image, blur and
+comparison) of the same chain, all of it moved each time.
 """
 
 import argparse
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +26,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from exact_rows import exact_derivative  # noqa: E402
 
+from derender.inference.map import MapProblem  # noqa: E402
 from derender.model.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
+from derender.model.scene import SceneGraph  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids  # noqa: E402
+from derender.model.vertex import Contact, Vertex  # noqa: E402
 from derender.vision.blur import blur  # noqa: E402
 from derender.vision.camera import Camera  # noqa: E402
-from derender.vision.gradient import antialiased_depth, derivative_image  # noqa: E402
+from derender.vision.gradient import SmoothLikelihood, antialiased_depth, derivative_image  # noqa: E402
 from derender.vision.raycast.depth import render_depth  # noqa: E402
 from derender.vision.raycast.records import MOTION  # noqa: E402
 
@@ -133,6 +140,39 @@ def errors(kind: int, seed: int, rays: bool, edges: bool = True) -> dict[str, fl
     return found
 
 
+def chain_costs(width: int, height: int, repeats: int = 200) -> tuple[float, float, float]:
+    """Return seconds of a forward render of ten cubes on each other, of it with the gradient, and with the Hessian."""
+    root = translation(0, 0.3, 1.6) @ rotation_x(np.pi / 2 + 0.4)
+    vertices = [Vertex("floor", "plane", {}, "root", Contact("6dof"))]
+    for n in range(10):
+        place = {"theta": 0.5 * n, "u": 0.45, "v": 0.55} if n else {"theta": 0.5, "x": 0.0, "y": 0.0}
+        contact = Contact("face-to-face", "+z", "-z", place)
+        vertices.append(Vertex(f"cube{n}", "cube", {"side": 0.1 - 0.004 * n}, vertices[-1].name, contact))
+    graph = SceneGraph(root, tuple(vertices))
+    addresses = [address for address in graph.numbers() if address.startswith("cube")]
+    camera = Camera.from_field_of_view(width, height)
+    depth, _ = render_depth(graph.solids(), camera, background=BACKGROUND)
+    problem = MapProblem(graph, addresses, camera, depth, blur=BLUR)
+    likelihood = SmoothLikelihood(camera, depth, graph.solids().kind, blur_sigma=BLUR, background=BACKGROUND)
+    lower = np.flatnonzero([address.startswith("cube0.contact.x") for address in addresses])
+    places = [problem.values, problem.values + 1e-3 * np.isin(np.arange(len(addresses)), lower)]
+    scenes = [problem.scene(values).solids() for values in places]
+
+    def median(call, each):
+        call(each[0])
+        times = []
+        for n in range(repeats):
+            begin = time.perf_counter()
+            call(each[(n + 1) % 2])
+            times.append(time.perf_counter() - begin)
+        return float(np.median(times))
+
+    cubes = np.arange(len(graph.vertices)) > 0
+    return (median(likelihood.log_likelihood, scenes),
+            median(lambda solids: likelihood.gradient(solids, cubes), scenes),
+            median(problem.laplace, places))  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=200, help="of each shape")
@@ -147,6 +187,10 @@ def main() -> None:
         for name, values in rows.items():
             low, high = np.quantile(values, [0.5, 0.95])
             print(f"{shape:12s}{name:12s}{low:9.2%}{high:9.2%}{max(values):9.2%}{len(values):9d}", flush=True)
+    for size in ((64, 64), (160, 120)):
+        forward, gradient, hessian = chain_costs(*size)
+        print(f"ten cubes at {size[0]} x {size[1]}: forward {1e6 * forward:.0f} us, with the gradient by all numbers "
+              f"{gradient / forward:.2f} times that, with the Hessian too {hessian / forward:.2f} times")  # fmt: skip
 
 
 if __name__ == "__main__":
