@@ -80,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     130 interrupted. A command returns None, or the status as an int.
     """
     gc.set_threshold(GARBAGE)
-    # Our matrices are small and our threads our own: those of BLAS would spin against them, and their number change sums.
+    # Our matrices are small and our threads our own: BLAS's would spin against them, and change sums by their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if sys.stdin is None:  # closed by whoever started us: as good as empty
         sys.stdin = open(os.devnull)  # noqa: SIM115
