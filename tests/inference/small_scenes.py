@@ -12,14 +12,16 @@ from derender.vision.raycast.depth import render_depth
 from derender.yaml_tree import parse_yaml
 
 CAMERA = "camera: {fx: 26, fy: 26, cx: 11.5, cy: 8.5, width: 24, height: 18}\n"
-
-TOWER = (
+# of a scene on a floor that the camera looks down upon
+OPENING = (
     "derender: 1\n"
     + CAMERA
+    + "root: {distance: 0.7, elevation: 30 deg}\nobjects:\n  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}\n"
+)
+
+TOWER = (
+    OPENING
     + """
-root: {distance: 0.7, elevation: 30 deg}
-objects:
-  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
   low:
     shape: {type: box, length: {uniform: [0.08, 0.2]}, width: {uniform: [0.08, 0.2]}, height: 0.1}
     parent: floor
@@ -70,12 +72,8 @@ likelihood: {type: gaussian, sigma: 0.05, background: 1.5}
 
 # Every kind of constraint: two boxes on a floor that must not meet, one end of a deck on each.
 BOUND = (
-    "derender: 1\n"
-    + CAMERA
+    OPENING
     + """
-root: {distance: 0.7, elevation: 30 deg}
-objects:
-  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
   left:
     shape: {type: box, length: 0.08, width: 0.1, height: {uniform: [0.06, 0.1]}}
     parent: floor

@@ -7,7 +7,7 @@ The image says nothing here, so that the posterior is the prior and every area i
 import numpy as np
 import pytest
 from invariance import bound, verdict
-from small_scenes import CAMERA, SceneWorld
+from small_scenes import OPENING, SceneWorld
 
 from derender.inference.adaptation import first_tuning
 from derender.inference.kernels.base import kernels, mixture
@@ -15,12 +15,8 @@ from derender.inference.target import SceneTarget
 
 # Two planks: where they lie across each other they touch at three times as many offsets as where they are parallel.
 PLANKS = (
-    "derender: 1\n"
-    + CAMERA
+    OPENING
     + """
-root: {distance: 0.7, elevation: 30 deg}
-objects:
-  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
   low:
     shape: {type: box, length: 0.2, width: 0.02, height: 0.1}
     parent: floor

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from small_scenes import CAMERA, SceneWorld, read
+from small_scenes import OPENING, SceneWorld, read
 
 from derender.document import read_document
 from derender.errors import DerenderError
@@ -15,15 +15,10 @@ from derender.model.overlap import rest_residual, separation
 from derender.vision.raycast.depth import render_depth
 
 FEW = Settings(draws=250, warmup=150, chains=2)
-HEAD = (
-    "derender: 1\n"
-    + CAMERA
-    + "root: {distance: 0.7, elevation: 30 deg}\nobjects:\n  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}\n"
-)
 # An image of so much noise that it says next to nothing: the posterior is the prior, which has its terms.
 BLIND = "likelihood: {type: gaussian, sigma: 5, background: 1.5}\n"
 APART = (
-    HEAD
+    OPENING
     + """  a:
     shape: {type: cube, side: 0.1}
     parent: floor
@@ -36,7 +31,7 @@ APART = (
     + BLIND
 )
 BRIDGE = (
-    HEAD
+    OPENING
     + """  left:
     shape: {type: box, length: 0.06, width: 0.1, height: {uniform: [0.05, 0.12]}}
     parent: floor
@@ -120,7 +115,7 @@ def test_how_far_from_resting():
 @pytest.mark.parametrize("lying", [False, True])
 def test_on_finds_the_contact(lying):
     """A can stands or lies, and on the box or beside it: all of that is open, and the image says."""
-    scene = HEAD + """  box:
+    scene = OPENING + """  box:
     shape: {type: box, length: 0.2, width: 0.2, height: 0.05}
     parent: floor
     contact: {type: face-to-face, theta: 0, x: -0.05, y: 0}
@@ -149,7 +144,7 @@ def test_structures_that_say_the_same_are_one():
 
     def structures(shape, theta=""):
         contact = f"{{type: on, x: {{normal: [0, 0.1]}}, y: {{normal: [0, 0.1]}}{theta}}}"
-        document = read(HEAD + f"  thing: {{shape: {shape}, parent: floor, contact: {contact}}}\n" + BLIND)
+        document = read(OPENING + f"  thing: {{shape: {shape}, parent: floor, contact: {contact}}}\n" + BLIND)
         return targets(document, image, document.camera, 0)
 
     cube = structures("{type: cube, side: 0.1}")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from invariance import bound
-from small_scenes import CAMERA, LOOKED_AT, TOWER, SceneWorld, read
+from small_scenes import LOOKED_AT, OPENING, TOWER, SceneWorld, read
 
 from derender.errors import DerenderError
 from derender.inference import diagnostics
@@ -12,12 +12,8 @@ from derender.inference.scene import infer_scene
 from derender.inference.settings import Settings, read_settings
 
 TWO_NUMBERS = (
-    "derender: 1\n"
-    + CAMERA
+    OPENING
     + """
-root: {distance: 0.7, elevation: 30 deg}
-objects:
-  floor: {shape: plane, contact: {type: 6dof, z: -0.1}}
   box:
     shape: {type: box, length: 0.2, width: 0.12, height: 0.1}
     parent: floor

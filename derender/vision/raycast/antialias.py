@@ -291,9 +291,3 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
         _draw_window(canvas, kinds, background, dirty, window)
     else:
         dirty[:] = 0
-
-
-@njit(cache=True, nogil=True)
-def forget(canvas):
-    """Make the next drawing draw everything."""
-    canvas.drawn_window[:] = 0
