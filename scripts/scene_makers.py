@@ -159,7 +159,7 @@ def kinect_noise(rng, depth, label, focal=580.0, baseline=0.075):
 
 def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, noise="millimetre", distance=(0.65, 0.9)):
     """Return the scene dict that a camera 20 to 50 degrees up sees."""
-    from derender.inference.structure.image import render_floor_scene
+    from derender.inference.structure.solids.image import render_floor_scene
 
     middle = poses[:, :3, 3].mean(axis=0) * [1, 1, 0.8]
     world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(20, 50)), middle)

@@ -38,15 +38,15 @@ def draws_on_a_floor() -> None:
     """Compile what draws from the posterior of solids found in a bare image."""
     import numpy as np
 
-    from derender.inference.structure import continuous
-    from derender.inference.structure.chart import Rules, make_chart
-    from derender.inference.structure.graph import names_of
-    from derender.inference.structure.image import make_row
-    from derender.inference.structure.polish import SLACK, UPRIGHT
-    from derender.inference.structure.refined import only_draw, refined_at, structure_posterior
-    from derender.inference.structure.sensor import Sensor, model_depth
-    from derender.inference.structure.state import State
-    from derender.inference.structure.steps import make_proposals, single_steps
+    from derender.inference.structure.draws import continuous
+    from derender.inference.structure.draws.chart import Rules, make_chart
+    from derender.inference.structure.draws.refined import only_draw, refined_at, structure_posterior
+    from derender.inference.structure.draws.sensor import Sensor, model_depth
+    from derender.inference.structure.draws.steps import make_proposals, single_steps
+    from derender.inference.structure.solids.graph import names_of
+    from derender.inference.structure.solids.image import make_row
+    from derender.inference.structure.solids.polish import SLACK, UPRIGHT
+    from derender.inference.structure.solids.state import State
     from derender.model.pose import rotation_x, translation
     from derender.model.solids import BOX
     from derender.vision.camera import Camera

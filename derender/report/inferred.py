@@ -15,7 +15,7 @@ from derender.errors import DerenderError, at_fault
 from derender.inference.ahead import compile_ahead
 from derender.inference.posterior import Posterior
 from derender.inference.settings import read_settings
-from derender.inference.structure.scene_density import BARE_IMAGE
+from derender.inference.structure.draws.scene_density import BARE_IMAGE
 from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.vision.depth_file import read_depth
@@ -145,9 +145,9 @@ def _structure(seen, document, method, found, chains, draws, seed, progress, run
 
     run : folder, resume, jobs and warmup, which chains over structures heed.
     """
-    from derender.inference.structure.image import KINDS
     from derender.inference.structure.infer import infer_structure
-    from derender.inference.structure.library import read_library
+    from derender.inference.structure.known.library import read_library
+    from derender.inference.structure.solids.image import KINDS
 
     chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"],
               "may_overlap": found["may_overlap"], "may_float": found["may_float"]}  # fmt: skip

@@ -13,8 +13,8 @@ from scene_makers import camera_of, kinect_noise  # noqa: E402
 from derender.errors import DerenderError  # noqa: E402
 from derender.inference.bottom_up.given_floor import read_floor  # noqa: E402
 from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
-from derender.inference.structure.image import render_floor_scene  # noqa: E402
 from derender.inference.structure.infer import infer_structure  # noqa: E402
+from derender.inference.structure.solids.image import render_floor_scene  # noqa: E402
 from derender.model.pose import rotation_x, rotation_y, rotation_z, translation  # noqa: E402
 from derender.vision.camera import Camera  # noqa: E402
 

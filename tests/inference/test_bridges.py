@@ -9,8 +9,8 @@ from derender.document import read_document, write_document
 from derender.evaluation.metrics import compare_scenes
 from derender.inference.posterior import Posterior, StructurePosterior, load
 from derender.inference.structure.bridges import balances, with_bridges
-from derender.inference.structure.image import render_floor_scene
 from derender.inference.structure.infer import infer_structure
+from derender.inference.structure.solids.image import render_floor_scene
 from derender.model.constraints import support_residual
 from derender.model.pose import rotation_x
 from derender.model.scene import Contact, SceneGraph, Vertex

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import kstest
 
 from derender.errors import DerenderError
-from derender.inference.structure import chart as charts
-from derender.inference.structure.chart import (
+from derender.inference.structure.draws import chart as charts
+from derender.inference.structure.draws.chart import (
     Rules,
     camera_poses,
     log_prior,
@@ -20,22 +20,18 @@ from derender.inference.structure.chart import (
     solid_log_prior,
     touching_area,
 )
-from derender.inference.structure.continuous import (
+from derender.inference.structure.draws.continuous import (
     engine_of,
     load,
     log_evidence,
     run,
     sample,
 )
-from derender.inference.structure.curvature import Curvature
-from derender.inference.structure.graph import scene_graph
-from derender.inference.structure.graph_posterior import leading
-from derender.inference.structure.image import ROW, make_row
-from derender.inference.structure.naming import matched_names, structure_key
-from derender.inference.structure.numbers import numbers_of_draws
-from derender.inference.structure.refined import Refined, chains_of, structure_posterior
-from derender.inference.structure.scene_density import scene_log_prior
-from derender.inference.structure.sensor import (
+from derender.inference.structure.draws.curvature import Curvature
+from derender.inference.structure.draws.numbers import numbers_of_draws
+from derender.inference.structure.draws.refined import Refined, chains_of, structure_posterior
+from derender.inference.structure.draws.scene_density import scene_log_prior
+from derender.inference.structure.draws.sensor import (
     Sensor,
     final_sensor,
     first_sensor,
@@ -43,8 +39,12 @@ from derender.inference.structure.sensor import (
     model_depth,
     noise_of,
 )
-from derender.inference.structure.state import FLOOR, State
-from derender.inference.structure.steps import make_proposals, own_members, single_steps, touched_by
+from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps, touched_by
+from derender.inference.structure.graph_posterior import leading
+from derender.inference.structure.solids.graph import scene_graph
+from derender.inference.structure.solids.image import ROW, make_row
+from derender.inference.structure.solids.naming import matched_names, structure_key
+from derender.inference.structure.solids.state import FLOOR, State
 from derender.model.pose import rotation_x, rotation_z
 from derender.model.scene import Contact, Vertex
 from derender.model.solids import BOX, CYLINDER, SPHERE

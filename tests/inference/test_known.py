@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from derender.errors import DerenderError
-from derender.inference.structure.image import render_floor_scene
 from derender.inference.structure.infer import infer_structure
-from derender.inference.structure.library import read_library
+from derender.inference.structure.known.library import read_library
+from derender.inference.structure.solids.image import render_floor_scene
 from derender.model.pose import rotation_x, rotation_z, translation
 from derender.vision.camera import Camera
 from derender.vision.depth_file import read_depth

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from derender.inference.bottom_up.sharpness import estimate_blur
-from derender.inference.structure.focus import refocused
-from derender.inference.structure.image import ROW, added_misfit, draw, make_image, make_row, misfit_map
+from derender.inference.structure.search.focus import refocused
+from derender.inference.structure.solids.image import ROW, added_misfit, draw, make_image, make_row, misfit_map
 from derender.model.solids import BOX, SPHERE
 from derender.vision.blur import blur, blur_radius, blur_taps
 

@@ -10,16 +10,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 from scene_makers import SETS, make_scene, photograph  # noqa: E402
 
-from derender.inference.structure.graph import scene_graph  # noqa: E402
-from derender.inference.structure.image import make_row  # noqa: E402
 from derender.inference.structure.infer import point_estimate  # noqa: E402
-from derender.inference.structure.moves import MOVES, recut  # noqa: E402
-from derender.inference.structure.places import find_places  # noqa: E402
-from derender.inference.structure.polish import FREE, UPRIGHT  # noqa: E402
-from derender.inference.structure.search import Settings, settle, total_energy  # noqa: E402
-from derender.inference.structure.shaping import shake, stretch, tilt  # noqa: E402
-from derender.inference.structure.state import FLOOR, State  # noqa: E402
-from derender.inference.structure.supporting import lift, stand  # noqa: E402
+from derender.inference.structure.search.greedy import Settings, settle, total_energy  # noqa: E402
+from derender.inference.structure.search.moves import MOVES, recut  # noqa: E402
+from derender.inference.structure.search.places import find_places  # noqa: E402
+from derender.inference.structure.search.shaping import shake, stretch, tilt  # noqa: E402
+from derender.inference.structure.search.supporting import lift, stand  # noqa: E402
+from derender.inference.structure.solids.graph import scene_graph  # noqa: E402
+from derender.inference.structure.solids.image import make_row  # noqa: E402
+from derender.inference.structure.solids.polish import FREE, UPRIGHT  # noqa: E402
+from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
 from derender.model.scene import ROOT  # noqa: E402
 from derender.model.solids import BOX  # noqa: E402
 

@@ -15,7 +15,9 @@ from derender.errors import DerenderError  # noqa: E402
 from derender.evaluation.convex import intersection_volume  # noqa: E402
 from derender.inference.bottom_up.floor import find_floor  # noqa: E402
 from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
-from derender.inference.structure.image import (  # noqa: E402
+from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
+from derender.inference.structure.search.observation import neighbour_correlation, observe, patches_of  # noqa: E402
+from derender.inference.structure.solids.image import (  # noqa: E402
     FAR,
     added_misfit,
     draw,
@@ -24,11 +26,9 @@ from derender.inference.structure.image import (  # noqa: E402
     misfit_map,
     render_floor_scene,
 )
-from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
-from derender.inference.structure.observation import neighbour_correlation, observe, patches_of  # noqa: E402
-from derender.inference.structure.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
-from derender.inference.structure.state import FLOOR, State  # noqa: E402
-from derender.inference.structure.touch import highest, lowest, penetration  # noqa: E402
+from derender.inference.structure.solids.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
+from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
+from derender.inference.structure.solids.touch import highest, lowest, penetration  # noqa: E402
 from derender.model.pose import random_rotation  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 
@@ -78,7 +78,7 @@ def test_penetration_is_how_far_two_boxes_must_move_apart(rng):
 
 
 def test_lowest_and_highest_are_those_of_the_corners(rng):
-    from derender.inference.structure.moves import corners_of
+    from derender.inference.structure.search.moves import corners_of
 
     for _ in range(20):
         row = random_row(rng, BOX)

@@ -6,12 +6,12 @@ from scipy.stats import kstest
 from test_graph_posterior import camera, floor_pose, observe, row
 
 from derender.document import read_prior_document
-from derender.inference.structure.chart import SIZE, SLOTS, Rules, make_chart
-from derender.inference.structure.continuous import engine_of, run
+from derender.inference.structure.draws.chart import SIZE, SLOTS, Rules, make_chart
+from derender.inference.structure.draws.continuous import engine_of, run
+from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps
 from derender.inference.structure.infer import settings_of
-from derender.inference.structure.sizes import CUBE, box_log_density, log_density_at, sizes_of
-from derender.inference.structure.state import FLOOR, State
-from derender.inference.structure.steps import make_proposals, own_members, single_steps
+from derender.inference.structure.solids.sizes import CUBE, box_log_density, log_density_at, sizes_of
+from derender.inference.structure.solids.state import FLOOR, State
 from derender.model.distributions import distributions
 from derender.model.priors.shapes import ShapePrior
 from derender.model.solids import BOX, CYLINDER, SPHERE

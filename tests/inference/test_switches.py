@@ -8,10 +8,10 @@ import pytest
 
 from derender.document import document_from, read_prior_document
 from derender.errors import DerenderError
-from derender.inference.structure.chart import Rules, log_prior, make_chart, place_rows
-from derender.inference.structure.image import ROW
+from derender.inference.structure.draws.chart import Rules, log_prior, make_chart, place_rows
+from derender.inference.structure.draws.scene_density import state_of
 from derender.inference.structure.infer import infer_structure, settings_of
-from derender.inference.structure.scene_density import state_of
+from derender.inference.structure.solids.image import ROW
 from derender.model.overlap import overlaps
 from derender.vision.raycast.depth import render_depth
 from derender.yaml_tree import parse_yaml

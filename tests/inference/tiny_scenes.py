@@ -3,14 +3,14 @@
 import numpy as np
 from scipy.stats import multivariate_t
 
-from derender.inference.structure.chart import Rules, make_chart
-from derender.inference.structure.continuous import engine_of, load
-from derender.inference.structure.image import make_row
+from derender.inference.structure.draws.chart import Rules, make_chart
+from derender.inference.structure.draws.continuous import engine_of, load
+from derender.inference.structure.draws.refined import climb
+from derender.inference.structure.draws.sensor import Sensor, model_depth
 from derender.inference.structure.leaps.entry import in_order, make_entry
-from derender.inference.structure.polish import UPRIGHT
-from derender.inference.structure.refined import climb
-from derender.inference.structure.sensor import Sensor, model_depth
-from derender.inference.structure.state import FLOOR, State
+from derender.inference.structure.solids.image import make_row
+from derender.inference.structure.solids.polish import UPRIGHT
+from derender.inference.structure.solids.state import FLOOR, State
 from derender.model.solids import BOX
 from derender.vision.camera import Camera
 from derender.vision.likelihoods import likelihoods

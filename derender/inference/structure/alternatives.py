@@ -10,23 +10,23 @@ from functools import partial
 
 import numpy as np
 
-from derender.inference.structure.chart import make_chart
-from derender.inference.structure.continuous import engine_of, load, log_evidence, sample
-from derender.inference.structure.graph import names_of
-from derender.inference.structure.naming import matched_names, structure_key
-from derender.inference.structure.polish import FREE
-from derender.inference.structure.refined import (
+from derender.inference.structure.draws.chart import make_chart
+from derender.inference.structure.draws.continuous import engine_of, load, log_evidence, sample
+from derender.inference.structure.draws.refined import (
     Refined,
     at_mode,
     floor_pose_of,
     local_evidence,
     refined_at,
 )
-from derender.inference.structure.search import cube_of, spaced
-from derender.inference.structure.state import FLOOR
-from derender.inference.structure.support import final_parents, flat_top, shadows_overlap, with_bottom
+from derender.inference.structure.search.greedy import cube_of, spaced
+from derender.inference.structure.solids.graph import names_of
+from derender.inference.structure.solids.naming import matched_names, structure_key
+from derender.inference.structure.solids.polish import FREE
+from derender.inference.structure.solids.state import FLOOR
+from derender.inference.structure.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
+from derender.inference.structure.solids.touch import highest, lowest, penetration
 from derender.inference.structure.threads import in_threads
-from derender.inference.structure.touch import highest, lowest, penetration
 from derender.model.solids import BOX, SPHERE
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further

@@ -1,8 +1,8 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
 Where neighbouring pixels are the image's own and their noise is independent, and hardly anything shows but solids and
-floor, the likelihood is the engine's, with the blur and the noise that the image shows (`refined.py`), and structures
-are weighed by integrals (`alternatives.py`).
+floor, the likelihood is the engine's, with the blur and the noise that the image shows (`draws/refined.py`), and
+structures are weighed by integrals (`alternatives.py`).
 
 On other images, such as those of real sensors, solids take turns in compiled Metropolis walks (`polish.walk`) under
 the search's own tempered score.  There structures compete by their polished energies: the price of each number in
@@ -23,13 +23,9 @@ from derender.inference.structure.alternatives import (
     supports_within,
     whole_evidence,
 )
-from derender.inference.structure.continuous import log_evidence
-from derender.inference.structure.discrepancy import with_offsets
-from derender.inference.structure.graph import names_of, periods_of, pose_of, scene_graph
-from derender.inference.structure.image import CENTRE, ROTATION, rotation_of
-from derender.inference.structure.naming import matched_names, structure_key
-from derender.inference.structure.polish import walk
-from derender.inference.structure.refined import (
+from derender.inference.structure.draws.continuous import log_evidence
+from derender.inference.structure.draws.discrepancy import with_offsets
+from derender.inference.structure.draws.refined import (
     at_mode,
     chains_of,
     floor_pose_of,
@@ -38,11 +34,15 @@ from derender.inference.structure.refined import (
     structure_posterior,
     with_sensor_refitted,
 )
-from derender.inference.structure.search import sweep, total_energy, try_cube
-from derender.inference.structure.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
-from derender.inference.structure.support import with_bottom
+from derender.inference.structure.search.greedy import sweep, total_energy, try_cube
+from derender.inference.structure.solids.graph import names_of, periods_of, pose_of, scene_graph
+from derender.inference.structure.solids.image import CENTRE, ROTATION, rotation_of
+from derender.inference.structure.solids.naming import matched_names, structure_key
+from derender.inference.structure.solids.polish import walk
+from derender.inference.structure.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
+from derender.inference.structure.solids.support import with_bottom
+from derender.inference.structure.solids.touch import highest
 from derender.inference.structure.threads import THREADS, in_threads
-from derender.inference.structure.touch import highest
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
 from derender.model.scene import ROOT

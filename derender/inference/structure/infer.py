@@ -4,14 +4,14 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
-from derender.inference.structure.image import make_image
-from derender.inference.structure.observation import observe, patches_of
-from derender.inference.structure.proposals import all_hypotheses
-from derender.inference.structure.search import Settings
-from derender.inference.structure.searches import search
-from derender.inference.structure.sizes import sizes_of
-from derender.inference.structure.support import final_parents
-from derender.inference.structure.surface import make_surface
+from derender.inference.structure.search.greedy import Settings
+from derender.inference.structure.search.observation import observe, patches_of
+from derender.inference.structure.search.proposals import all_hypotheses
+from derender.inference.structure.search.searches import search
+from derender.inference.structure.search.surface import make_surface
+from derender.inference.structure.solids.image import make_image
+from derender.inference.structure.solids.sizes import sizes_of
+from derender.inference.structure.solids.support import final_parents
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
@@ -88,9 +88,9 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     """
     from derender.inference.posterior import Posterior
     from derender.inference.structure.bridges import with_bridges
-    from derender.inference.structure.graph import without_floor
     from derender.inference.structure.graph_posterior import parts_of
-    from derender.inference.structure.library import chosen_library
+    from derender.inference.structure.known.library import chosen_library
+    from derender.inference.structure.solids.graph import without_floor
 
     options = dict(options or {})
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
@@ -114,7 +114,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     only_best = options.get("method") == "map"
     told: dict = {}
     if library:
-        from derender.inference.structure.known_posterior import known_posterior
+        from derender.inference.structure.known.posterior import known_posterior
 
         many = (1, 1) if only_best else (chains, draws)
         others = bool(options.get("others", True))
@@ -139,7 +139,7 @@ def likelihood_of(parts, seen, depth, camera, temper):
 
     That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
     """
-    from derender.inference.structure.sensor import image_likelihood, too_far
+    from derender.inference.structure.draws.sensor import image_likelihood, too_far
     from derender.vision.camera import Camera
 
     best = max(parts, key=lambda part: part.weight)
@@ -154,7 +154,7 @@ def likelihood_of(parts, seen, depth, camera, temper):
 
 def draw_graph(graph, shape, camera):
     """Return (depth (H, W), label (H, W) int32 into names or negative, names) of a graph's solids over its floor."""
-    from derender.inference.structure.image import FAR, ROW, draw, make_row
+    from derender.inference.structure.solids.image import FAR, ROW, draw, make_row
 
     names = [n for n in graph.solid_names if graph.vertex(n).shape != "plane"]
     floor = next(n for n in graph.solid_names if graph.vertex(n).shape == "plane")

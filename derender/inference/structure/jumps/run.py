@@ -100,8 +100,8 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     ------
     DerenderError : an option that these jumps know nothing about.
     """
-    from derender.inference.structure.graph import scene_graph
     from derender.inference.structure.infer import point_estimate, settings_of
+    from derender.inference.structure.solids.graph import scene_graph
 
     method, chain = options["method"], options["method"] == "mcmc"
     if options.get("resume"):

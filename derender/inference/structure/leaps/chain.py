@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.continuous import engine_of, load, run
+from derender.inference.structure.draws.continuous import engine_of, load, run
 from derender.inference.structure.leaps.catalogue import shares_of
 from derender.inference.structure.leaps.leap import leap_values, make_leap
 from derender.inference.structure.leaps.region import Region, folded

@@ -4,13 +4,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.chart import FLOOR_WAYS, HELD, PARENT, SLOTS, TURN, VERTICAL, Chart
-from derender.inference.structure.continuous import engine_of, run, sample
-from derender.inference.structure.graph import order_of
+from derender.inference.structure.draws.chart import FLOOR_WAYS, HELD, PARENT, SLOTS, TURN, VERTICAL, Chart
+from derender.inference.structure.draws.continuous import engine_of, run, sample
+from derender.inference.structure.draws.refined import Refined
+from derender.inference.structure.draws.steps import Proposals, block_steps, make_proposals, single_steps
 from derender.inference.structure.leaps.region import Region, folded
-from derender.inference.structure.refined import Refined
-from derender.inference.structure.state import FLOOR, State
-from derender.inference.structure.steps import Proposals, block_steps, make_proposals, single_steps
+from derender.inference.structure.solids.graph import order_of
+from derender.inference.structure.solids.state import FLOOR, State
 
 DRAWS = 300  # from which an entry's normal is fitted
 ENOUGH = 0.5  # of the draws inside the region: else nothing holds the solids in place

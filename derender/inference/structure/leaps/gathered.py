@@ -7,9 +7,9 @@ import numpy as np
 
 from derender.inference import diagnostics
 from derender.inference.checkpoint import Record
-from derender.inference.structure.continuous import Draws
+from derender.inference.structure.draws.continuous import Draws
+from derender.inference.structure.draws.refined import refined_at, structure_posterior
 from derender.inference.structure.leaps.entry import Entry
-from derender.inference.structure.refined import refined_at, structure_posterior
 
 
 def gathered(entries: Sequence[Entry], sensor, records: Sequence[Record]):

@@ -6,8 +6,8 @@ gives a box with other names for its edges; the prior counts each box once, so t
 
 import numpy as np
 
-from derender.inference.structure.chart import KIND, SIZE, TURN, VERTICAL, Chart, camera_poses, place_rows
-from derender.inference.structure.image import ROW
+from derender.inference.structure.draws.chart import KIND, SIZE, TURN, VERTICAL, Chart, camera_poses, place_rows
+from derender.inference.structure.solids.image import ROW
 from derender.model.solids import BOX
 
 BESIDE = 0.25  # of the image's width and height by which a centre may lie beside it

@@ -1,0 +1,249 @@
+"""Draws of all free numbers of one structure under the image's likelihood: a compiled adaptive Metropolis walk.
+
+Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix (`steps.py`). All are symmetric, so
+the log acceptance ratio is
+
+    log prior(q') - log prior(q) + temperature * (log likelihood(q') - log likelihood(q)).
+
+Scales and factors are learnt in the warm-up and fixed afterwards.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.inference.diagnostics import bulk_ess, r_hat
+from derender.inference.structure.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
+from derender.inference.structure.draws.curvature import Curvature
+from derender.inference.structure.draws.steps import (
+    FACTOR,
+    FIRST,
+    RANK,
+    block_steps,
+    make_proposals,
+    single_steps,
+    unseen_steps,
+)
+from derender.inference.structure.solids.image import ROW
+from derender.inference.structure.threads import in_threads
+from derender.kernel_cache import njit
+from derender.model.solids import PLANE, Solids
+from derender.vision.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
+from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+
+# Some steps along one direction are up to exp(WIDEST) times as long: a hidden side is as wide as its prior.
+WIDE_SHARE, WIDEST = 0.15, 4.0
+# The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
+ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40)), 20, 10
+SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
+MORE = 2  # times as many steps between draws where those made first do not agree
+AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
+TRUSTED = 10  # draws for each coordinate that the covariance at the beginning is worth
+
+
+@njit(cache=True, nogil=True)
+def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities):
+    """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
+
+    Parameters
+    ----------
+    engine : EngineState of the floor (solid 0) and the N solids, at `values`.
+    prior, likelihood : their logs there.
+    temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.
+    kept : (steps // thin, D), densities : (steps // thin, 2) float64, log prior and log likelihood; written.
+
+    Returns the number of accepted steps.
+    """
+    count, size = len(chart.flags), len(values)
+    rows, trial_rows = np.empty((count, ROW)), np.empty((count, ROW))
+    place_rows(chart, values, rows)
+    poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    moved_poses, moved_sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    indices = np.empty(count + 1, np.int64)
+    trial, normal = values.copy(), np.empty(size)
+    accepted, number = 0, len(proposals.scale)
+    for taken in range(steps):
+        threshold = rng.random() * proposals.cumulative[number - 1]
+        p = 0  # plain loops here and below: numba takes three seconds for searchsorted and for assigning arrays
+        while p < number - 1 and proposals.cumulative[p] < threshold:
+            p += 1
+        first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
+        start, rank = proposals.table[FACTOR, p], proposals.table[RANK, p]
+        reach = proposals.scale[p]
+        if rank == 1 and rng.random() < WIDE_SHARE:
+            reach *= np.exp(WIDEST * rng.random())
+        for r in range(rank):
+            normal[r] = reach * rng.standard_normal()
+        for i in range(size):
+            trial[i] = values[i]
+        for i in range(end - first):
+            for r in range(rank):
+                trial[proposals.members[first + i]] += proposals.factors[start + i * rank + r] * normal[r]
+        place_rows(chart, trial, trial_rows)
+        touched = proposals.touched[p]
+        new_prior = prior
+        if prior == -np.inf:
+            new_prior = log_prior(chart, trial_rows)
+        elif proposals.members[first] < size - FLOOR_WAYS:  # over a floor that moves solids stay where they are
+            new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
+        taken_up = False
+        threshold = np.log(1.0 - rng.random())
+        if new_prior > -np.inf:
+            camera_poses(chart, trial, trial_rows, poses, sizes)
+            moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
+            for k in range(count + 1):
+                if touched[k]:
+                    indices[moved] = k
+                    for i in range(4):
+                        for j in range(4):
+                            moved_poses[moved, i, j] = poses[k, i, j]
+                    for i in range(3):
+                        moved_sizes[moved, i] = sizes[k, i]
+                    moved += 1
+            new = propose_in(engine, moved, indices, moved_poses, moved_sizes)
+            taken_up = threshold < new_prior - prior + temperature * (new - likelihood)
+            settle_in(engine, CANDIDATE if taken_up else CURRENT)
+            if taken_up:
+                prior, likelihood = new_prior, new
+                for i in range(size):
+                    values[i] = trial[i]
+                rows, trial_rows = trial_rows, rows
+                accepted += 1
+        if gain > 0.0:
+            proposals.scale[p] *= np.exp(gain * ((1.0 if taken_up else 0.0) - proposals.wanted[p]))
+        if (taken + 1) % thin == 0:
+            for i in range(size):
+                kept[taken // thin, i] = values[i]
+            densities[taken // thin, 0], densities[taken // thin, 1] = prior, likelihood
+    return accepted
+
+
+def load(engine, chart, values):
+    """Bring an engine to a chart's coordinates; return log prior and log likelihood there."""
+    count = len(chart.flags)
+    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    place_rows(chart, values, rows)
+    camera_poses(chart, values, rows, poses, sizes)
+    likelihood = propose_state(engine, count + 1, np.arange(count + 1), poses, sizes)
+    settle_state(engine, CANDIDATE)
+    return float(log_prior(chart, rows)), float(likelihood)
+
+
+def engine_of(chart, sensor):
+    """Return an EngineState for a chart's solids under a sensor model (sensor.py), at the empty scene: a bare wall.
+
+    So the first proposal fills it, and `load_state`, which costs as long to compile as all else, is not needed.
+    """
+    kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
+    count = len(kinds)
+    solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
+    likelihood, observed, wall = sensor.likelihood, sensor.observed, sensor.values["background"]
+    row = likelihood.row(sensor.values, likelihood.counted_pixels(observed))
+    state = new_engine(sensor.camera, observed, solids, likelihood.code, row, sensor.values["blur"])
+    if likelihood.code == GAUSSIAN:
+        score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
+    else:
+        score = likelihood.per_pixel(observed, np.full(observed.shape, wall), sensor.values)
+    state.images[DEPTH:DEPTH + 2] = wall
+    state.images[SCORE:SCORE + 2, :, PAD:PAD + observed.shape[1]] = score
+    state.total[:] = state.images[SCORE].astype(float).sum()
+    return for_steps(state)
+
+
+class Draws(NamedTuple):
+    """values : (n, D); densities : (n, 2), log prior and log likelihood; accepted : share of the steps."""
+
+    values: np.ndarray
+    densities: np.ndarray
+    accepted: float
+
+
+def run(rng, engine, chart, values, proposals, temperature, gain, count, thin):
+    """Return the Draws of a walk of count * thin steps; `values` and, with a gain, the scales change in place."""
+    kept, densities = np.empty((count, len(values))), np.empty((count, 2))
+    prior, likelihood = load(engine, chart, values)
+    accepted = walk(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
+                    count * thin, thin, kept, densities)  # fmt: skip
+    return Draws(kept, densities, accepted / max(count * thin, 1))
+
+
+def anneal(rng, engine, chart, values, proposals, steps, temperatures=(0.03, 0.1, 0.3, 1.0)):
+    """Walk with the likelihood let in by and by; `values` and scales change in place. Returns the last Draws."""
+    draws = None
+    for temperature in temperatures:
+        draws = run(rng, engine, chart, values, proposals, temperature, 0.1, max(steps // 10, 1), 10)
+    return draws
+
+
+def sample(rng, chart, sensor, values, chains, count, thin, only=None):
+    """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
+
+    The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
+    all chains have met; at the beginning, with a likelihood that counts less, they go where they like.
+
+    only : coordinates that may move, None for all.
+    """
+    members = list(range(len(values)) if only is None else only)
+    engines = [engine_of(chart, sensor) for _ in range(chains)]
+    load(engines[0], chart, values)
+    curvature = Curvature(engines[0], chart, sensor, values)
+    spread = np.linalg.inv(curvature.precision(members))
+    factor = np.linalg.cholesky(spread)
+    walkers = [(engine, chart, values.copy()) for engine in engines]
+    singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
+    singles += unseen_steps(chart, only)
+    met = np.empty((0, len(members)))
+    for temperature, length in ROUNDS:
+        steps = [*singles, *block_steps(chart, spread, only)]
+        steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
+        singles = steps[: len(singles)]
+        if temperature == 1.0:
+            met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
+            spread = spread_of(met, factor)
+    for more in (True, False):
+        steps = [*singles, *block_steps(chart, spread, only)]
+        steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
+        steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
+        if not more or chains == 1 or agree(drawn, members):
+            return drawn
+        spread = spread_of(np.concatenate([draws.values[:, members] for draws in drawn]), factor)
+        singles, thin = steps[: len(singles)], MORE * thin
+
+
+def spread_of(met, factor):
+    """Return the covariance (n, n) that places met (K, n) suggest to whoever believed in factor factor' before."""
+    seen = np.linalg.solve(factor, (met - met.mean(axis=0)).T)
+    share = len(met) / (len(met) + TRUSTED * len(factor))
+    return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
+
+
+def agree(drawn, members):
+    """Whether chains of enough draws to tell mix well enough to be trusted for a quick look."""
+    values = np.stack([draws.values[:, members] for draws in drawn])
+    if values.shape[1] < FEW:
+        return True
+    return all(r_hat(values[..., n]) < AGREE and bulk_ess(values[..., n]) > ENOUGH for n in range(len(members)))
+
+
+def stretch(rng, walkers, steps, temperature, gain, count, thin):
+    """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
+
+    The scales are the geometric means of those to which each walker's adapted.
+    """
+    proposals = [make_proposals(steps) for _ in walkers]
+    drawn = in_threads(rng, [
+        partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
+                count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
+    ])  # fmt: skip
+    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
+    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
+
+
+def log_evidence(drawn, members):
+    """Return the log of the integral of the density over coordinates `members`, from the Draws of chains: the normal
+    with their mean and covariance has E[log density] + entropy for it, exact where the posterior is normal."""
+    values = np.concatenate([draws.values[:, members] for draws in drawn])
+    covariance = np.atleast_2d(np.cov(values.T)) + 1e-14 * np.eye(len(members))
+    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * covariance)[1]
+    return float(np.mean([draws.densities.sum(axis=1).mean() for draws in drawn]) + entropy)

@@ -1,0 +1,1 @@
+"""Objects known beforehand: which of them each solid is, and where."""

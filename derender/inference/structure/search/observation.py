@@ -1,0 +1,168 @@
+"""A depth image made ready for the search: reduced, in the floor's axes, its noise known, its background told apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.inference.bottom_up.floor import Floor, back_project, find_floor
+from derender.inference.bottom_up.foreground import joined_to_floor
+from derender.inference.bottom_up.given_floor import find_backdrop, given_floor
+from derender.inference.bottom_up.outline import convex_outline, outline_planes
+from derender.inference.bottom_up.patches import Patches, find_patches
+from derender.inference.bottom_up.pyramid import reduce
+from derender.inference.bottom_up.sharpness import estimate_blur
+from derender.inference.structure.solids.image import FAR, Image, make_image
+
+# Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
+# solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
+CORRELATED = 0.3
+REAL_DISCREPANCY = 0.003
+GRAZING = 0.15  # sine of the angle at which rays meet the floor
+
+
+class Observation(NamedTuple):
+    """A depth image made ready for the search.
+
+    Attributes
+    ----------
+    image : Image in the floor frame, at working resolution.
+    floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
+    footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
+    correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real
+        sensors.
+    background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
+    backdrop : whether that is a plane that would have been the floor, where there is to be none.
+    """
+
+    image: Image
+    floor: Floor
+    points: np.ndarray
+    mask: np.ndarray
+    footprint: np.ndarray
+    sigma: np.ndarray
+    camera: dict
+    factor: int
+    correlation: float
+    background: float
+    backdrop: bool
+
+
+def observe(rng, depth, camera, widest=160, plane=None):
+    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
+
+    plane : the floor as it is given, see given_floor.read_floor; None: find it.
+    """
+    depth, camera, factor = reduce(depth, camera, widest)
+    floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
+    # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
+    backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
+    even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
+    sigma = noise_map(depth, even, camera)
+    correlation = neighbour_correlation(depth, even, camera)
+    if correlation > CORRELATED:
+        sigma = np.hypot(sigma, REAL_DISCREPANCY)
+    blur = estimate_blur(depth, sigma)
+    image = make_image(depth, sigma, camera, floor.pose, blur)
+    wall = raise_wall(image)
+    points = back_project(depth, camera) - floor.pose[:3, 3]
+    points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
+    good = image.weight > 0
+    inside = inside_hull(points, floor.inliers, good, image.origin)
+    footprint = np.nan_to_num(depth) / camera["fx"]
+    above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    inside |= joined_to_floor(points, above, inside, footprint, image.origin[2])
+    mask = above & inside & ~beyond
+    # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
+    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
+    background = (background & ~wall) | beyond
+    image.floor[background] = image.depth[background] + 1e-9
+
+    # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
+    slope = -image.direction[..., 2]
+    grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
+    image.floor[grazing] = image.depth[grazing]
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
+                       float(background.sum() / max(good.sum(), 1)), backdrop is not None)  # fmt: skip
+
+
+def raise_wall(image):
+    """Where what lies beyond the floor is one depth (the wall of Eq. 6), put it behind the floor, in place.
+
+    Returns (H, W) bool: the pixels of the wall.
+    """
+    sky = (image.floor >= FAR) & (image.weight > 0)
+    none = np.zeros(sky.shape, bool)
+    if sky.sum() < 50:
+        return none
+    seen = image.depth[sky]
+    wall = float(np.median(seen))
+    nearer = image.depth[(image.weight > 0) & ~sky]
+    # a tall solid before the horizon is of one depth too, but not behind nearly all else
+    if np.median(np.abs(seen - wall)) > 0.01 * wall or (len(nearer) and wall < np.quantile(nearer, 0.9)):
+        return none
+    beyond = image.floor > wall
+    image.floor[beyond] = wall
+    return beyond
+
+
+def noise_map(depth, floor, camera):
+    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor.
+
+    Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
+    """
+    if not floor.inliers.any():
+        return np.full(depth.shape, floor.sigma)
+    points = back_project(depth, camera)[floor.inliers]
+    normal = floor.pose[:3, 2]
+    slope = np.abs((points / points[:, 2:3]) @ normal)
+    steep = slope >= max(GRAZING, np.quantile(slope, 0.3))  # >=: a wall right before the camera has one angle
+    if steep.sum() < 3:
+        return np.full(depth.shape, floor.sigma)
+    points, slope = points[steep], slope[steep]
+    z = points[:, 2]
+    residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
+    thirds = np.array_split(np.argsort(z), 3)
+    near, far = (1.4826 * np.median(residual[k]) + 5e-5 for k in (thirds[0], thirds[2]))
+    close, distant = np.median(z[thirds[0]]), np.median(z[thirds[2]])
+    power = np.clip(np.log(far / near) / np.log(distant / close), 0.0, 2.0) if distant > 1.05 * close else 0.0
+    ratio = np.clip(np.nan_to_num(depth, nan=close) / close, 0.3, 4.0)
+    return np.maximum(near, 5e-4) * ratio**power
+
+
+def neighbour_correlation(depth, floor, camera):
+    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
+
+    Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
+    """
+    if not floor.inliers.any():
+        return 0.0
+    normal = floor.pose[:3, 2]
+    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
+    distance = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
+    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
+    height = np.where(near & (np.abs(height) < limit), height, np.nan)
+    a, b = height[:, :-1], height[:, 1:]
+    both = np.isfinite(a) & np.isfinite(b)
+    spread = np.nanvar(height)
+    return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
+
+
+def inside_hull(points, inliers, good, origin, margin=0.01):
+    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part and the camera's foot.
+
+    origin : (3,) the camera's centre: what stands before the visible floor is no background.
+    """
+    flat = points[inliers][:, :2]
+    outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
+    if outline is None:
+        return good.copy()
+    planes = outline_planes(outline)
+    inside = good.copy()
+    inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
+    return inside
+
+
+def patches_of(seen: Observation) -> Patches:
+    """Return the planar patches of what stands on the floor."""
+    return find_patches(seen.points, seen.mask, seen.image.origin, seen.sigma, seen.footprint)

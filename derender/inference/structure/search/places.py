@@ -1,0 +1,52 @@
+"""Where a state explains the image badly: what the moves of the search are aimed at."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.inference.structure.solids.state import held_out
+
+
+class Places(NamedTuple):
+    """Where the image is badly explained.
+
+    Attributes
+    ----------
+    blame : (N + 1,) bad pixels about each solid (last: about none).
+    pairs : (N + 1, N + 1) how many bad pixels two solids share.
+    points : (B, 3) float64, the observed points of the bad pixels, floor frame.
+    """
+
+    blame: np.ndarray
+    pairs: np.ndarray
+    points: np.ndarray
+
+
+def find_places(image, state, limit=4.5):
+    """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
+    depth, label, misfit, _ = held_out(image, state, -1)
+    bad = misfit > limit
+    crowd = np.zeros(bad.shape, int)
+    crowd[1:] += bad[:-1]
+    crowd[:-1] += bad[1:]
+    crowd[:, 1:] += bad[:, :-1]
+    crowd[:, :-1] += bad[:, 1:]
+    rows, columns = np.nonzero(bad & (crowd > 0))
+    count = len(state)
+    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
+    for j, i in zip(rows, columns, strict=True):
+        near = np.unique(label[max(j - 2, 0) : j + 3, max(i - 2, 0) : i + 3])
+        near = near[near >= 0]
+        if len(near) == 0:
+            near = np.array([count])
+        blame[near] += 1.0 / len(near)
+        pairs[np.ix_(near, near)] += 1
+    np.fill_diagonal(pairs, 0)
+    points = image.origin + image.depth[rows, columns, None] * image.direction[rows, columns]
+    return Places(blame, pairs, points)
+
+
+def pick(rng, weight):
+    """Return an index drawn with probability proportional to weight (a little for those with none)."""
+    weight = np.asarray(weight, float) + 1e-2
+    return int(rng.choice(len(weight), p=weight / weight.sum()))

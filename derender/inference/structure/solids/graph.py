@@ -1,0 +1,158 @@
+"""From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.inference.structure.solids.image import rotation_of
+from derender.inference.structure.solids.state import FLOOR, State
+from derender.inference.structure.solids.support import LEAST_GAP
+from derender.model.contacts import contacts
+from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
+from derender.model.solids import BOX, SPHERE
+
+FLOOR_NAME = "floor"
+ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
+# Contacts that hold to these are written as holding exactly.
+GAP, TILT = 0.004, np.radians(2.0)
+TILTS = ("tilt", "tilt_x", "tilt_y")
+
+
+def pose_of(row):
+    """Return the pose (4, 4), object to floor frame, of a row."""
+    pose = np.eye(4)
+    # a sphere may be turned as one likes: so that its contact needs no turn
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) if int(row[0]) == SPHERE else rotation_of(row)
+    pose[:3, 3] = row[10:13]
+    return pose
+
+
+def vertex_of(row, cube, name):
+    """Return a floating Vertex with the row's shape and pose under the root."""
+    kind, size = int(row[0]), [float(s) for s in row[13:16]]
+    if kind == BOX:
+        shape = "cube" if cube else "box"
+        parameters = {"side": size[0]} if cube else dict(zip(("length", "width", "height"), size, strict=True))
+    elif kind == SPHERE:
+        shape, parameters = "sphere", {"radius": size[0] / 2}
+    else:
+        shape, parameters = "cylinder", {"radius": size[0] / 2, "height": size[2]}
+    contact = floating(pose_of(row))
+    return Vertex(name, shape, parameters, ROOT, contact)
+
+
+def floating(pose):
+    """Return the 6dof Contact of a pose (4, 4) under the root."""
+    return Contact("6dof", values=contacts["6dof"].invert(pose).phi)
+
+
+def names_of(state: State) -> list[str]:
+    """Return a name for each solid: its shape and a number, see `State.in_order`."""
+    counts: dict[str, int] = {}
+    names = [""] * len(state)
+    for k in state.in_order():
+        shape = vertex_of(state.rows[k], state.cubes[k], "x").shape
+        counts[shape] = counts.get(shape, 0) + 1
+        names[k] = f"{shape}_{counts[shape]}"
+    return names
+
+
+def order_of(parents: list[int]) -> list[int]:
+    """Return the solids with parents first; an edge that would close a circle is cut (its child goes on the floor)."""
+    placed: list[int] = []
+    waiting = list(range(len(parents)))
+    while waiting:
+        ready = [k for k in waiting if parents[k] == FLOOR or parents[k] in placed]
+        if not ready:
+            parents[waiting[0]] = FLOOR
+            continue
+        placed += ready
+        waiting = [k for k in waiting if k not in ready]
+    return placed
+
+
+def scene_graph(
+    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False
+) -> SceneGraph:
+    """Return the scene graph of a state, its solids called `names` (default: see names_of).
+
+    Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
+    made exact, one that does not keeps the rest as slack. Where none fits, and over a gap in which something that is
+    not seen must stand, the solid floats under the root. Where `floating` is allowed, what nothing holds floats,
+    however near it is to the floor.
+    """
+    parents = list(state.parents)
+    order = order_of(parents)
+    names = names_of(state) if names is None else names
+    graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
+    for k in order:
+        vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
+        parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
+        if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
+            row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]
+            faces = ("+z", "-z") if upright(row) and (on is None or upright(on)) else (None, None)
+            contact = best_contact(graph.add(vertex), names[k], parent, row, *faces)
+            if contact is not None:
+                vertex = replace(vertex, parent=parent, contact=contact)
+        graph = graph.add(vertex)
+    return graph
+
+
+def best_contact(
+    graph: SceneGraph, name: str, parent: str, row: np.ndarray, on: str | None = None, by: str | None = None
+) -> Contact | None:
+    """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near.
+
+    on, by : the parent's and the child's face, None for any; of a floor it is +z.
+    """
+    best, chosen = np.inf, None
+    reach = 0.5 * float(np.linalg.norm(row[13:16]))
+    for place, kind in enumerate(ON_A_FACE):
+        try:
+            contact, left = graph.nearest_contact(name, parent, kind, "+z" if parent == FLOOR_NAME else on, by)
+        except DerenderError:
+            continue
+        gap = abs(contact.values.get("gap", 0.0))
+        tilt = float(np.hypot(*[0.0, 0.0, *(contact.values.get(t, 0.0) for t in TILTS)][-2:]))
+        cost = gap + reach * (tilt + left.angle) + left.outside + 0.002 * place
+        if cost < best:
+            best, chosen = cost, (contact, gap, tilt, left)
+    if chosen is None or best > 0.06 or chosen[1] > LEAST_GAP:
+        return None
+    contact, gap, tilt, left = chosen
+    values = dict(contact.values)
+    values.pop("roll", None)  # about its own axis a cylinder may be turned as one likes
+    if gap < GAP:
+        values.pop("gap", None)
+    if tilt < TILT:
+        for t in TILTS:
+            values.pop(t, None)
+    return replace(contact, values=values)
+
+
+def upright(row: np.ndarray) -> bool:
+    """Whether a solid with ends stands on one of them: then that is the face by which it touches what is below."""
+    return int(row[0]) != SPHERE and row[9] > 1.0 - 1e-12
+
+
+def periods_of(graph, addresses):
+    """Return the period of each of a graph's numbers by address, None for those that are no angles."""
+    found = []
+    for address in addresses:
+        name, _, rest = address.partition(".")
+        vertex, key = graph.vertex(name), rest.removeprefix("contact.")
+        parameters = ()
+        if key != rest and not key.startswith("q"):
+            contact = vertex.contact
+            on, faces = graph.body(vertex.parent).shape, (contact.parent_face, contact.child_face)
+            parameters = contacts[contact.type].parameters(on, vertex.body.shape, *faces)
+        found.append(next((p.period for p in parameters if p.name == key), None))
+    return tuple(found)
+
+
+def without_floor(part):
+    """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
+    if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):
+        return part
+    return replace(part, graph=part.graph.remove(FLOOR_NAME))
