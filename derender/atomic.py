@@ -14,18 +14,19 @@ from derender.errors import DerenderError
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name in the same folder; when the block ends well, the file there becomes `path`.
 
-    The temporary name keeps the suffix, since many writers choose their format by it.  After an exception nothing is
-    left behind and an older file stays as it was.
+    The folder is made where it is missing. The temporary name keeps the suffix, since many writers choose their format
+    by it.  After an exception no file is left behind and an older one stays as it was.
 
     Raises
     ------
-    DerenderError : where the folder is missing, read-only or full.
+    DerenderError : where the folder cannot be made, is read-only or full.
     """
     path = Path(path)
     temporary = None
     try:
         if path.is_dir():
             raise DerenderError("this is a folder", where=path, remedy="give the name of a file")
+        make_folder(path.parent)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
         temporary = Path(name)
@@ -38,8 +39,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.replace(path)
         temporary = None
     except OSError as error:
-        remedy = "make the folder first" if isinstance(error, FileNotFoundError) else "choose another place with -o"
-        raise DerenderError(f"cannot be written: {error.strerror or error}", where=path, remedy=remedy) from None
+        what = f"cannot be written: {error.strerror or error}"
+        raise DerenderError(what, where=path, remedy="choose another place with -o") from None
     except ValueError as error:
         if "null" not in str(error):
             raise

@@ -6,6 +6,7 @@ are medians. The scene is a plane with boxes on it. "Kept scene" is pyrender at 
 
 import argparse
 import os
+import sys
 import time
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -13,6 +14,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402
 
+from derender.cli import status_of  # noqa: E402
 from derender.errors import DerenderError  # noqa: E402
 from derender.kernel_cache import njit  # noqa: E402
 from derender.model.pose import rotation_x, rotation_z, translation  # noqa: E402
@@ -254,4 +256,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

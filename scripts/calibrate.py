@@ -22,6 +22,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402
 
+from derender.cli import status_of  # noqa: E402
 from derender.document import read_prior_document  # noqa: E402
 from derender.inference.diagnostics import bulk_ess  # noqa: E402
 from derender.inference.scene import infer_scene, targets  # noqa: E402
@@ -130,4 +131,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

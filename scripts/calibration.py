@@ -12,11 +12,14 @@ pixels leave out more than HIDDEN of its extent at either end.
 import argparse
 import json
 import os
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
+
+from derender.cli import status_of
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -245,4 +248,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from evaluate import truth_scene  # noqa: E402
 from scene_makers import SETS, make_scene  # noqa: E402
 
+from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.inference.structure.infer import infer_structure  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
@@ -95,4 +96,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

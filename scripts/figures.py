@@ -5,8 +5,11 @@ python scripts/figures.py [--out figures] [--only 1 2 3 4 5] [--seed 1]
 
 import argparse
 import os
+import sys
 import time
 from pathlib import Path
+
+from derender.cli import status_of
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
@@ -44,4 +47,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

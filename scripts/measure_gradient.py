@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from exact_rows import exact_derivative  # noqa: E402
 
+from derender.cli import status_of
 from derender.inference.map import MapProblem  # noqa: E402
 from derender.model.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
 from derender.model.scene import SceneGraph  # noqa: E402
@@ -194,4 +195,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

@@ -1,6 +1,7 @@
 """Measure Figure 5's ascents on random scenes: ten random starts each, both methods. One table on stdout."""
 
 import argparse
+import sys
 import time
 from collections.abc import Mapping
 from typing import cast
@@ -8,6 +9,7 @@ from typing import cast
 import numpy as np
 
 from derender import data_path
+from derender.cli import status_of
 from derender.document import read_document
 from derender.inference.forward import draw_documents, observe
 from derender.inference.map import MapProblem
@@ -59,4 +61,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

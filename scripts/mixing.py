@@ -10,6 +10,7 @@ alone and for two processes at once. Times are wall clock and processor time: ot
 import argparse
 import multiprocessing
 import os
+import sys
 import time
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -17,6 +18,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402
 
+from derender.cli import status_of  # noqa: E402
 from derender.document import document_from, read_prior_document  # noqa: E402
 from derender.inference.adaptation import first_tuning  # noqa: E402
 from derender.inference.diagnostics import bulk_ess, r_hat, unwrap  # noqa: E402
@@ -118,4 +120,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from derender.cli import status_of
 from derender.document import read_document
 from derender.model.pose import from_rotation_vector, rotation_x, translation
 from derender.model.solids import PLANE
@@ -72,4 +73,4 @@ def main(image: str, camera: str, result: str, target: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(status_of(lambda: main(*sys.argv[1:])))

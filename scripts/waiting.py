@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from derender.cli import status_of
+
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from scene_makers import SETS, make_scene  # noqa: E402
@@ -80,4 +82,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(status_of(main))

@@ -8,7 +8,8 @@ import os
 import sys
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import click
 
@@ -84,31 +85,46 @@ def main(arguments: Sequence[str] | None = None) -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if sys.stdin is None:  # closed by whoever started us: as good as empty
         sys.stdin = open(os.devnull)  # noqa: SIM115
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
-            result = group.main(args=arguments, prog_name="derender", standalone_mode=False)
-        status = result if isinstance(result, int) else 0
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except DerenderError as error:
-        status = _complain(str(error))
-    except click.ClickException as error:
-        error.show()
-        status = error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        status = _complain("interrupted", 130)
-    except BrokenPipeError:
-        # Whoever read our output has gone; keep Python's own flush at exit quiet too.
-        sys.stdout = None  # type: ignore[assignment]
-        status = 0
-    except OSError as error:
-        if error.errno is None or error.strerror is None:
-            raise
-        status = _complain(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
+    with warnings.catch_warnings():
+        warnings.showwarning = _show_warning
+        status = status_of(lambda: _run(arguments))
     if arguments is None and sys.gettrace() is None and sys.getprofile() is None:
         _leave(status)
     sys.exit(status)
+
+
+def _run(arguments: Sequence[str] | None) -> Any:
+    try:
+        return group.main(args=arguments, prog_name="derender", standalone_mode=False)
+    except SystemExit:  # so click says that whoever read our output has gone
+        return 0
+
+
+def status_of(work: Callable[[], Any]) -> int:
+    """Do some work and return its exit status, as `main` has it; a fault of the user's is one line on stderr.
+
+    work : returns None, or the status as an int.
+    """
+    try:
+        result = work()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return result if isinstance(result, int) else 0
+    except DerenderError as error:
+        return _complain(str(error))
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return _complain("interrupted", 130)
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep Python's own flush at exit quiet too.
+        sys.stdout = None  # type: ignore[assignment]
+        return 0
+    except OSError as error:
+        if error.errno is None or error.strerror is None:
+            raise
+        return _complain(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
 
 
 def _leave(status: int) -> None:

@@ -59,10 +59,16 @@ def command(
         derender eval predictions/ truth/ --json | jq .total
         derender eval results/ label.png --divisor 10 --background 0,1
     """
-    from derender.evaluation.batch import paired, totals
+    from derender.errors import DerenderError
+    from derender.evaluation.batch import LABEL_SUFFIXES, paired, totals
 
     pairs = paired(predicted, truth)
-    labels = [int(word) for word in _numbers(background)]
+    labels = _numbers(background)
+    kinds = {right.suffix for _, _, right in pairs}
+    if (frame is not None or models is not None) and ".json" not in kinds:
+        raise DerenderError("this is not BOP's scene_gt.json", truth, "leave out --frame and --models")
+    if (divisor != 1 or background != "0") and not kinds.intersection(LABEL_SUFFIXES):
+        raise DerenderError("this is no label image", truth, "leave out --background and --divisor")
     results = []
     for name, left, right in talk.counted(pairs, len(pairs), "comparing scene"):
         talk.detail(f"{name}: {left} against {right}")

@@ -121,7 +121,6 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
 
 
 def _write_depth(target, engine, document, graph, camera, antialias, noise, sensor, seeds, made) -> None:
-    from derender.atomic import make_folder
     from derender.document import LikelihoodPrior
     from derender.inference.forward import observe
     from derender.vision.depth_file import write_depth
@@ -133,8 +132,6 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
         depth = observe(rng, depth, document.likelihood or LikelihoodPrior())
     if distort:
         depth = distort(rng, depth)
-    if target != "-":
-        make_folder(Path(target).parent)
     write_depth(target, depth, camera, made, label)
 
 
@@ -168,8 +165,7 @@ def _picture(engine, solids, camera) -> np.ndarray:
 def _write_picture(target: str, picture: np.ndarray) -> None:
     import imageio.v3 as imageio
 
-    from derender.atomic import atomic_path, make_folder
+    from derender.atomic import atomic_path
 
-    make_folder(Path(target).parent)
     with atomic_path(target) as temporary:
         imageio.imwrite(temporary, picture)

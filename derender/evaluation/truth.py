@@ -26,13 +26,15 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
 
     Raises
     ------
-    DerenderError : not JSON, or neither of the two.
+    DerenderError : not JSON, or neither of the two; `frame` or `models` for what is not BOP's.
     """
     try:
         tree = json.loads(Path(path).read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as fault:
         raise DerenderError("this is not JSON", path, "give a scene, or BOP's scene_gt.json") from fault
     if isinstance(tree, Mapping) and isinstance(tree.get("objects"), list):
+        if frame is not None or models is not None:
+            raise DerenderError("this is not BOP's scene_gt.json", path, "leave out --frame and --models")
         return checked_scene(tree, path)
     if isinstance(tree, Mapping) and tree and all(is_bop_frame(value) for value in tree.values()):
         return bop_scene(tree, path, frame, models)

@@ -97,6 +97,9 @@ def test_simulate_draws_an_animation(capsys, folder):
         ("report", "stands.yaml", "falls.yaml"),
         ("eval", "stands.yaml", "missing.yaml"),
         ("eval", ".", "stands.yaml"),
+        ("eval", "out", "stands.yaml", "--frame", "3"),
+        ("eval", "out", "stands.yaml", "--divisor", "10"),
+        ("export", "stands.yaml", "-o", "stands.yaml/scene.glb"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(arguments, capsys, folder):
@@ -139,8 +142,8 @@ def test_report_of_one_and_of_several(capsys, folder):
     assert status == 0 and "wrote out/report.html" in talk and "top.contact.u" in out
     text = (folder / "out" / "report.html").read_text()
     assert "residual" in text and "seed 5" in text and "2 chains of 400 draws" in text
-    run(capsys, "report", "out", "out", "-o", "both.html")
-    assert "4 chains of 400 draws" in (folder / "both.html").read_text()
+    run(capsys, "report", "out", "out", "-o", "pages/both.html")
+    assert "4 chains of 400 draws" in (folder / "pages" / "both.html").read_text()
     status, out, _ = run(capsys, "report", "stands.yaml")
     assert status == 0 and out == "" and "explained depth" in (folder / "stands.html").read_text()
 
