@@ -155,12 +155,16 @@ def floor_pose_of(refined):
 
 
 def structure_posterior(refined, names, weight, chains: list[Draws]):
-    """Return the StructurePosterior of a Refined and its chains' draws; its first draw is the mode."""
+    """Return the StructurePosterior of a Refined and its chains' draws.
+
+    The Refined takes the place of the first draw where none is better: a climb may end beside the mode.
+    """
     graph = scene_graph(refined.state, floor_pose_of(refined), names, refined.chart.floating)
     values = np.stack([chain.values for chain in chains])
     densities = np.stack([chain.densities for chain in chains])
-    values[0, 0] = refined.values
-    densities[0, 0] = refined.log_prior, refined.log_likelihood
+    if refined.log_prior + refined.log_likelihood > densities.sum(axis=-1).max():
+        values[0, 0] = refined.values
+        densities[0, 0] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
     addresses, numbers, periods, root = numbers_of_draws(refined.chart, values.reshape(-1, size), graph, names)
     shape = values.shape[:2]
