@@ -18,7 +18,7 @@ from derender.model.solids import PLANE
 from derender.vision.camera import Camera
 from derender.vision.depth_file import read_depth
 from derender.vision.renderers import find_renderer
-from derender.vision.renderers.preview import draw_preview
+from derender.vision.renderers.preview import default_colours, draw_preview
 
 WIDTH, HEIGHT, GAP = 480, 360, 8
 
@@ -34,8 +34,8 @@ def depth_picture(depth: np.ndarray) -> Image.Image:
     return Image.fromarray(colour).resize((WIDTH, HEIGHT), Image.Resampling.NEAREST)
 
 
-def scene_picture(solids, camera: Camera) -> Image.Image:
-    """Return the shaded scene as the camera sees it."""
+def scene_picture(solids, camera: Camera, colours: np.ndarray) -> Image.Image:
+    """Return the shaded scene as the camera sees it; colours : (N, 3) uint8."""
     factor = 2 * WIDTH // camera.width + 1
     large = Camera(
         camera.fx * factor,
@@ -45,7 +45,7 @@ def scene_picture(solids, camera: Camera) -> Image.Image:
         camera.width * factor,
         camera.height * factor,
     )
-    picture = draw_preview(find_renderer("raycast").render_depth, solids, large)
+    picture = draw_preview(find_renderer("raycast").render_depth, solids, large, colours)
     return Image.fromarray(picture).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS)
 
 
@@ -60,10 +60,11 @@ def seen_from_elsewhere(solids, turn: float, lift: float):
 def main(image: str, camera: str, result: str, target: str) -> None:
     seen = read_depth(image, camera)
     solids = read_document(Path(result) / "scene.yaml").graph.solids()
+    colours = default_colours(solids)
     pictures = [
         depth_picture(seen.depth),
-        scene_picture(solids, seen.camera),
-        scene_picture(seen_from_elsewhere(solids, -0.7, 0.35), seen.camera),
+        scene_picture(solids, seen.camera, colours),
+        scene_picture(seen_from_elsewhere(solids, -0.7, 0.35), seen.camera, colours),
     ]
     whole = Image.new("RGB", (3 * WIDTH + 2 * GAP, HEIGHT), "white")
     for place, picture in enumerate(pictures):

@@ -67,7 +67,7 @@ def command(
         graph = document.graph
         eye = _camera(document, camera, depth_scale, talk)
         if preview:
-            _write_picture(target, _picture(engine, graph.solids(), eye))
+            _write_picture(target, _picture(engine, graph.solids(), graph.solid_names, eye))
         else:
             made = {"seed": seed, "command": options.command_line()}
             _write_depth(target, engine, document, graph, eye, antialias, noise, sensor, child, made)
@@ -152,14 +152,15 @@ def _sensor(name: str):
     return lambda rng, depth: observe(rng, depth, type(likelihood)(likelihood.type, kept))
 
 
-def _picture(engine, solids, camera) -> np.ndarray:
+def _picture(engine, solids, names, camera) -> np.ndarray:
     """Return (height, width, 3) uint8, by the renderer's own means or from its depth."""
+    from derender.report.pictures import colours_of
     from derender.vision.renderers.preview import draw_preview, enlarged
 
     camera = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width)))
     if hasattr(engine, "render_colour"):
-        return engine.render_colour(solids, camera)
-    return draw_preview(engine.render_depth, solids, camera)
+        return engine.render_colour(solids, camera, colours_of(solids, names))
+    return draw_preview(engine.render_depth, solids, camera, colours_of(solids, names))
 
 
 def _write_picture(target: str, picture: np.ndarray) -> None:

@@ -13,7 +13,7 @@ from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 from derender.vision.camera import Camera
 from derender.vision.renderers import RENDERERS, find_renderer, renderer_names
 from derender.vision.renderers.gl_platform import choose_platform
-from derender.vision.renderers.preview import draw_preview
+from derender.vision.renderers.preview import PLANE_COLOUR, default_colours, draw_preview
 
 CAMERAS = [
     Camera(150, 150, 79.5, 59.5, 160, 120),
@@ -255,6 +255,15 @@ def test_the_picture_shows_each_solid_in_its_colour(name):
         seen = picture[sure & (label == index)].astype(float)
         if len(seen):
             assert (seen[:, colour > 0].min(axis=1) > seen[:, colour == 0].max(axis=1)).all()
+
+
+def test_a_solids_colour_depends_on_where_it_is_and_not_on_its_place_in_a_file():
+    solids = random_scene(np.random.default_rng(7), 5)
+    order = np.random.default_rng(8).permutation(len(solids.kind))
+    shuffled = Solids(*(array[order] for array in solids[:4]), solids.meshes)
+    colours = default_colours(solids)
+    assert np.array_equal(default_colours(shuffled), colours[order])
+    assert len(np.unique(colours, axis=0)) == 6 and np.array_equal(colours[solids.kind == PLANE], [PLANE_COLOUR])
 
 
 def test_the_sun_throws_a_shadow_beside_the_object_and_not_on_an_empty_floor():

@@ -15,14 +15,20 @@ PALETTE = np.array(
     [[214, 96, 77], [67, 147, 195], [120, 180, 90], [240, 190, 80], [146, 104, 172], [90, 190, 180], [225, 140, 170]]
 )
 PLANE_COLOUR = np.array([205, 203, 198])
+LEAN = 0.4  # of the line that meets solids from left to right: upright, it would meet those of a stack at once
 SUN = np.array([-0.45, -0.8, -0.4])  # from the scene to the sun, camera axes: above, left, and behind the camera
 SUN_PIXELS = 1024  # a side of the shadow map
 
 
 def default_colours(solids: Solids) -> np.ndarray:
-    """Return (N, 3) uint8, a colour for each solid: a palette, light grey for planes."""
+    """Return (N, 3) uint8, a colour for each solid: a palette from left to right, light grey for planes.
+
+    By where they are, not by their order in a file: the true and the inferred scene have the same colours.
+    """
     thing = solids.kind != PLANE
-    order = np.maximum(np.cumsum(thing) - 1, 0) % len(PALETTE)
+    x, y, z = solids.pose[:, :3, 3].T
+    place = (x + LEAN * y) / np.maximum(z, 1e-6)
+    order = np.argsort(np.argsort(np.where(thing, place, np.inf))) % len(PALETTE)
     return np.where(thing[:, None], PALETTE[order], PLANE_COLOUR).astype(np.uint8)
 
 

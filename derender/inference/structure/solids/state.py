@@ -61,7 +61,7 @@ class State:
     def in_order(self) -> list[int]:
         """Return the solids as people count them: those on the floor from left to right, then what stands on them.
 
-        Two runs on one image thus give one solid one name and one colour.
+        Two runs on one image thus give one solid one name.
         """
 
         def level(k: int, seen: tuple[int, ...] = ()) -> int:
