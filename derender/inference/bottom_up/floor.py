@@ -7,6 +7,9 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.inference.bottom_up.pyramid import intrinsics
 
+BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
+FEET = 100  # points of what stands on the floor, at most, to which distances are taken
+
 
 class Floor(NamedTuple):
     """A supporting plane.
@@ -63,33 +66,81 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
     # some, the side of a box has many.
     under = distance < -3 * tolerance
     best = np.argmax(near.sum(axis=0) - 0.3 * under.sum(axis=0))
-    plane_normal, plane_offset = normal[best], offset[best]
-    scale = tolerance
+    return plane_through(depth, points, normal[best], offset[best], tolerance)
+
+
+def floor_beside(floor, depth, camera, standing):
+    """Return the plane of the floor beside what stands on it: the floor fitted again, what is near counting more.
+
+    A real sensor bends a plane by millimetres, and what lies behind a table may be nearly its plane: solids stand on
+    the floor that is seen at their feet.
+
+    Parameters
+    ----------
+    floor : Floor, a first look. standing : (H, W) bool, pixels of what stands on it.
+    """
+    points = back_project(depth, camera)
+    flat = (points.reshape(-1, 3) - floor.pose[:3, 3]) @ floor.pose[:3, :2]
+    feet = flat[standing.ravel()]
+    feet = feet[:: max(1, len(feet) // FEET)]
+    if len(feet) == 0:
+        return floor
+    nearest = np.full(len(flat), np.inf)
+    seen = np.isfinite(flat[:, 0])
+    apart = np.sum(flat[seen] ** 2, axis=1)[:, None] - 2.0 * flat[seen] @ feet.T + np.sum(feet**2, axis=1)
+    nearest[seen] = np.maximum(apart.min(axis=1), 0.0)
+    normal = floor.pose[:3, 2]
+    weight = 1.0 / (1.0 + nearest / BESIDE**2)
+    return plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma, weight)
+
+
+def plane_through(depth, points, normal, offset, scale, weight=None):
+    """Return the Floor fitted robustly to the points near a plane.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, camera axes. normal, offset : of a first plane, towards the camera.
+    scale : metres, the first guess of the noise across it, and the most that is taken for noise.
+    weight : (H W,) float64, how much each pixel counts; None: all alike.
+    """
+    flat = points.reshape(-1, 3)
+    good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
+    weight = np.ones(len(good)) if weight is None else weight[good]
+    most = scale
     for _ in range(6):
-        residual = flat[good] @ plane_normal - plane_offset
+        residual = flat[good] @ normal - offset
         inner = np.abs(residual) < max(3 * scale, 0.001)
         chosen = flat[good[inner]]
         if len(chosen) < max(20, 0.05 * len(good)):
             remedy = "say --floor none, give the plane with --floor, or crop the image"
             raise DerenderError("no plane holds a tenth of the pixels", remedy=remedy)
-        weight = 1.0 / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
-        centre = np.average(chosen, axis=0, weights=weight)
-        _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(weight)[:, None]), full_matrices=False)
-        plane_normal = axes[2] * np.sign(-axes[2] @ centre)
-        plane_offset = plane_normal @ centre
-        scale = np.clip(1.4826 * np.median(np.abs(chosen @ plane_normal - plane_offset)), 2e-4, tolerance)
+        worth = weight[inner] / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
+        centre = np.average(chosen, axis=0, weights=worth)
+        _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(worth)[:, None]), full_matrices=False)
+        normal = axes[2] * np.sign(-axes[2] @ centre)
+        offset = normal @ centre
+        off = np.abs(chosen @ normal - offset)
+        scale = np.clip(1.4826 * weighted_median(off, weight[inner]), 2e-4, most)
     ray = flat[good] / flat[good][:, 2:3]
-    slope = np.abs(ray @ plane_normal)
-    residual = (flat[good] @ plane_normal - plane_offset) / np.maximum(slope, 0.05)
+    slope = np.abs(ray @ normal)
+    residual = (flat[good] @ normal - offset) / np.maximum(slope, 0.05)
     inner = np.abs(residual) < 4 * scale / np.maximum(slope, 0.05)
-    sigma = float(1.4826 * np.median(np.abs(residual[inner])))
+    sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
     inliers = np.zeros(depth.size, bool)
     inliers[good[inner]] = True
     origin = chosen.mean(axis=0)
-    origin = origin - (origin @ plane_normal - plane_offset) * plane_normal
-    right = np.array([1.0, 0, 0]) - plane_normal[0] * plane_normal
+    origin = origin - (origin @ normal - offset) * normal
+    right = np.array([1.0, 0, 0]) - normal[0] * normal
     right /= np.linalg.norm(right)
     pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(plane_normal, right), plane_normal])
+    pose[:3, :3] = np.column_stack([right, np.cross(normal, right), normal])
     pose[:3, 3] = origin
     return Floor(pose, max(sigma, 3e-4), inliers.reshape(depth.shape))
+
+
+def weighted_median(values, weight):
+    """Return the value at which half of the weight lies below; between two such values, their mean."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
+    return float(np.mean(values[order[middle]]))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.bottom_up.floor import Floor, back_project, find_floor
+from derender.inference.bottom_up.floor import Floor, back_project, find_floor, floor_beside
 from derender.inference.bottom_up.foreground import joined_to_floor
 from derender.inference.bottom_up.given_floor import find_backdrop, given_floor
 from derender.inference.bottom_up.outline import convex_outline, outline_planes
@@ -56,6 +56,17 @@ def observe(rng, depth, camera, widest=160, plane=None):
     floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
+    seen = tell_apart(depth, camera, factor, floor, backdrop)
+    if plane is None and seen.correlation > CORRELATED and seen.mask.any():
+        seen = tell_apart(depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None)
+    return seen
+
+
+def tell_apart(depth, camera, factor, floor, backdrop):
+    """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
+
+    backdrop : what find_backdrop says, None for nothing.
+    """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
     correlation = neighbour_correlation(depth, even, camera)
