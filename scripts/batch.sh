@@ -5,16 +5,18 @@
 # alone, so the same command goes on where it was stopped; one that fails does not stop the others. Exit status: 0, or 1
 # where any failed.
 set -eu
-folder=$1
+folder=${1:?say which: scripts/batch.sh FOLDER [CAMERA [OUT]]}
 camera=${2:-}
 out=${3:-results}
+test -d "$folder" || { echo "$folder: there is no such folder" >&2; exit 1; }
 mkdir -p "$out"
 
-(cd "$folder" && find . -type f \( -name '*.png' -o -name '*.npy' -o -name '*.npz' -o -name '*.tiff' -o -name '*.exr' \) \
-    -print0) | sort -z | xargs -0 -P "$(nproc)" -I '{}' sh -c '
+(cd "$folder" && find . -type f \( -name '*.png' -o -name '*.np[yz]' -o -name '*.tif' -o -name '*.tiff' \
+    -o -name '*.exr' \) -print0) | sort -z | xargs -0 -P "$(nproc)" -I '{}' sh -c '
         name=${1#./} camera=$2
         frame=$4/$name out=$3/${name%.*}
         test -f "$out/summary.json" && exit 0
+        test -f "${frame%/*}/summary.json" && exit 0 # part of a result, no frame
         mkdir -p "$out"
         if derender infer "$frame" ${camera:+--camera "$camera"} --jobs 1 --seed 1 --quiet -o "$out" \
             >"$out/table.txt" 2>"$out/log.txt"

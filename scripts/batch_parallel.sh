@@ -3,7 +3,7 @@
 #   scripts/batch_parallel.sh FOLDER [OUT]        frames as FOLDER/NAME.npz, or NAME.png beside NAME.json (the camera)
 #   parallel reads more machines from ~/.parallel/sshloginfile: add --sshloginfile .. where derender is installed there
 set -eu
-folder=$1
+folder=${1:?say which: scripts/batch_parallel.sh FOLDER [OUT]}
 out=${2:-results}
 command -v parallel >/dev/null || { echo "GNU parallel is missing: apt-get install parallel, or use batch.sh" >&2; exit 1; }
 mkdir -p "$out"

@@ -2,7 +2,7 @@
 # Make a data set: N scenes of a prior with their clean depth, a Kinect-like image and a picture of each.
 #   scripts/sample_many.sh N [PRIOR [OUT]]
 set -eu
-count=$1
+count=${1:?say how many: scripts/sample_many.sh N [PRIOR [OUT]]}
 prior=${2:-tabletop}
 out=${3:-dataset}
 mkdir -p "$out"

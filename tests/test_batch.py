@@ -10,9 +10,9 @@ import numpy as np
 SCRIPT = Path(__file__).parent.parent / "scripts" / "batch.sh"
 
 
-def batch(folder):
+def batch(folder, name="frames"):
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    command = ["sh", SCRIPT, "frames"]
+    command = ["sh", SCRIPT, name]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
 
 
@@ -29,3 +29,13 @@ def test_a_batch_bears_failures_and_goes_on_where_it_was_stopped(tmp_path):
     (tmp_path / "results" / "bad" / "log.txt").unlink()
     done = batch(tmp_path)
     assert done.returncode == 0 and summary.stat().st_mtime_ns == written
+
+
+def test_a_batch_needs_a_folder_and_takes_no_result_for_a_frame(tmp_path):
+    done = batch(tmp_path, "nowhere")
+    assert done.returncode == 1 and done.stderr == "nowhere: there is no such folder\n"
+    (tmp_path / "results" / "frame").mkdir(parents=True)
+    (tmp_path / "results" / "frame" / "posterior.npz").write_bytes(b"")
+    (tmp_path / "results" / "frame" / "summary.json").write_text('{"scene": {"objects": []}}')
+    done = batch(tmp_path, ".")
+    assert done.returncode == 0 and done.stdout == "wrote results/table.tsv\n"
