@@ -42,17 +42,6 @@ def mean_mcse(draws: np.ndarray) -> float:
     return float(np.std(draws, ddof=1) / np.sqrt(mean_ess(draws))) if _usable(draws) else np.nan
 
 
-def sd_mcse(draws: np.ndarray) -> float:
-    """Return the Monte Carlo standard error of the standard deviation (delta method on the squared deviations)."""
-    if not _usable(draws):
-        return np.nan
-    squares = (draws - np.mean(draws)) ** 2
-    variance = np.mean(squares)
-    if variance == 0:
-        return 0.0
-    return float(np.sqrt((np.mean(squares**2) - variance**2) / mean_ess(squares) / variance / 4))
-
-
 def unwrap(draws: np.ndarray, period: float | None) -> np.ndarray:
     """Return angles as deviations from their circular mean, within half a period, and that mean added back.
 

@@ -1,7 +1,6 @@
-"""One reader for the camera files that people have, which knows them by their keys; it writes BOP's."""
+"""One reader for the camera files that people have, which knows them by their keys."""
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -116,18 +115,6 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
                 return Camera(**arguments)
         tree = _unwrap(tree, frame)
     raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
-
-
-def write_camera(path: str | Path, camera: Camera) -> None:
-    """Write a BOP camera.json; `-` is stdout."""
-    text = json.dumps(camera.to_dict(), indent=1) + "\n"
-    if str(path) == "-":
-        sys.stdout.write(text)
-        return
-    from derender.atomic import atomic_path
-
-    with atomic_path(path) as temporary:
-        Path(temporary).write_text(text)
 
 
 def _unwrap(tree: dict, frame: str | None) -> object:

@@ -8,7 +8,7 @@ from derender.model.solids import Solids
 from derender.vision.blur import blur, blur_taps
 from derender.vision.raycast.antialias import draw_antialiased
 from derender.vision.raycast.canvas import new_canvas
-from derender.vision.raycast.normal_equations import BACKGROUND, cost, cost_gradient, new_misfit, normal_equations
+from derender.vision.raycast.normal_equations import cost, cost_gradient, new_misfit, normal_equations
 from derender.vision.raycast.records import MOTION, new_records, spread
 from derender.vision.raycast.sensitivity import record
 
@@ -50,42 +50,18 @@ class SmoothLikelihood:
     camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
     kinds : (N,) int32 of the scenes' solids.
     sigma : noise in metres, a number or (height, width). blur_sigma : pixels. background : metres.
-    extra_blur : pixels by which model *and* observation are blurred further (coarse-to-fine).
-    limit : cost at which a pixel counts as an outlier, in nats; infinite for the normal likelihood of Eq. 6.
     parameters : most parameters that `equations` will be asked for.
-    edges : False leaves out the occlusion edges, which makes the derivative wrong: for comparison only.
     scene : Solids with the meshes, where there are any.
     """
 
-    def __init__(
-        self,
-        camera,
-        observed,
-        kinds,
-        sigma=0.005,
-        blur_sigma=1.0,
-        background=10.0,
-        extra_blur=0.0,
-        limit=math.inf,
-        parameters=1,
-        edges=True,
-        scene=None,
-    ) -> None:
+    def __init__(self, camera, observed, kinds, sigma=0.005, blur_sigma=1.0, background=10.0, parameters=1,
+                 scene=None) -> None:  # fmt: skip
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
-        if extra_blur > 0:
-            share = blur(seen.astype(float), extra_blur)
-            smooth = blur(np.where(seen, observed, 0.0), extra_blur)
-            observed = np.where(seen, smooth / np.maximum(share, 1e-9), np.nan)
-        self._sigma = np.broadcast_to(np.asarray(sigma, float), observed.shape)
-        self._constant = -float(np.sum(np.log(self._sigma[seen]) + 0.5 * math.log(2 * math.pi)))
-        taps = blur_taps(math.hypot(blur_sigma, extra_blur))
-        self.misfit = new_misfit(camera, observed, sigma, kinds, max(parameters, 1), taps, background, limit, scene)
-        self.edges = edges
-
-    def cost(self, poses: np.ndarray, sizes: np.ndarray) -> float:
-        """Return minus the log likelihood up to a constant. poses : (N, 4, 4), sizes : (N, 3) C-contiguous float64."""
-        return cost(self.misfit, poses, sizes)
+        spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
+        self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
+        self.misfit = new_misfit(camera, observed, sigma, kinds, parameters, blur_taps(blur_sigma), background,
+                                 math.inf, scene)  # fmt: skip
 
     def log_likelihood(self, solids: Solids) -> float:
         """Return Eq. 6's log density, missing pixels left out."""
@@ -103,7 +79,7 @@ class SmoothLikelihood:
         totals = np.zeros((len(poses), MOTION))
         active = np.ones(len(poses), bool) if active is None else np.asarray(active, bool)
         value = cost(self.misfit, poses, sizes)
-        cost_gradient(self.misfit, poses, sizes, active, self.edges, totals)
+        cost_gradient(self.misfit, poses, sizes, active, True, totals)
         return self._constant - value, -totals
 
     def equations(self, poses, sizes, motions) -> tuple[float, np.ndarray, np.ndarray]:
@@ -111,13 +87,8 @@ class SmoothLikelihood:
         count = len(motions)
         gradient, hessian = np.zeros(count), np.zeros((count, count))
         value = cost(self.misfit, poses, sizes)
-        normal_equations(self.misfit, poses, sizes, motions, self.edges, gradient, hessian)
+        normal_equations(self.misfit, poses, sizes, motions, True, gradient, hessian)
         return value, gradient, hessian
-
-    @property
-    def background(self) -> float:
-        """Depth in metres where nothing is hit."""
-        return float(self.misfit.numbers[BACKGROUND])
 
 
 def _arrays(solids: Solids):
