@@ -51,17 +51,27 @@ def test_shapes_stay_what_they_are(drawn):
 
 
 def test_each_face_has_an_offset_of_its_own(drawn):
-    """An extent between two faces spreads by the root of two, one that stands on its support by one face's offset."""
+    """An extent between two faces, or the floor and one, spreads by the root of two, one on a solid by one face's."""
     state, rows = drawn
     spread = (rows[:, :, 13:16] - state.rows[:, 13:16]).std(axis=0) / OFF
     error = 4 / np.sqrt(2 * COUNT)  # four standard errors of a standard deviation, relative
     root = np.sqrt(2)
-    wanted = np.array([[root, root, 1], [root, root, 1], [root] * 3, [root] * 3, [root] * 3])
+    wanted = np.array([[root, root, root], [root, root, 1], [root] * 3, [root] * 3, [root] * 3])
     assert np.abs(spread / wanted - 1).max() < error
     assert np.abs((rows[:, :, 13:16] - state.rows[:, 13:16]).mean(axis=0)).max() < 4 * root * OFF / np.sqrt(COUNT)
     # the middle of a free extent moves by half the difference of two offsets
     middle = (rows[:, 4, 10:13] - state.rows[4, 10:13]) @ state.rows[4, 1:10].reshape(3, 3)
     assert np.abs(middle.std(axis=0) / (OFF / root) - 1).max() < error
+
+
+def test_all_on_the_floor_share_its_offset():
+    state = State()
+    for x in (0.0, 0.2):
+        row = make_row(BOX, np.eye(3), [x, 0, 0.04], [0.1, 0.12, 0.08])
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    rng = np.random.default_rng(0)
+    heights = np.array([with_offsets(rng, state.rows, state, OFF)[:, 15] for _ in range(COUNT)])
+    assert abs(np.corrcoef(heights.T)[0, 1] - 0.5) < 4 * 0.75 / np.sqrt(COUNT)  # half of each variance is the floor's
 
 
 def test_only_images_of_real_sensors_have_it():

@@ -3,6 +3,7 @@
 Many pixels tell where a face appears to be, far better than a real face is even, or a real sensor free of bias. So the
 place of a face is the apparent one, which the walk draws, less an offset of its own, normal with the discrepancy as
 its standard deviation; nothing else tells the offsets, so that a draw of both is a draw of one and a draw of the other.
+The floor under the solids, which nobody sees, is off in the same way from where it appears to be beside them.
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from derender.inference.structure.solids.graph import order_of
 from derender.inference.structure.solids.image import rotation_of
 from derender.inference.structure.solids.polish import FREE
+from derender.inference.structure.solids.state import FLOOR
 from derender.model.solids import BOX, SPHERE
 
 LEAST_SIZE = 0.004  # metres
@@ -24,6 +26,7 @@ def with_offsets(rng, rows, state, discrepancy):
     """
     rows = rows.copy()
     lifts = np.zeros(len(rows))  # of the tops
+    floor = discrepancy * rng.standard_normal()  # how much lower it is under them all than it appears beside them
     for k in order_of(list(state.parents)):
         row, kind, parent = rows[k], int(rows[k][0]), state.parents[k]
         held = not np.isnan(state.bottoms[k])
@@ -37,6 +40,8 @@ def with_offsets(rng, rows, state, discrepancy):
         if held and (kind == SPHERE or state.forms[k] != FREE):
             offsets[2, up] += offsets[2, down] if whole else 0.0
             offsets[2, down] = 0.0
+            if parent == FLOOR and not whole:
+                offsets[2, up] += floor
         row[13:16] = np.maximum(row[13:16] + offsets.sum(axis=1), LEAST_SIZE)
         row[10:13] += rotation_of(row) @ (0.5 * (offsets[:, 0] - offsets[:, 1]))
         carried = lifts[parent] if held and parent >= 0 else 0.0

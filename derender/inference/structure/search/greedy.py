@@ -234,7 +234,7 @@ def total_energy(image, state, settings):
     total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
     for k in range(len(state)):
         total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
-        total += tilt_energy(state.rows[k], state.forms[k], settings.tilt)
+        total += settings.temper * tilt_energy(state.rows[k], state.forms[k], settings.tilt)
         if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
             total += settings.price_of_floating
     return total

@@ -17,6 +17,7 @@ from derender.inference.structure.solids.image import FAR, Image, make_image
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
 REAL_DISCREPANCY = 0.003
+AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
 
 
@@ -92,8 +93,18 @@ def tell_apart(depth, camera, factor, floor, backdrop):
     slope = -image.direction[..., 2]
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
+    if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
+        away = good & ~mask & ~near(mask, int(AWAY / np.median(footprint[good])) + 1)
+        image.floor[away] = image.depth[away]
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
                        float(background.sum() / max(good.sum(), 1)), backdrop is not None)  # fmt: skip
+
+
+def near(mask, reach):
+    """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
+    sums = np.pad(mask.astype(np.int64), ((reach + 1, reach), (reach + 1, reach))).cumsum(axis=0).cumsum(axis=1)
+    side = 2 * reach + 1
+    return sums[side:, side:] + sums[:-side, :-side] > sums[:-side, side:] + sums[side:, :-side]
 
 
 def raise_wall(image):

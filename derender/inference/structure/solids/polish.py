@@ -172,7 +172,7 @@ def polish(
     row = start.copy()
     change = added_misfit(image, row, depth, misfit)
     energy = change + temper * size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
-    energy += tilt_energy(row, form, tilt)
+    energy += temper * tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
     scale = np.full(14, first_step)
     trial = np.empty(row.size)
@@ -184,7 +184,7 @@ def polish(
         if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
             continue
         rest = temper * size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
-        rest += tilt_energy(trial, form, tilt)
+        rest += temper * tilt_energy(trial, form, tilt)
         if rest - (energy - change) > 100.0:
             scale[move] = max(scale[move] * 0.93, 5e-5)
             continue
