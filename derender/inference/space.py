@@ -121,7 +121,7 @@ class Space:
         """Return how many directions the block's tangents have."""
         return sum(int(self.directions[i + 1] - self.directions[i]) for i in block.unknowns)
 
-    def move(self, values: np.ndarray, block: Block, tangent: Sequence[float]) -> np.ndarray:
+    def move(self, values: np.ndarray, block: Block, tangent: np.ndarray) -> np.ndarray:
         """Return the values after a step of the block by `tangent`.
 
         Symmetric: steps with a density that is even in `tangent` need no correction, on circles because wrapping keeps
@@ -194,7 +194,7 @@ def wrap(value: float, period: float) -> float:
     return 0.0 if wrapped >= period else wrapped
 
 
-def turn(quaternion: Sequence[float], vector: Sequence[float]) -> tuple[float, float, float, float]:
+def turn(quaternion: np.ndarray, vector: np.ndarray) -> tuple[float, float, float, float]:
     """Return the unit quaternion (wxyz, w >= 0) of a rotation followed, in its own frame, by a rotation vector."""
     w, x, y, z = quaternion
     angle = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
@@ -211,7 +211,7 @@ def turn(quaternion: Sequence[float], vector: Sequence[float]) -> tuple[float, f
     return p / norm, q / norm, r / norm, s / norm
 
 
-def turn_between(origin: Sequence[float], quaternion: Sequence[float]) -> tuple[float, float, float]:
+def turn_between(origin: np.ndarray, quaternion: np.ndarray) -> tuple[float, float, float]:
     """Return the rotation vector v with quaternion = turn(origin, v), at most half a turn long."""
     a, b, c, d = origin[0], -origin[1], -origin[2], -origin[3]
     w, x, y, z = quaternion

@@ -13,7 +13,7 @@ import numpy as np
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, MESH, PLANE
 from derender.vision.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, prepare, sort_solids
-from derender.vision.raycast.convex import DISCRIMINANT, FACES, inverse_depth
+from derender.vision.raycast.convex import DISCRIMINANT, FACES, discriminant, inverse_depth
 from derender.vision.raycast.facet_pieces import draw_facets, insert_facets, list_facets
 from derender.vision.raycast.integral import integrate
 from derender.vision.raycast.outline import LINES
@@ -119,14 +119,7 @@ def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
         next_above = _corner(prepared, column + 0.5, row - 0.5)
         next_below = _corner(prepared, column + 0.5, row + 0.5)
         t = column - prepared[4]
-        value = (
-            prepared[q]
-            + prepared[q + 1] * t
-            + prepared[q + 2] * s
-            + prepared[q + 3] * t * t
-            + prepared[q + 4] * t * s
-            + prepared[q + 5] * s * s
-        )
+        value = discriminant(prepared, t, s)
         slope = abs(prepared[q + 1] + 2.0 * prepared[q + 3] * t + prepared[q + 4] * s) + abs(
             prepared[q + 2] + 2.0 * prepared[q + 5] * s + prepared[q + 4] * t
         )

@@ -203,6 +203,17 @@ def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
         box_rectangle(pose, size, camera, width, height, rectangle)
 
 
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def discriminant(prepared, t, s):
+    """B^2 - K A of a prepared solid with a quadric, at t columns and s rows from its (i0, j0)."""
+    q = DISCRIMINANT
+    return (
+        prepared[q]
+        + (prepared[q + 1] + prepared[q + 3] * t + prepared[q + 4] * s) * t
+        + (prepared[q + 2] + prepared[q + 5] * s) * s
+    )
+
+
 @njit(cache=True, nogil=True)
 def inverse_depth(prepared, column, row):
     """Inverse depth at which the ray through (column, row) enters a prepared convex solid; 0 where it misses.
@@ -220,18 +231,10 @@ def inverse_depth(prepared, column, row):
             lower = max(lower, bound)
     if prepared[2] != 0.0:
         t, s = column - prepared[4], row - prepared[5]
-        q = DISCRIMINANT
-        discriminant = (
-            prepared[q]
-            + prepared[q + 1] * t
-            + prepared[q + 2] * s
-            + prepared[q + 3] * t * t
-            + prepared[q + 4] * t * s
-            + prepared[q + 5] * s * s
-        )
-        if discriminant < 0.0:
+        square = discriminant(prepared, t, s)
+        if square < 0.0:
             return 0.0
-        root = math.sqrt(discriminant)
+        root = math.sqrt(square)
         middle = prepared[QUADRIC_B] + prepared[QUADRIC_B + 1] * t + prepared[QUADRIC_B + 2] * s
         lower = max(lower, (middle - root) / prepared[3])
         if prepared[3] > 0.0:

@@ -4,18 +4,16 @@ Inside an njit function `load(array, row, column)` gives sixteen neighbours, and
 on all of them at once; LLVM maps them to AVX-512, AVX2, SSE or NEON. There is no scalar remainder loop and no
 reassociation, so a pixel's value never depends on where in a row, or in which call, it was computed: the incremental
 and the full evaluation agree to the last bit. Arrays are C-contiguous float32; rows must be padded so that sixteen
-may be read.
+may be read. Functions of a number are in `lane_functions`, the blur's in `lane_blur`.
 """
 
-from llvmlite import binding, ir
-from numba.core import cgutils, config, types
+from llvmlite import ir
+from numba.core import types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
-LANES = 16
-_FLOATS = ir.VectorType(ir.FloatType(), LANES)
-_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-_INTEGERS = ir.VectorType(ir.IntType(32), LANES)
+from derender.vision.raycast import lane_code as code
+from derender.vision.raycast.lane_code import LANES
 
 
 class _LanesType(types.Type):
@@ -29,48 +27,7 @@ double_lanes = _LanesType("float64x16")
 @register_model(_LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, numba_type):
-        super().__init__(
-            manager, numba_type, _FLOATS if numba_type is float_lanes or numba_type.name == "float32x16" else _DOUBLES
-        )
-
-
-def _constant(value: float) -> ir.Constant:
-    return ir.Constant(_FLOATS, [ir.Constant(ir.FloatType(), value)] * LANES)
-
-
-def _integer(value: int) -> ir.Constant:
-    return ir.Constant(_INTEGERS, [ir.Constant(ir.IntType(32), value)] * LANES)
-
-
-def _splat(builder, scalar, vector_type=_FLOATS):
-    single = builder.insert_element(ir.Constant(vector_type, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
-    return builder.shuffle_vector(single, ir.Constant(vector_type, ir.Undefined), zeros)
-
-
-def _call(builder, name, *arguments):
-    """Call an LLVM intrinsic on lanes."""
-    function = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(arguments[0].type, [a.type for a in arguments]), f"llvm.{name}.v{LANES}f32"
-    )
-    return builder.call(function, arguments)
-
-
-def _multiply_add(builder, a, b, c):
-    return _call(builder, "fmuladd", a, b, c)
-
-
-def _address(context, builder, array_type, array, row, column):
-    """Pointer to element (row, column) of a C-contiguous 2-D float32 array."""
-    struct = context.make_array(array_type)(context, builder, array)
-    stride = builder.extract_value(struct.strides, 0)
-    offset = builder.add(builder.mul(row, stride), builder.shl(column, ir.Constant(column.type, 2)))
-    data = builder.bitcast(struct.data, ir.IntType(8).as_pointer())
-    return builder.bitcast(builder.gep(data, [offset]), _FLOATS.as_pointer())
-
-
-def _load(builder, pointer):
-    return builder.load(pointer, align=4)
+        super().__init__(manager, numba_type, code.FLOATS if numba_type.name == float_lanes.name else code.DOUBLES)
 
 
 def _check(array):
@@ -84,7 +41,7 @@ def load(typing, array, row, column):
         return None
 
     def generate(context, builder, signature, arguments):
-        return _load(builder, _address(context, builder, signature.args[0], *arguments))
+        return code.load(builder, code.address(context, builder, signature.args[0], *arguments))
 
     return float_lanes(array, types.int64, types.int64), generate
 
@@ -96,7 +53,7 @@ def store(typing, array, row, column, value):
         return None
 
     def generate(context, builder, signature, arguments):
-        builder.store(arguments[3], _address(context, builder, signature.args[0], *arguments[:3]), align=4)
+        builder.store(arguments[3], code.address(context, builder, signature.args[0], *arguments[:3]), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, types.int64, float_lanes), generate
@@ -107,7 +64,7 @@ def splat(typing, value):
     """Sixteen copies of a number."""
 
     def generate(context, builder, signature, arguments):
-        return _splat(builder, arguments[0])
+        return code.splat(builder, arguments[0])
 
     return float_lanes(types.float32), generate
 
@@ -117,8 +74,8 @@ def steps_from(typing, start):
     """start, start + 1, ..., start + 15 (exact up to 2^24)."""
 
     def generate(context, builder, signature, arguments):
-        ramp = ir.Constant(_FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
-        return builder.fadd(_splat(builder, builder.sitofp(arguments[0], ir.FloatType())), ramp)
+        ramp = ir.Constant(code.FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
+        return builder.fadd(code.splat(builder, builder.sitofp(arguments[0], ir.FloatType())), ramp)
 
     return float_lanes(types.int64), generate
 
@@ -136,11 +93,11 @@ def _binary(name, emit, doc):
     return intrinsic(typed)
 
 
-def _greater_of(builder, a, b):
+def greater_of(builder, a, b):
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-def _less_of(builder, a, b):
+def less_of(builder, a, b):
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
@@ -148,8 +105,8 @@ add = _binary("add", lambda builder, a, b: builder.fadd(a, b), "a + b")
 subtract = _binary("subtract", lambda builder, a, b: builder.fsub(a, b), "a - b")
 multiply = _binary("multiply", lambda builder, a, b: builder.fmul(a, b), "a b")
 divide = _binary("divide", lambda builder, a, b: builder.fdiv(a, b), "a / b")
-maximum = _binary("maximum", _greater_of, "The greater of a and b; b where a is NaN.")
-minimum = _binary("minimum", _less_of, "The lesser of a and b; b where a is NaN.")
+maximum = _binary("maximum", greater_of, "The greater of a and b; b where a is NaN.")
+minimum = _binary("minimum", less_of, "The lesser of a and b; b where a is NaN.")
 
 
 @intrinsic
@@ -157,53 +114,9 @@ def multiply_add(typing, a, b, c):
     """a b + c, rounded once where the machine can."""
 
     def generate(context, builder, signature, arguments):
-        return _multiply_add(builder, *arguments)
+        return code.multiply_add(builder, *arguments)
 
     return float_lanes(float_lanes, float_lanes, float_lanes), generate
-
-
-def _has_estimate() -> bool:
-    """Whether the machine compiled for has AVX-512's 14-bit reciprocals."""
-    features = config.CPU_FEATURES
-    return "+avx512f" in features if features is not None else bool(binding.get_host_cpu_features().get("avx512f"))
-
-
-@intrinsic
-def reciprocal(typing, a):
-    """1 / a to the last bit or the last but one; an estimate and a Newton step where that is faster than dividing."""
-
-    def generate(context, builder, signature, arguments):
-        one, value = _constant(1.0), arguments[0]
-        if not _has_estimate():
-            return builder.fdiv(one, value)
-        mask = ir.IntType(16)
-        estimate = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_FLOATS, [_FLOATS, _FLOATS, mask]), "llvm.x86.avx512.rcp14.ps.512")
-        first = builder.call(estimate, [value, one, ir.Constant(mask, -1)])
-        error = _multiply_add(builder, builder.fneg(value), first, one)
-        return _multiply_add(builder, first, error, first)
-
-    return float_lanes(float_lanes), generate
-
-
-@intrinsic
-def square_root(typing, a):
-    """The square root; NaN of a negative number."""
-
-    def generate(context, builder, signature, arguments):
-        return _call(builder, "sqrt", arguments[0])
-
-    return float_lanes(float_lanes), generate
-
-
-@intrinsic
-def absolute(typing, a):
-    """The absolute value."""
-
-    def generate(context, builder, signature, arguments):
-        return _call(builder, "fabs", arguments[0])
-
-    return float_lanes(float_lanes), generate
 
 
 @intrinsic
@@ -217,59 +130,12 @@ def where_at_least(typing, a, b, yes, no):
     return float_lanes(float_lanes, float_lanes, float_lanes, float_lanes), generate
 
 
-def _integer_lanes(builder, value):
-    return builder.bitcast(value, _INTEGERS)
-
-
-@intrinsic
-def exponential(typing, x):
-    """e^x for x <= 0, relative error 1e-7; e^-87 below -87."""
-
-    def generate(context, builder, signature, arguments):
-        x = _greater_of(builder, arguments[0], _constant(-87.0))
-        n = _call(builder, "rint", builder.fmul(x, _constant(1.4426950408889634)))
-        r = _multiply_add(builder, n, _constant(-0.693359375), x)
-        r = _multiply_add(builder, n, _constant(2.12194440e-4), r)
-        p = _constant(1.9875691500e-4)  # Cephes' expf
-        for term in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
-            p = _multiply_add(builder, p, r, _constant(term))
-        p = _multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, _constant(1.0)))
-        power = builder.shl(builder.add(builder.fptosi(n, _INTEGERS), _integer(127)), _integer(23))
-        return builder.fmul(p, builder.bitcast(power, _FLOATS))
-
-    return float_lanes(float_lanes), generate
-
-
-@intrinsic
-def logarithm(typing, x):
-    """The natural logarithm of a normal positive number, relative error 1e-7."""
-
-    def generate(context, builder, signature, arguments):
-        bits = _integer_lanes(builder, arguments[0])
-        # split at sqrt(1/2) so that the mantissa minus one is small on both sides
-        shifted = builder.sub(bits, _integer(0x3F3504F3))
-        exponent = builder.sitofp(builder.ashr(shifted, _integer(23)), _FLOATS)
-        mantissa = builder.add(builder.and_(shifted, _integer(0x007FFFFF)), _integer(0x3F3504F3))
-        m = builder.fsub(builder.bitcast(mantissa, _FLOATS), _constant(1.0))
-        square = builder.fmul(m, m)
-        p = _constant(7.0376836292e-2)  # Cephes' logf
-        for term in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1,
-                     2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):
-            p = _multiply_add(builder, p, m, _constant(term))
-        y = builder.fmul(builder.fmul(p, m), square)
-        y = _multiply_add(builder, exponent, _constant(-2.12194440e-4), y)
-        y = _multiply_add(builder, square, _constant(-0.5), y)
-        return _multiply_add(builder, exponent, _constant(0.693359375), builder.fadd(y, m))
-
-    return float_lanes(float_lanes), generate
-
-
 @intrinsic
 def zero_sum(typing):
     """Sixteen float64 zeros: the start of a sum."""
 
     def generate(context, builder, signature, arguments):
-        return ir.Constant(_DOUBLES, None)
+        return ir.Constant(code.DOUBLES, None)
 
     return double_lanes(), generate
 
@@ -279,7 +145,7 @@ def accumulate(typing, total, value):
     """Sixteen float64 running sums plus sixteen float32."""
 
     def generate(context, builder, signature, arguments):
-        return builder.fadd(arguments[0], builder.fpext(arguments[1], _DOUBLES))
+        return builder.fadd(arguments[0], builder.fpext(arguments[1], code.DOUBLES))
 
     return double_lanes(double_lanes, float_lanes), generate
 
@@ -297,99 +163,3 @@ def sum_lanes(typing, total):
         return terms[0]
 
     return types.float64(double_lanes), generate
-
-
-class _WindowType(types.Type):
-    """The numba type of 2 radius + 1 lanes: what a blur sees of the rows around one row."""
-
-    def __init__(self, radius: int) -> None:
-        self.radius = radius
-        super().__init__(f"window{radius}")
-
-
-@register_model(_WindowType)
-class _WindowModel(models.PrimitiveModel):
-    def __init__(self, manager, numba_type):
-        super().__init__(manager, numba_type, ir.ArrayType(_FLOATS, 2 * numba_type.radius + 1))
-
-
-@intrinsic(prefer_literal=True)
-def new_window(typing, value, radius):
-    """A window all of whose rows are `value`; radius a literal."""
-    if not isinstance(radius, types.IntegerLiteral):
-        return None
-    window = _WindowType(radius.literal_value)
-
-    def generate(context, builder, signature, arguments):
-        result = ir.Constant(ir.ArrayType(_FLOATS, 2 * window.radius + 1), ir.Undefined)
-        for k in range(2 * window.radius + 1):
-            result = builder.insert_value(result, arguments[0], k)
-        return result
-
-    return window(float_lanes, radius), generate
-
-
-@intrinsic
-def push(typing, window, value):
-    """The window one row further down: the first row falls out, `value` comes in last. It stays in registers."""
-    if not isinstance(window, _WindowType):
-        return None
-
-    def generate(context, builder, signature, arguments):
-        old, result = arguments[0], ir.Constant(arguments[0].type, ir.Undefined)
-        for k in range(2 * window.radius):
-            result = builder.insert_value(result, builder.extract_value(old, k + 1), k)
-        return builder.insert_value(result, arguments[1], 2 * window.radius)
-
-    return window(window, float_lanes), generate
-
-
-@intrinsic
-def blur_window(typing, window, taps):
-    """sum_k taps[|k|] window[radius + k]: the blur down the column at the window's middle row."""
-    if not isinstance(window, _WindowType):
-        return None
-    radius = window.radius
-
-    def generate(context, builder, signature, arguments):
-        weights = _taps(context, builder, signature.args[1], arguments[1], radius + 1)
-        rows = [builder.extract_value(arguments[0], k) for k in range(2 * radius + 1)]
-        pairs = [(rows[radius - k], rows[radius + k]) for k in range(1, radius + 1)]
-        return _symmetric_sum(builder, weights, rows[radius], pairs)
-
-    return float_lanes(window, taps), generate
-
-
-def _symmetric_sum(builder, taps, centre, pairs):
-    """taps[0] centre + sum_k taps[k] (left_k + right_k), in one fixed order."""
-    value = builder.fmul(taps[0], centre)
-    for tap, (left, right) in zip(taps[1:], pairs, strict=True):
-        value = _multiply_add(builder, tap, builder.fadd(left, right), value)
-    return value
-
-
-def _taps(context, builder, array_type, array, count):
-    struct = context.make_array(array_type)(context, builder, array)
-    index = ir.IntType(64)
-    return [_splat(builder, builder.load(builder.gep(struct.data, [ir.Constant(index, k)]))) for k in range(count)]
-
-
-@intrinsic(prefer_literal=True)
-def blur_along_row(typing, array, row, column, taps, radius):
-    """sum_k taps[|k|] array[row, column + k] over |k| <= radius for sixteen columns; radius a literal, unrolled."""
-    if not isinstance(radius, types.IntegerLiteral):
-        return None
-    count = radius.literal_value
-
-    def generate(context, builder, signature, arguments):
-        array, row, column, tap_array, _ = arguments
-        weights = _taps(context, builder, signature.args[3], tap_array, count + 1)
-
-        def at(offset):
-            shifted = builder.add(column, ir.Constant(column.type, offset))
-            return _load(builder, _address(context, builder, signature.args[0], array, row, shifted))
-
-        pairs = [(at(-k), at(k)) for k in range(1, count + 1)]
-        return _symmetric_sum(builder, weights, at(0), pairs)
-
-    return float_lanes(array, types.int64, types.int64, taps, radius), generate

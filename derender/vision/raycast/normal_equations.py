@@ -64,20 +64,24 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
     seen = np.isfinite(observed) & (observed > 0)
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
-    zeros = [np.zeros((height, width)) for _ in range(5)]
+    blurred, weighted, scratch, weight, spare = np.zeros((5, height, width))
     return Misfit(
-        new_canvas(camera, len(kinds), scene),
-        new_records(camera, len(kinds)),
-        kinds,
-        np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),
-        np.ascontiguousarray(precision),
-        np.array([background, limit], np.float64),
-        np.ascontiguousarray(taps, np.float64),
-        np.array([0, width, 0, height], np.int64),
-        np.zeros(height),
-        *zeros,
-        np.zeros((parameters, height * width)),
-        np.zeros((parameters, 4), np.int64),
+        canvas=new_canvas(camera, len(kinds), scene),
+        records=new_records(camera, len(kinds)),
+        kinds=kinds,
+        observed=np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),
+        precision=np.ascontiguousarray(precision),
+        numbers=np.array([background, limit], np.float64),
+        taps=np.ascontiguousarray(taps, np.float64),
+        window=np.array([0, width, 0, height], np.int64),
+        row_costs=np.zeros(height),
+        blurred=blurred,
+        weighted=weighted,
+        scratch=scratch,
+        weight=weight,
+        spare=spare,
+        images=np.zeros((parameters, height * width)),
+        bounds=np.zeros((parameters, 4), np.int64),
     )
 
 

@@ -10,7 +10,7 @@ import math
 
 from derender.kernel_cache import njit
 from derender.vision.raycast.canvas import CORNERS, FACE_BITS, FACE_MASK, NOTHING, PIECES, QUADRIC
-from derender.vision.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B
+from derender.vision.raycast.convex import FACES, QUADRIC_B, discriminant
 from derender.vision.raycast.outline import LINES
 
 FIRST, SECOND, CELL = PIECES - 1, PIECES - 2, PIECES - 3  # rows for what is left of a piece, and for the cell's face
@@ -22,14 +22,9 @@ ROUGH = 0.03  # share of the largest difference that the chords of an outline ma
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def curved_inverse_depth(prepared, column, row):
     """Inverse depth of the near side of a sphere or endless cylinder; at its limb where the ray misses."""
-    q, t, s = DISCRIMINANT, column - prepared[4], row - prepared[5]
-    square = (
-        prepared[q]
-        + (prepared[q + 1] + prepared[q + 3] * t + prepared[q + 4] * s) * t
-        + (prepared[q + 2] + prepared[q + 5] * s) * s
-    )
+    t, s = column - prepared[4], row - prepared[5]
     middle = prepared[QUADRIC_B] + prepared[QUADRIC_B + 1] * t + prepared[QUADRIC_B + 2] * s
-    return (middle + math.sqrt(max(square, 0.0))) / prepared[3]
+    return (middle + math.sqrt(max(discriminant(prepared, t, s), 0.0))) / prepared[3]
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
