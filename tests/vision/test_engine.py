@@ -195,6 +195,24 @@ def test_changed_noise_needs_no_rendering(likelihood):
         DepthEvaluator(CAMERAS[0], observed, likelihood, {**evaluator.values}).load(solids), rel=1e-12)
 
 
+@pytest.mark.parametrize("likelihood", ["gaussian", "robust"])
+def test_a_changed_blur_keeps_the_engine(likelihood):
+    """One set of images serves every blur, in full and for moves: the values are those of an engine made for it."""
+    rng = np.random.default_rng(14)
+    solids = random_solids(rng, 4)
+    observed = observe(rng, solids, CAMERAS[0], likelihood, {})
+    evaluator = DepthEvaluator(CAMERAS[0], observed, likelihood)
+    evaluator.load(solids)
+    images = evaluator.state.images
+    for pixels in (0.0, 0.3, 0.32, 1.0, 2.5, 0.6):
+        fresh = DepthEvaluator(CAMERAS[0], observed, likelihood, {"blur": pixels})
+        assert evaluator.set_values({"blur": pixels}) == pytest.approx(fresh.load(solids), rel=1e-12)
+        moved = solids.pose[1:2] + rng.normal(0, 0.01, (1, 4, 1)) * [0, 0, 0, 1]
+        assert evaluator.propose([1], moved, solids.size[1:2]) == fresh.propose([1], moved, solids.size[1:2])
+        evaluator.reject()
+    assert evaluator.state.images is images
+
+
 def test_a_scene_with_other_solids_gets_a_new_state():
     rng = np.random.default_rng(13)
     evaluator = DepthEvaluator(CAMERAS[0], np.ones((64, 64)))

@@ -54,6 +54,8 @@ from derender.vision.raycast.state import (
     TEMPER,
     WIDTH,
     new_state,
+    set_reach,
+    taps_of,
 )
 
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
@@ -271,10 +273,26 @@ def new_engine(camera, observed, solids, kind, parameters, blur):
     settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(state, images[0])
     settings[DRAW] = address_of(draw_region, settings, state.parameters, images, state.kind, state.prepared,
                                 state.rectangle, index, state.regions[0, 0])
-    settings[BLUR] = address_of(blur_for(int(settings[RADIUS])), images[0], images[0], state.strip, state.taps,
-                                *5 * [index])
+    settings[BLUR] = _blur_address(state)
     settings[RATE] = address_of(score_gaussian if kind == GAUSSIAN else score_robust, state.parameters, images,
                                 *6 * [index])
+    return state
+
+
+def _blur_address(state) -> int:
+    kernel, image, index = blur_for(int(state.settings[RADIUS])), state.images[0], CURRENT
+    return address_of(kernel, image, image, state.strip, state.taps, *5 * [index])
+
+
+def with_blur(state, blur: float):
+    """Return the state with another blur, which shares all else with it; score or load the scene again after it."""
+    taps = taps_of(blur)
+    if len(taps) == len(state.taps):
+        state.taps[:] = taps
+        return state
+    state = state._replace(taps=taps)
+    set_reach(state.settings, len(taps) - 1)
+    state.settings[BLUR] = _blur_address(state)
     return state
 
 

@@ -15,6 +15,7 @@ from derender.vision.raycast.engine import (
     propose_state,
     rescore_state,
     settle_state,
+    with_blur,
 )
 from derender.vision.raycast.score import pixel_log_densities
 from derender.vision.raycast.state import CANDIDATE, CURRENT, OBSERVED, PAD, SIGMA, EngineState
@@ -49,6 +50,7 @@ class DepthEvaluator:
         self.observed = observed
         self.likelihood = likelihoods[likelihood]
         self.values = self.likelihood.complete(values)
+        self._counted = self.likelihood.counted_pixels(observed)
         self.state: EngineState | None = None
         self._meshes: tuple = ()
 
@@ -72,12 +74,15 @@ class DepthEvaluator:
         """Make a scene the current one; return its log likelihood. Another structure than the last gets a new state."""
         state = self.state
         if state is None or not self._fits(state, solids):
-            row = self.likelihood.row(self.values, self.likelihood.counted_pixels(self.observed))
-            state = new_engine(self.camera, self.observed, solids, self.likelihood.code, row, self.values["blur"])
+            state = new_engine(self.camera, self.observed, solids, self.likelihood.code, self._row(),
+                               self.values["blur"])
             self.state = state
             self._meshes = solids.meshes
         return load_state(state, np.ascontiguousarray(solids.pose, np.float64),
                           np.ascontiguousarray(solids.size, np.float64))
+
+    def _row(self) -> np.ndarray:
+        return self.likelihood.row(self.values, self._counted)
 
     def _fits(self, state: EngineState, solids: Solids) -> bool:
         same_meshes = len(self._meshes) == len(solids.meshes) and all(
@@ -87,23 +92,22 @@ class DepthEvaluator:
     def set_values(self, values: Mapping[str, float], rescore: bool = True) -> float | None:
         """Change numbers of the likelihood; return the current scene's log likelihood under them (None without one).
 
-        Nothing is drawn again unless the blur or the background changed.
+        Nothing is drawn again unless the background changed, and then, without `rescore`, by the next `load` alone.
         """
-        redraw = any(name in values and values[name] != self.values[name] for name in ("blur", "background"))
-        self.values = self.likelihood.complete({**self.values, **values})
+        former, self.values = self.values, self.likelihood.complete({**self.values, **values})
         if self.state is None:
             return None
-        state = self.state
-        if redraw:
-            self.state = None
-            solids = Solids(state.kind[0], state.pose[CURRENT].copy(), state.size[CURRENT].copy(), state.kind[1],
-                            self._meshes)
-            return self.load(solids) if rescore else None
-        row = self.likelihood.row(self.values, self.likelihood.counted_pixels(self.observed))
+        if self.values["blur"] != former["blur"]:
+            self.state = with_blur(self.state, self.values["blur"])
+        state, row = self.state, self._row()
         observed = state.parameters[OBSERVED]
         state.parameters[SIGMA:SIGMA + len(row)] = row
         state.parameters[OBSERVED] = observed
-        return rescore_state(state) if rescore else None
+        if not rescore:
+            return None
+        if self.values["background"] != former["background"]:
+            return load_state(state, state.pose[CURRENT].copy(), state.size[CURRENT].copy())
+        return rescore_state(state)
 
     def propose(self, indices, poses, sizes) -> float:
         """Return the log likelihood with solids `indices` at `poses` (n, 4, 4) and `sizes` (n, 3); settle it after."""

@@ -74,6 +74,19 @@ PAD = LANES  # columns of padding before pixel 0: more than any blur radius allo
 MAXIMUM_RADIUS = PAD - 1
 
 
+def taps_of(blur: float) -> np.ndarray:
+    """Return the weights (R + 1,) float32 of a blur of so many pixels."""
+    taps = blur_taps(blur).astype(np.float32)
+    if len(taps) - 1 > MAXIMUM_RADIUS:
+        raise ValueError(f"a blur of {blur} pixels reaches {len(taps) - 1} pixels: at most {MAXIMUM_RADIUS}")
+    return taps
+
+
+def set_reach(settings: np.ndarray, radius: int) -> None:
+    """Write how far a pixel is blurred, and how far it tells on scores: the robust one sees its neighbours too."""
+    settings[RADIUS], settings[MARGIN] = radius, max(radius, 1) if settings[LIKELIHOOD] == ROBUST else radius
+
+
 def new_state(
     camera, observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
 ) -> EngineState:
@@ -84,10 +97,7 @@ def new_state(
     """
     height, width = camera.height, camera.width
     padded = PAD + -(-width // LANES) * LANES + 2 * LANES
-    taps = blur_taps(blur).astype(np.float32)
-    radius = len(taps) - 1
-    if radius > MAXIMUM_RADIUS:
-        raise ValueError(f"a blur of {blur} pixels reaches {radius} pixels: at most {MAXIMUM_RADIUS}")
+    taps = taps_of(blur)
     count = len(solids.kind)
     missing = np.nan if kind == GAUSSIAN else 0.0
     seen = np.isfinite(observed) & (observed > 0)
@@ -103,7 +113,8 @@ def new_state(
     numbers[SIGMA:SIGMA + len(parameters)] = parameters
     numbers[OBSERVED] = seen.sum()
     settings = np.zeros(16, np.int64)
-    settings[:5] = width, height, radius, max(radius, 1) if kind == ROBUST else radius, kind
+    settings[WIDTH], settings[HEIGHT], settings[LIKELIHOOD] = width, height, kind
+    set_reach(settings, len(taps) - 1)
     most = int(np.diff(meshes.starts[:, 0]).max(initial=1))
     return EngineState(
         settings=settings, parameters=numbers, total=np.zeros(2), taps=taps, images=images,
