@@ -11,9 +11,9 @@ from derender.inference.posterior import Posterior, StructurePosterior, load
 from derender.inference.structure.bridges import balances, with_bridges
 from derender.inference.structure.infer import infer_structure
 from derender.inference.structure.solids.image import render_floor_scene
-from derender.model.constraints import support_residual
 from derender.model.pose import rotation_x
 from derender.model.scene import Contact, SceneGraph, Vertex
+from derender.model.second_support import support_residual
 from derender.report.scene_json import scene_json
 from derender.report.tree_text import scene_lines
 from derender.vision.camera import Camera

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.inference.structure.draws.discrepancy import with_offsets
-from derender.inference.structure.graph_posterior import undo_spin
+from derender.inference.structure.scored_posterior import undo_spin
 from derender.inference.structure.search.greedy import Settings
 from derender.inference.structure.solids.image import make_row, rotation_of
 from derender.inference.structure.solids.polish import FREE, UPRIGHT

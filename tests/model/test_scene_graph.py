@@ -9,11 +9,11 @@ from geometry import contact_faults
 from derender import data_path
 from derender.document import read_document
 from derender.errors import DerenderError
-from derender.model.constraints import support_residual
 from derender.model.contacts import contacts
 from derender.model.overlap import overlaps
 from derender.model.pose import from_quaternion, random_rotation, translation
 from derender.model.scene import Contact, SceneGraph, Vertex
+from derender.model.second_support import support_residual
 from derender.model.solids import BOX, PLANE
 
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.posterior import StructurePosterior
-from derender.model.constraints import support_residual
 from derender.model.scene import ROOT, SceneGraph
+from derender.model.second_support import support_residual
 from derender.model.shapes import shapes
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)

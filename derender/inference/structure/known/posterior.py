@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from derender.inference.posterior import StructurePosterior
-from derender.inference.structure.graph_posterior import parameters_of
 from derender.inference.structure.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.inference.structure.known.image import walk_known
+from derender.inference.structure.scored_posterior import parameters_of
 from derender.inference.structure.solids.graph import (
     FLOOR_NAME,
     best_contact,

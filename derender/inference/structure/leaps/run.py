@@ -13,11 +13,12 @@ from derender.errors import DerenderError
 from derender.inference import checkpoint
 from derender.inference.checkpoint import Record, fingerprint
 from derender.inference.structure.draws.refined import refine, refined_at
-from derender.inference.structure.graph_posterior import INDEPENDENT, total_energy
+from derender.inference.structure.graph_posterior import INDEPENDENT
 from derender.inference.structure.leaps.catalogue import catalogue_of
 from derender.inference.structure.leaps.chain import Walker
 from derender.inference.structure.leaps.gathered import gathered
 from derender.inference.structure.leaps.population import population
+from derender.inference.structure.search.greedy import total_energy
 from derender.inference.workers import interruptible
 
 CHAINS, DRAWS, WARMUP = 4, 250, 40
