@@ -175,6 +175,16 @@ def test_a_reduced_image_is_that_of_the_camera_that_goes_with_it():
     assert np.mean(off > 0.01) < 0.003  # hardly a pixel takes the other side of an edge
 
 
+@pytest.mark.parametrize("width", [320, 480, 640])
+def test_a_reduced_sharp_image_has_its_edges_where_the_small_camera_sees_them(width):
+    """The median of four pixels is on the far side of two against two: solids would shrink by half a pixel."""
+    camera, floor = camera_of(width, width * 3 // 4), floor_pose()
+    depth, _ = render_floor_scene(["box"] * 2, floor @ POSES, SIZES, floor, camera)
+    seen, small, _ = reduce(depth, camera, 160)
+    ideal, _ = render_floor_scene(["box"] * 2, floor @ POSES, SIZES, floor, small)
+    assert np.sum(np.abs(seen - ideal) > 0.01) <= 1  # at an edge of little depth, which a plane may cross
+
+
 def test_without_a_floor_a_table_that_fills_the_image_is_background():
     depth, camera = picture(floor_pose())
     posterior = infer_structure(depth, camera, {"method": "map", "floor": "none"}, np.random.default_rng(0))

@@ -150,7 +150,7 @@ def test_reduced_images_show_the_same_points(rng):
     scene = make_scene(rng, "cubes")
     depth, camera, factor = reduce(scene["clean"], scene["camera"], 80)
     assert factor == 2 and depth.shape == (60, 80)
-    # a plane's inverse depth is affine in the pixel: block medians keep it but for the plane's curvature in depth
+    # a plane's inverse depth is affine in the pixel: reduction keeps it
     floor = find_floor(rng, depth, camera)
     assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
 

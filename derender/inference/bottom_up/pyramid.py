@@ -1,4 +1,4 @@
-"""Smaller images of the same scene: the middle depth of each block, with the camera that goes with them."""
+"""Smaller images of the same scene: one pixel of each block, less noisy, with the camera that goes with them."""
 
 import numpy as np
 
@@ -18,22 +18,29 @@ def intrinsics(camera):
 def reduced_camera(camera, factor, shape):
     """Return the dict of intrinsics of the image whose pixels are blocks of factor x factor pixels."""
     fx, fy, cx, cy = intrinsics(camera)
-    shift = (factor - 1) / 2
+    shift = sampled(factor)
     return {"fx": fx / factor, "fy": fy / factor, "cx": (cx - shift) / factor, "cy": (cy - shift) / factor,
             "width": shape[1] // factor, "height": shape[0] // factor}  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def block_middles(depth, factor, enough):
-    """Return the depth (H / factor, W / factor) at each block's middle, 0 where fewer than `enough` pixels have one.
+def sampled(factor):
+    """Return the row and column within a block of the pixel that stands for it: the middle one, or that before it."""
+    return (factor - 1) // 2
 
-    It is that of the plane through the block's pixels on one side of a jump, the median's: the mean of all would be a
-    point in the air, and the median itself belongs to the middle of the pixels that have a depth, not of the block.
+
+@njit(cache=True, nogil=True)
+def sampled_blocks(depth, factor, enough):
+    """Return the depth (H / factor, W / factor) of one pixel of each block, 0 where fewer than `enough` have one.
+
+    It is that of the plane through the block's pixels on its side of a jump: the mean of all would be a point in the
+    air. Where that pixel has no depth the median's side stands for it. (Always to take that side would make solids
+    smaller: of two pixels on either side of an edge the median of four is on the far one.)
     """
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     out = np.zeros((height, width))
     values, place = np.empty(factor * factor), np.empty((factor * factor, 2))
-    middle = 0.5 * (factor - 1)
+    middle = sampled(factor)
     for j in range(height):
         for i in range(width):
             n = 0
@@ -44,8 +51,10 @@ def block_middles(depth, factor, enough):
                         values[n], place[n, 0], place[n, 1] = z, u - middle, v - middle
                         n += 1
             if n >= enough:
-                median = np.sort(values[:n])[n // 2]
-                out[j, i] = plane_at_origin(values[:n], place[:n], median, STEP * median)
+                about = depth[j * factor + middle, i * factor + middle]
+                if not about > 0:
+                    about = np.sort(values[:n])[n // 2]
+                out[j, i] = plane_at_origin(values[:n], place[:n], about, STEP * about)
     return out
 
 
@@ -92,5 +101,5 @@ def reduce(depth, camera, widest):
     factor = max(1, int(round(depth.shape[1] / widest)))
     filled = np.nan_to_num(np.ascontiguousarray(depth, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     if factor > 1:
-        filled = block_middles(filled, factor, max(2, factor * factor // 5))
+        filled = sampled_blocks(filled, factor, max(2, factor * factor // 5))
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
