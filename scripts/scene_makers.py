@@ -214,7 +214,11 @@ def make_scene(rng, name):
 
 
 def make_groups(rng, count=20):
-    """Return 20 boxes scattered in three groups at 320 x 240."""
+    """Return 20 boxes scattered in three groups, none of which reaches into another, at 320 x 240."""
+    from derender.inference.structure.solids.image import make_row
+    from derender.inference.structure.solids.touch import penetration
+    from derender.model.solids import BOX
+
     kinds, sizes, poses, parents = [], [], [], []
     centres = np.array([[np.cos(a), np.sin(a)] for a in rng.uniform(0, 6.28) + np.arange(3) * 2 * np.pi / 3]) * 0.3
     for group, members in enumerate(np.array_split(np.arange(count), 3)):
@@ -230,6 +234,9 @@ def make_groups(rng, count=20):
         kinds += k
         sizes += list(s)
         poses += list(pose)
+    rows = [make_row(BOX, p[:3, :3], p[:3, 3], s) for p, s in zip(poses, sizes, strict=True)]
+    if any(penetration(rows[i], rows[j]) > 0.002 for i in range(count) for j in range(i)):
+        return make_groups(rng, count)
     return photograph(
         rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2)
     )
