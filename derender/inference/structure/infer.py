@@ -4,6 +4,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
+from derender.inference.structure.search.bodies import body_hypotheses, find_bodies
 from derender.inference.structure.search.greedy import Settings
 from derender.inference.structure.search.observation import observe, patches_of
 from derender.inference.structure.search.proposals import all_hypotheses
@@ -32,7 +33,10 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
     settings = settings._replace(uneven=max(settings.uneven, NOISES * noise))
     surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
-    state, image = search(rng, seen.image, all_hypotheses(surface, settings.shapes), settings, pool)
+    hypotheses = all_hypotheses(surface, settings.shapes)
+    for body in find_bodies(seen.points, seen.mask, seen.footprint):
+        hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
+    state, image = search(rng, seen.image, hypotheses, settings, pool)
     state.parents = final_parents(state)
     return state.ordered(), seen._replace(image=image)
 

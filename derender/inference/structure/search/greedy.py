@@ -11,7 +11,7 @@ from derender.inference.structure.search.observation import CORRELATED, REAL_DIS
 from derender.inference.structure.solids.image import added_misfit
 from derender.inference.structure.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
 from derender.inference.structure.solids.state import State, energy, held_out, in_the_way, run_polish
-from derender.inference.structure.solids.support import assign_supports
+from derender.inference.structure.solids.support import assign_supports, concerned
 from derender.inference.structure.solids.touch import highest
 from derender.model.solids import BOX, SPHERE
 
@@ -189,34 +189,41 @@ def cube_of(row, side, origin, form):
     return new
 
 
-def prune(image, state, settings):
-    """Remove solids whose removal costs less than their price, and what is no higher than floors are uneven.
+def prune(image, state, settings, only=None):
+    """Remove solids (or some of those in `only`) whose removal costs less than their price, and what is no higher than
+    floors are uneven.
 
     Returns a new state.
     """
     i = 0
     while i < len(state):
         if highest(state.rows[i]) < settings.uneven:
-            state, i = state.without(i), 0
+            state, i, only = state.without(i), 0, None
+            continue
+        if only is not None and i not in only:
+            i += 1
             continue
         depth, _, misfit, _ = held_out(image, state, i)
         kept = added_misfit(image, state.rows[i], depth, misfit)
         kept += settings.temper * size_energy(state.rows[i], state.cubes[i])
         if kept + complexity(int(state.rows[i][0]), state.forms[i], state.cubes[i], settings) > 0:
-            state = state.without(i)
-            i = 0
+            state, i, only = state.without(i), 0, None
         else:
             i += 1
     return state
 
 
 def settle(rng, image, state, settings, rounds=200, only=None):
-    """Put every solid on its support, polish, make cubes, and prune; return a new state."""
-    state = assign_supports(image, state, settings)
+    """Put every solid on its support, polish, make cubes, and prune; return a new state.
+
+    only : the solids that have changed since this was done, None for all.
+    """
+    near = None if only is None else concerned(image, state, only)
+    state = assign_supports(image, state, settings, near)
     sweep(rng, image, state, settings, rounds, only=only)
     state = try_cubes(rng, image, state, settings, only=only)
-    state = prune(image, state, settings)
-    return assign_supports(image, state, settings)
+    kept = prune(image, state, settings, near)
+    return assign_supports(image, kept, settings, near if len(kept) == len(state) else None)
 
 
 def complexity(kind, form, cube, settings):

@@ -7,6 +7,7 @@ energy.
 
 import numpy as np
 
+from derender.inference.structure.search.bodies import FEWEST, body_hypotheses
 from derender.inference.structure.search.greedy import greedy
 from derender.inference.structure.search.places import pick
 from derender.inference.structure.search.shaping import appear, shake, stretch, tilt
@@ -14,7 +15,7 @@ from derender.inference.structure.search.supporting import lift, put_under, rais
 from derender.inference.structure.search.surface import THINNEST
 from derender.inference.structure.solids.image import rotation_of
 from derender.inference.structure.solids.state import held_out, run_polish
-from derender.inference.structure.solids.touch import penetration
+from derender.inference.structure.solids.touch import lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
@@ -25,14 +26,20 @@ FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
-    """Take out one solid with some of those that share its badly explained pixels, and explain what they showed."""
+    """Take out one solid with some of those that share its badly explained pixels, or beside it where there are none,
+    and explain what they showed: by the hypotheses, or as one solid."""
     seed = pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
-    out |= {j for j in range(len(state)) if places.pairs[seed, j] > 0 and rng.random() < 0.5}
+    shared = places.pairs if places.pairs[seed].any() else places.beside
+    out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
     new = state.copy()
     for k in sorted(out, reverse=True):
         new = new.without(k)
     kept = len(new)
+    points = places.seen[np.isin(places.shown, list(out)) & (image.depth > 0)]
+    if len(points) >= FEWEST:
+        bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
+        hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom)]
     new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
     return new, set(range(kept, len(new)))
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.inference.structure.search.bodies import find_bodies
 from derender.inference.structure.solids.state import held_out
 
 
@@ -14,12 +15,19 @@ class Places(NamedTuple):
     ----------
     blame : (N + 1,) bad pixels about each solid (last: about none).
     pairs : (N + 1, N + 1) how many bad pixels two solids share.
+    beside : (N + 1, N + 1) how many neighbouring pixels show two solids.
     points : (B, 3) float64, the observed points of the bad pixels, floor frame.
+    bodies : list of (K, 3) float64, the points of bad pixels that are nearer than explained, and joined.
+    shown : (H, W) int32, the solid that each pixel shows; negative: none. seen : (H, W, 3) float64, all points.
     """
 
     blame: np.ndarray
     pairs: np.ndarray
+    beside: np.ndarray
     points: np.ndarray
+    bodies: list[np.ndarray]
+    shown: np.ndarray
+    seen: np.ndarray
 
 
 def find_places(image, state, limit=4.5):
@@ -42,8 +50,19 @@ def find_places(image, state, limit=4.5):
         blame[near] += 1.0 / len(near)
         pairs[np.ix_(near, near)] += 1
     np.fill_diagonal(pairs, 0)
-    points = image.origin + image.depth[rows, columns, None] * image.direction[rows, columns]
-    return Places(blame, pairs, points)
+    seen = image.origin + image.depth[..., None] * image.direction
+    footprint = image.depth * np.linalg.norm(image.direction[0, 1] - image.direction[0, 0])
+    bodies = find_bodies(seen, bad & (image.depth < depth), footprint)
+    return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen)
+
+
+def neighbours(label, count):
+    """Return (count + 1, count + 1): how many pairs of neighbouring pixels show these two solids."""
+    beside = np.zeros((count + 1, count + 1))
+    for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
+        edge = (a != b) & (a >= 0) & (b >= 0)
+        np.add.at(beside, (a[edge], b[edge]), 1)
+    return beside + beside.T
 
 
 def pick(rng, weight):

@@ -16,6 +16,7 @@ from derender.inference.structure.threads import THREADS, in_threads
 
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
+HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
@@ -128,6 +129,8 @@ def merge_all(rng, image, state, settings):
         for i, j in aligned_pairs(state):
             for spread in ((False, False, False), (True, True, True)):
                 new, changed = merge_pair(rng, image, state, settings, i, j, spread)
+                if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+                    continue
                 new = settle(rng, image, new, settings, 200, changed)
                 value = total_energy(image, new, settings)
                 if value < best:

@@ -5,15 +5,16 @@ Called as moves.py says.
 
 import numpy as np
 
+from derender.inference.structure.search.bodies import body_hypotheses
+from derender.inference.structure.search.greedy import complexity
 from derender.inference.structure.search.places import pick
-from derender.inference.structure.solids.image import make_row, rotation_of
+from derender.inference.structure.solids.image import rotation_of
 from derender.inference.structure.solids.polish import FREE, UPRIGHT, turn
 from derender.inference.structure.solids.state import FLOOR, held_out, run_polish
 from derender.inference.structure.solids.touch import highest
 from derender.model.solids import BOX, SPHERE
 
 BESIDE = 0.01  # metres outside a box's other faces within which a point may belong to it
-NEW_SIZES = (0.03, 0.1)  # metres, of a new box
 
 
 def stretch(rng, image, state, hypotheses, settings, places):
@@ -80,23 +81,22 @@ def tilt(rng, image, state, hypotheses, settings, places):
 
 
 def appear(rng, image, state, hypotheses, settings, places):
-    """Put a new upright box behind a badly explained point, on the floor or on what is below the point."""
-    if len(places.points) == 0 or len(state) >= settings.max_objects:
+    """Put a new solid where a body of pixels shows that nothing explains, on the floor or on what is below it."""
+    if not places.bodies or len(state) >= settings.max_objects:
         return None
-    point = places.points[rng.integers(len(places.points))]
+    body = places.bodies[pick(rng, [len(each) for each in places.bodies])]
     tops = [0.0] + [highest(r) for r in state.rows]
-    below = [h for h in tops if h < point[2] - 0.004]
+    below = [h for h in tops if h < body[:, 2].max() - 0.004]
     if not below:
         return None
     bottom = below[int(rng.integers(len(below)))]
-    size = rng.uniform(*NEW_SIZES, 3)
-    size[2] = max(point[2] - bottom, 0.01) * rng.uniform(1.0, 1.3)
-    away = point[:2] - image.origin[:2]
-    away /= np.linalg.norm(away)
-    angle = rng.uniform(0, np.pi / 2)
-    c, s = np.cos(angle), np.sin(angle)
-    centre = [*(point[:2] + 0.4 * size[:2].mean() * away), bottom + 0.5 * size[2]]
-    row = make_row(BOX, [[c, -s, 0], [s, c, 0], [0, 0, 1]], centre, size)
     view = held_out(image, state, -1)
-    row, _, _ = run_polish(rng, image, state, -1, row, UPRIGHT, False, view, bottom, settings, 300, 0.006)
-    return state.add(row, UPRIGHT, False, FLOOR, bottom), {len(state)}
+    best = None
+    for each in body_hypotheses(body, image.origin, settings.shapes, bottom):
+        held = bottom if each.form == UPRIGHT else np.nan
+        row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, 200, 0.006)
+        energy += complexity(int(row[0]), each.form, False, settings)
+        if best is None or energy < best[0]:
+            best = energy, row, each.form, held
+    _, row, form, held = best
+    return state.add(row, form, False, FLOOR, held), {len(state)}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from derender.inference.structure.solids.image import added_misfit
+from derender.inference.structure.solids.image import added_misfit, bounding_rectangle
 from derender.inference.structure.solids.loads import shares_of_load
 from derender.inference.structure.solids.polish import UPRIGHT, contact_energy, size_energy
 from derender.inference.structure.solids.state import FLOOR, NOTHING, held_out, in_the_way
@@ -13,6 +13,7 @@ NEAR = 0.006
 TOUCHING = 0.003  # metres between surfaces of polished solids that bear a load: twice the slack of contacts
 LEAST_GAP = 0.012  # metres under a solid in which another may stand
 LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
+BESIDE = 2  # pixels between the rectangles of solids that may hide parts of each other
 
 
 def shadows_overlap(row, other, margin=0.002):
@@ -46,8 +47,25 @@ def touches(row, other, reach=NEAR):
     return penetration(lowered, other) > 0.5 * reach * 0.2
 
 
-def assign_supports(image, state, settings):
-    """Choose each solid's support, and for upright boxes and cylinders move the bottom onto it. Returns a new state.
+def concerned(image, state, changed):
+    """Return the solids to which it may matter that some have changed: those, what stands on them or on what is gone,
+    and what shows beside them."""
+    rectangles = np.array([bounding_rectangle(row, image.projection, *image.depth.shape) for row in state.rows])
+    rectangles = rectangles.reshape(len(state), 4) + [-BESIDE, BESIDE, -BESIDE, BESIDE]
+    found = set(changed)
+    for i, (left, right, top, bottom) in enumerate(rectangles):
+        parent = state.parents[i]
+        height = 0.0 if parent == FLOOR else highest(state.rows[parent])
+        others = rectangles[list(changed)]
+        beside = (others[:, 0] < right) & (left < others[:, 1]) & (others[:, 2] < bottom) & (top < others[:, 3])
+        if parent in changed or abs(height - state.bottoms[i]) > 1e-6 or beside.any():
+            found.add(i)
+    return found
+
+
+def assign_supports(image, state, settings, only=None):
+    """Choose each solid's support (or that of those in `only`), and for upright boxes and cylinders move the bottom
+    onto it. Returns a new state.
 
     Its bottom where it is, over nothing, competes with the supports: what carries it may be hidden, or it may float.
     """
@@ -55,6 +73,8 @@ def assign_supports(image, state, settings):
     others = in_the_way(state.rows, settings)
     order = np.argsort([lowest(r) for r in state.rows])
     for i in order:
+        if only is not None and i not in only:
+            continue
         row = state.rows[i]
         if state.forms[i] == UPRIGHT and int(row[0]) in (BOX, CYLINDER) and not state.cubes[i]:
             depth, _, misfit, _ = held_out(image, state, i)
