@@ -4,9 +4,12 @@ their posteriors, and the rank of each true number among its draws. Right poster
     python scripts/calibrate.py [PRIOR] [-n 500] [-o calibration.png] [--strict]
 
 Prints a chi-square p-value for each number and writes the rank histograms; with --strict the exit status is 1 where a
-right posterior would give such p-values once in a thousand times. Ranks need independent draws: of each number's draws
-as many are kept, evenly spaced, as they are worth by their effective sample size. Angles that go all the way round have
-no smallest value: their ranks are taken from a place drawn at random, the same for truth and draws.
+right posterior would give such p-values once in a thousand times. Where all chains miss the mode that the truth is in,
+the truth is often far more probable than every draw, and at the end of some histogram: both are counted.
+
+Ranks need independent draws: of each number's draws as many are kept, evenly spaced, as they are worth by their
+effective sample size. Angles that go all the way round have no smallest value: their ranks are taken from a place drawn
+at random, the same for truth and draws.
 """
 
 import argparse
@@ -33,10 +36,12 @@ from derender.vision.raycast.depth import render_depth  # noqa: E402
 BINS = 20
 MOST_KEPT = 99  # draws that a rank is taken among
 UNLIKELY = 1e-3  # of a right posterior to fail
+MISSED = 5.0  # nats of the truth above every draw: they are of another mode
 
 
-def ranks_of(document, settings: Settings, seed: int) -> tuple[tuple[str, ...], np.ndarray, float]:
-    """Return the addresses, the normalised ranks of one drawn scene's numbers, and the least effective sample size."""
+def ranks_of(document, settings: Settings, seed: int) -> tuple[tuple[str, ...], np.ndarray, float, float]:
+    """Return the addresses, the normalised ranks of one drawn scene's numbers, the least effective sample size, and how
+    many nats the truth is above the best draw."""
     rng = np.random.default_rng([17, seed])
     blank = np.zeros((document.camera.height, document.camera.width))
     target = targets(document, blank, document.camera, 0)[0][0]
@@ -47,6 +52,8 @@ def ranks_of(document, settings: Settings, seed: int) -> tuple[tuple[str, ...], 
     depth = render_depth(target.graph(truth).solids(), document.camera)[0]
     image = likelihoods[document.likelihood.type].sample(rng, depth, numbers)
     part = infer_scene(document, image, document.camera, settings, seed=seed).posterior.parts[0]
+    bound = targets(document, image, document.camera, 0)[0][0]
+    above = bound.log_prior(truth) + bound.log_likelihood(truth) - part.log_density.max()
     ranks, least = [], np.inf
     for i, period in enumerate(part.periods):
         draws, true = part.values[:, :, i], truth[i]
@@ -57,7 +64,7 @@ def ranks_of(document, settings: Settings, seed: int) -> tuple[tuple[str, ...], 
         least = min(least, worth)
         kept = draws.ravel()[:: max(1, int(np.ceil(draws.size / min(max(worth, 1.0), MOST_KEPT))))]
         ranks.append((np.sum(kept < true) + rng.random() * (1 + np.sum(kept == true))) / (len(kept) + 1))
-    return part.addresses, np.array(ranks), least
+    return part.addresses, np.array(ranks), least, float(above)
 
 
 def p_value(ranks: np.ndarray) -> float:
@@ -121,6 +128,10 @@ def main() -> None:
     least = np.array([one[2] for one in found])
     print(f"{arguments.n} scenes in {time.monotonic() - started:.0f} s; least effective sample size: median "
           f"{np.median(least):.0f}, under 50 in {np.mean(least < 50):.1%} of scenes")  # fmt: skip
+    ends = np.sum((ranks < 1 / BINS) | (ranks > 1 - 1 / BINS))
+    missed = sum(one[3] > MISSED for one in found)
+    print(f"first and last bins hold {ends} of {ranks.size} ranks (right: {2 * ranks.size / BINS:.0f}); the truth is "
+          f"{MISSED:g} nats above every draw in {missed} scenes")  # fmt: skip
     p_values = [p_value(ranks[:, i]) for i in range(len(addresses))]
     for address, p in zip(addresses, p_values, strict=True):
         print(f"{address:28} p = {p:.4f}")

@@ -17,11 +17,12 @@ from derender.inference.kernels.base import Part, Tuning
 from derender.inference.smc import tempered
 from derender.inference.space import Space
 
-LOCAL = ("drift", "slide", "window", "slide-window", "choose")  # kernels that move particles of a starting population
+LOCAL = ("drift", "slide", "window", "slide-window", "turn", "choose")  # kernels that move a starting population
 GOOD = 20.0  # nats below the best place found: as good a start
-START_STEPS = 20  # of the mixture, for each particle and temperature
+START_STEPS = 40  # of the mixture, for each particle and temperature
+SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
 LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
-STAGES = (20, 40, 60, 80)  # rounds of each; then all rungs are fitted anew to what all chains saw in its later half
+STAGES = (10, 20, 40, 80)  # rounds of each; then all rungs are fitted anew to what all chains saw in its later half
 STRETCH = 5  # rounds between two exchanges
 RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
 MOST_STAGES = 6
@@ -63,7 +64,7 @@ def fly(space: Space, backends: list, parts: list[Part], movers: list, seed: int
     def explore(number: int):
         rng = np.random.default_rng([seed, 3, number])
         parts = movers[number].parts
-        return tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1])
+        return tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
 
     explored = each(explore)
     densities = np.array([found.densities.sum(axis=1) for found in explored])

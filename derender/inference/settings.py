@@ -23,7 +23,7 @@ class Settings(NamedTuple):
     cycle: bool = False
     thin: int = 20
     particles: int = 200
-    population: int = 16
+    population: int = 32
     chains: int = 4
     draws: int = 1000
     warmup: int = 200

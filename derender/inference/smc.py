@@ -80,6 +80,7 @@ def tempered(
     steps: int,
     drawn: int | None = None,
     stops: Sequence[float] = (),
+    share: float = 0.5,
 ) -> Population:
     """Run the sampler.
 
@@ -90,6 +91,7 @@ def tempered(
     particles : how many. steps : of the mixture for each particle and stage.
     drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.
     stops : exponents, rising, at which to keep the population.
+    share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
     """
     count = max(particles, drawn or particles)
     values = np.array([space.sample(rng) for _ in range(count)])
@@ -98,7 +100,7 @@ def tempered(
     present, log_evidence = 0.0, 0.0
     temperatures, kept = [0.0], list[Stop]()
     while present < 1.0:
-        following = next_temperature(densities[:, 1], present, 0.5 * particles / len(values))
+        following = next_temperature(densities[:, 1], present, share * particles / len(values))
         logs = (following - present) * densities[:, 1]
         weights = np.exp(logs - np.max(logs))
         log_evidence += float(np.max(logs) + np.log(np.mean(weights)))

@@ -230,6 +230,7 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
     return [
         {"relocate": {"weight": 0.3}},
         {"relocate-stack": {"weight": 0.15}},
+        {"turn": {"weight": 0.1}},
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},

@@ -61,6 +61,7 @@ class SilentWorld(SceneWorld):
     "name, replicates",
     [
         ("relocate", 1200),
+        pytest.param("turn", 3200, marks=pytest.mark.slow),
         pytest.param("slide", 3200, marks=pytest.mark.slow),
         pytest.param("relocate-stack", 3200, marks=pytest.mark.slow),
     ],

@@ -23,10 +23,12 @@ from derender.inference.kernels import (
     resimulate,
     slide,
     slide_window,
+    turn,
     window,
 )
 from derender.inference.kernels.base import Info, State, Tuning, decide, evaluate, kernels, mixture
-from derender.inference.space import Block, turn, turn_between, wrap
+from derender.inference.space import Block, turn_between, wrap
+from derender.inference.space import turn as turned
 
 REPLICATES = 1500
 
@@ -170,7 +172,7 @@ class SlideWindowWithoutJacobian(slide_window.SlideWindow):
         return new, 0.0
 
 
-class RelocateWithoutArea(relocate.Relocate):
+class PutWithoutArea:
     """Takes the density of a place for that of the contact's numbers."""
 
     def __call__(self, rng, state):
@@ -192,6 +194,14 @@ class _WithoutArea:
     def put(self, *arguments):
         values, _ = self.target.put(*arguments)
         return values, 0.0
+
+
+class RelocateWithoutArea(PutWithoutArea, relocate.Relocate):
+    """Takes the density of a place for that of the contact's numbers."""
+
+
+class TurnWithoutArea(PutWithoutArea, turn.Turn):
+    """Takes the density of a place for that of the contact's numbers."""
 
 
 class RelocateWithoutRatio(relocate.Relocate):
@@ -242,6 +252,7 @@ CASES = {
     "newton": ("angle", NewtonWithoutDeterminant),
     "relocate": ("angle", RelocateWithoutArea),
     "relocate-stack": ("angle", RelocateWithoutArea),
+    "turn": ("angle", TurnWithoutArea),
 }
 OPTIONS = {"newton": {"scale": 1.4}, "langevin": {"scale": 0.6}, "slide": {"scale": 2.0}}
 # More replicates where the fault is small: as many for the kernel itself, which could have that fault.
@@ -362,7 +373,7 @@ def test_every_kernel_says_why_it_is_right():
     for name in kernels.names():
         assert kernels[name].__doc__
     for module in (choose, drift, flip, independence, jump, langevin, newton, relocate, resimulate, slide,
-                   slide_window, window):  # fmt: skip
+                   slide_window, turn, window):  # fmt: skip
         body = next(c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__)
         assert "log ratio" in body.__doc__, module.__name__
     assert kernels_package.kernels is base.kernels
@@ -394,10 +405,10 @@ def test_weights_are_shared_by_size():
 def test_turning_there_and_back():
     rng = np.random.default_rng(6)
     for _ in range(200):
-        origin = turn((1.0, 0.0, 0.0, 0.0), rng.standard_normal(3))
+        origin = turned((1.0, 0.0, 0.0, 0.0), rng.standard_normal(3))
         vector = rng.standard_normal(3)
         vector *= rng.uniform(0, math.pi * 0.999) / np.linalg.norm(vector)
-        np.testing.assert_allclose(turn_between(origin, turn(origin, vector)), vector, atol=1e-9)
+        np.testing.assert_allclose(turn_between(origin, turned(origin, vector)), vector, atol=1e-9)
 
 
 def test_wrap_stays_below_its_period():

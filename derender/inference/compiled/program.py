@@ -22,7 +22,7 @@ from derender.inference.compiled.layout import (
     Kernels,
     Model,
 )
-from derender.inference.compiled.relocate import relocate
+from derender.inference.compiled.relocate import relocate, turn
 from derender.inference.compiled.standing import stand_all
 from derender.inference.compiled.terms import table_of
 from derender.inference.kernels import kernels
@@ -186,7 +186,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             fit = marginal_factor if kind.keeps_children else factor_of
             factor = fit(tuning.covariance, directions_of(space, part.block))
             scale = scale_of(space, part, tuning)
-        elif kind.code == steps.RELOCATE:
+        elif kind.code in steps.PLACING:
             rows = objects_below(target, part.block.objects)
             moved = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]]
             factor = places[k]
@@ -198,7 +198,7 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
         keep = names.index(part.block.objects[0]) if kind.keeps_children else -1
-        proposes = addresses.relocate if kind.code == steps.RELOCATE else addresses.propose
+        proposes = {steps.RELOCATE: addresses.relocate, steps.TURN: addresses.turn}.get(kind.code, addresses.propose)
         table.append((code, first, factor_first, keep, proposes, addresses.keep))
         numbers.append((weight, scale, count, reach))
         members += moved
@@ -220,6 +220,7 @@ class Addresses(NamedTuple):
 
     propose: int = 0
     relocate: int = 0
+    turn: int = 0
     keep: int = 0
 
 
@@ -227,17 +228,20 @@ def addresses_of(parts: list[Part], model: Model, chain: Chain) -> Addresses:
     """Compile what a mixture's steps call and return where it lies."""
     types = [kernels[part.type] for part in parts]
     rng, index, flat, members = np.random.default_rng(), np.int64(0), np.zeros(1), np.zeros(1, np.int64)
-    relocate_at = keep_at = 0
+    relocate_at = turn_at = keep_at = 0
+    placing = (rng, model.vertices, model.laws, chain.numbers, chain.pose, chain.relative, chain.moved_pose, members,
+               index, index, members, flat)  # fmt: skip
     if any(kind.code == steps.RELOCATE for kind in types):
-        relocate_at = address_of(relocate, rng, model.vertices, model.laws, chain.numbers, chain.pose, chain.relative,
-                                 chain.moved_pose, members, index, index, members, flat)  # fmt: skip
+        relocate_at = address_of(relocate, *placing)
+    if any(kind.code == steps.TURN for kind in types):
+        turn_at = address_of(turn, *placing)
     if any(kind.keeps_children for kind in types):
         keep_at = address_of(touch_anew, model.vertices, model.extents, model.places, model.laws, chain.values,
                              chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, members,
                              chain.moved_pose)  # fmt: skip
     propose_at = address_of(steps.propose, rng, model.unknowns, model.laws, chain.values, chain.tangents, members, flat,
                             index, 0.0, flat, flat)  # fmt: skip
-    return Addresses(propose_at, relocate_at, keep_at)
+    return Addresses(propose_at, relocate_at, turn_at, keep_at)
 
 
 def objects_below(target, objects: Sequence[str]) -> np.ndarray:
@@ -256,7 +260,7 @@ def places_seen(target, parts: list[Part], model: Model, chain: Chain, archive: 
 
     chain : any of the model's; it is left at the last values.
     """
-    chosen = {k: part.block.objects for k, part in enumerate(parts) if kernels[part.type].code == steps.RELOCATE}
+    chosen = {k: part.block.objects for k, part in enumerate(parts) if kernels[part.type].code in steps.PLACING}
     if not chosen:
         return {}
     objects = sorted({name for names in chosen.values() for name in names})

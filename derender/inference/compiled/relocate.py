@@ -8,9 +8,12 @@ from derender.inference.compiled.layout import CHILD_FACE, CONTACT_CODE, FOLD_PE
 from derender.inference.compiled.prior import wrap
 from derender.inference.compiled.standing import UNBOUNDED, stand
 from derender.inference.kernels.place_mixture import DEGREES
+from derender.inference.kernels.turn import CLOSEST, FARTHEST
 from derender.kernel_cache import njit
 from derender.kernel_call import call_for_nothing
 from derender.model.contacts.compiled import compose
+
+PLACE_ROWS = 3 + 3 * 4 + 1  # numbers of a component of one object's places, see PlaceMixture.flat
 
 
 @njit(cache=True, nogil=True)
@@ -64,7 +67,6 @@ def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, fac
     """
     count = len(put)
     size = 3 * count
-    below = numbers[NOW, base, SIZES:SHAPES]
     number = len(places) // (size + size * (size + 1) + 1)
     k = int(rng.random() * number)
     normal = np.empty(size)
@@ -89,13 +91,35 @@ def relocate(rng, vertices, laws, numbers, pose, relative, there, put, base, fac
                 return math.nan
             periods[i // 3], new[i] = period, wrap(new[i], period)
     for c in range(count):
-        n = put[c]
-        contact, by, child_size = vertices[CONTACT_CODE, n], vertices[CHILD_FACE, n], numbers[NOW, n, SIZES:SHAPES]
-        stand(vertices, numbers, pose, relative, base, face, n, phi)
+        stand(vertices, numbers, pose, relative, base, face, put[c], phi)
         for i in range(3):
             old[3 * c + i], phi[i] = phi[i], new[3 * c + i]
-        call_for_nothing(vertices[POSE_AT, n], contact, UNBOUNDED, below, vertices[KIND, n], child_size, face, by, phi,
-                         relative)  # fmt: skip
-        compose(pose[NOW, base], relative, there[c])
+        put_down(vertices, numbers, pose, relative, base, face, put[c], phi, there[c])
     log_ratio = math.log(mixture_density(places, size, periods, old))
     return log_ratio - math.log(mixture_density(places, size, periods, new))
+
+
+@njit(cache=True, nogil=True)
+def turn(rng, vertices, laws, numbers, pose, relative, there, put, base, face, thetas, places):
+    """Write the pose `there` of the only vertex `put` at another angle and shifted a little; symmetric, return 0.
+
+    The arguments are those of `relocate`.
+    """
+    phi, number = np.empty(7), len(places) // PLACE_ROWS
+    first, second = int(rng.random() * number), int(rng.random() * number)
+    factor = FARTHEST * math.exp(rng.random() * math.log(CLOSEST / FARTHEST))
+    stand(vertices, numbers, pose, relative, base, face, put[0], phi)
+    for i in range(1, 3):
+        phi[i] += factor * (places[i * number + first] - places[i * number + second])
+    phi[0] = rng.random() * laws[thetas[0], FOLD_PERIOD]
+    put_down(vertices, numbers, pose, relative, base, face, put[0], phi, there[0])
+    return 0.0
+
+
+@njit(cache=True, nogil=True)
+def put_down(vertices, numbers, pose, relative, base, face, n, phi, there):
+    """Write the pose `there` that vertex n has with the contact `phi` on the plane of a face of vertex `base`."""
+    below, child_size = numbers[NOW, base, SIZES:SHAPES], numbers[NOW, n, SIZES:SHAPES]
+    call_for_nothing(vertices[POSE_AT, n], vertices[CONTACT_CODE, n], UNBOUNDED, below, vertices[KIND, n], child_size,
+                     face, vertices[CHILD_FACE, n], phi, relative)  # fmt: skip
+    compose(pose[NOW, base], relative, there)

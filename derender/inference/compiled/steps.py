@@ -44,7 +44,8 @@ from derender.inference.kernels.window import FINEST
 from derender.kernel_cache import njit
 from derender.kernel_call import call_for_number
 
-RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE = range(7)
+RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE, TURN = range(8)
+PLACING = (RELOCATE, TURN)  # they put objects down in the world
 READABLE = -1  # a kernel without a compiled form: the caller takes its step
 
 
@@ -169,7 +170,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
         if code == WINDOW:
             reach = kernels.numbers[k, REACH]
             spacing = reach * math.exp(rng.random() * math.log(FINEST / reach))
-        if code == RELOCATE:
+        if code in PLACING:
             put, thetas = members[2 : 2 + len(members) // 2 - 1], members[1 + len(members) // 2 :]
             correction = call_for_number(
                 kernels.table[PROPOSE_AT, k], rng, model.vertices, laws, chain.numbers, chain.pose, chain.relative,
@@ -233,4 +234,6 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
     return draws * thin, -1
 
 
-__all__ = ["DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "READABLE", "RELOCATE", "RESIMULATE", "WINDOW", "sweep"]
+__all__ = [
+    "DRIFT", "FLIP", "INDEPENDENCE", "JUMP", "PLACING", "READABLE", "RELOCATE", "RESIMULATE", "TURN", "WINDOW", "sweep",
+]  # fmt: skip

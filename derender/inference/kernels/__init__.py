@@ -13,6 +13,7 @@ from derender.inference.kernels import (  # noqa: F401  (importing registers)
     resimulate,
     slide,
     slide_window,
+    turn,
     window,
 )
 from derender.inference.kernels.base import Info, Kernel, KernelType, Part, State, Target, Tuning, kernels, mixture
