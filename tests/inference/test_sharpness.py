@@ -6,7 +6,8 @@ from scipy.ndimage import gaussian_filter
 
 from derender.inference.bottom_up.sharpness import estimate_blur
 from derender.inference.structure.search.focus import refocused
-from derender.inference.structure.solids.image import ROW, added_misfit, draw, make_image, make_row, misfit_map
+from derender.inference.structure.solids.image import ROW, draw, make_image, make_row
+from derender.inference.structure.solids.misfit import added_misfit, misfit_map
 from derender.model.solids import BOX, SPHERE
 from derender.vision.blur import blur, blur_radius, blur_taps
 

@@ -17,15 +17,8 @@ from derender.inference.bottom_up.floor import find_floor  # noqa: E402
 from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
 from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
 from derender.inference.structure.search.observation import neighbour_correlation, observe, patches_of  # noqa: E402
-from derender.inference.structure.solids.image import (  # noqa: E402
-    FAR,
-    added_misfit,
-    draw,
-    make_image,
-    make_row,
-    misfit_map,
-    render_floor_scene,
-)
+from derender.inference.structure.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
+from derender.inference.structure.solids.misfit import added_misfit, misfit_map  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
 from derender.inference.structure.solids.touch import highest, lowest, penetration  # noqa: E402

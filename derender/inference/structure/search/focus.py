@@ -6,7 +6,8 @@ blur a little wrong the search fills the silhouettes with thin solids.
 
 import numpy as np
 
-from derender.inference.structure.solids.image import blank, draw, misfit_map, taps_of
+from derender.inference.structure.solids.image import blank, draw, taps_of
+from derender.inference.structure.solids.misfit import misfit_map
 
 FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)  # standard deviations in pixels
 STEPS = (0.05, 0.025, 0.0125, 0.006, 0.003)  # of the closer look
