@@ -205,3 +205,31 @@ def test_a_large_image_of_a_rough_sensor_shows_whole_solids(place):
     depth = kinect_noise(np.random.default_rng(0), np.minimum(np.nan_to_num(depth, nan=4.0), 4.0), label)
     options = {"chains": 1, "draws": 5}
     assert_both_boxes(infer_structure(depth.round(3), camera, options, np.random.default_rng(1)).best_graph())
+
+
+def before_walls(*walls):
+    """Return depth (H, W) and camera of both boxes before walls (metres behind the middle, turned about it)."""
+    _, camera = picture(floor_pose(), count=0)
+    floor = floor_pose(elevation=25.0)
+    upright = [floor @ rotation_z(turn) @ translation(0.0, distance + 0.025, 1.0) for distance, turn in walls]
+    sizes = [*SIZES, *[np.array([8.0, 0.05, 4.0])] * len(walls)]
+    poses = np.stack([*(floor @ POSES), *upright])
+    depth, _ = render_floor_scene(["box"] * len(sizes), poses, np.array(sizes), floor, camera.to_dict())
+    return depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape), camera
+
+
+@pytest.mark.parametrize("walls", [[(0.2, 0.0)], [(0.35, 0.3)], [(0.4, 0.7), (0.4, -0.8)]],
+                         ids=["near", "oblique", "corner"])  # fmt: skip
+def test_a_wall_behind_the_objects_is_no_object(walls):
+    depth, camera = before_walls(*walls)
+    assert_both_boxes(answer(depth, camera))
+
+
+def test_a_wide_box_with_floor_behind_it_is_no_wall():
+    floor = floor_pose(distance=1.5, elevation=30.0)
+    size = np.array([0.7, 0.4, 0.3])
+    _, camera = picture(floor, count=0)
+    depth, _ = render_floor_scene(["box"], (floor @ translation(0, 0, 0.15))[None], size[None], floor, camera.to_dict())
+    found = solids(answer(depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape), camera))
+    assert len(found) == 1
+    assert np.abs(found[0] - np.sort(size)).max() < 0.015

@@ -8,6 +8,8 @@ from derender.errors import DerenderError
 from derender.inference.bottom_up.pyramid import intrinsics
 
 BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
+FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
+ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
 FEET = 100  # points of what stands on the floor, at most, to which distances are taken
 
 
@@ -65,7 +67,13 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
     # Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have
     # some, the side of a box has many.
     under = distance < -3 * tolerance
-    best = np.argmax(near.sum(axis=0) - 0.3 * under.sum(axis=0))
+    score = near.mean(axis=0) - 0.3 * under.mean(axis=0)
+    best = np.argmax(score)
+    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
+    upward = -normal[:, 1]
+    floors = (score > FLOOR_SHARE) & (np.abs(normal @ normal[best]) < ACROSS) & (upward > upward[best] + UPWARD)
+    if floors.any():
+        best = np.argmax(np.where(floors, score, -np.inf))
     return plane_through(depth, points, normal[best], offset[best], tolerance)
 
 

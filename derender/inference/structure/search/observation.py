@@ -11,6 +11,7 @@ from derender.inference.bottom_up.outline import convex_outline, outline_planes
 from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce
 from derender.inference.bottom_up.sharpness import estimate_blur
+from derender.inference.bottom_up.wall import walls_behind
 from derender.inference.structure.solids.image import FAR, Image, make_image
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
@@ -82,7 +83,8 @@ def tell_apart(depth, camera, factor, floor, backdrop):
     inside = inside_hull(points, floor.inliers, good, image.origin)
     footprint = np.nan_to_num(depth) / camera["fx"]
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
-    inside |= joined_to_floor(points, above, inside, footprint, image.origin[2])
+    beyond |= walls_behind(points, good, above, sigma, image.origin)
+    inside |= joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
     mask = above & inside & ~beyond
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
