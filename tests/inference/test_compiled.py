@@ -78,7 +78,7 @@ def test_readable_kernels_take_their_turns():
 class NewtonTakenForSymmetric(Newton):
     """Forgets that where it goes depends on where it is."""
 
-    def log_proposal(self, tangent, mean, factor):
+    def log_proposal(self, tangent, known):
         return 0.0
 
 

@@ -227,15 +227,15 @@ class _WithoutJacobian:
 class LangevinUncorrected(langevin.Langevin):
     """Takes the step along the gradient for symmetric."""
 
-    def _log_proposal(self, tangent, mean):
+    def log_proposal(self, tangent, known):
         return 0.0
 
 
 class NewtonWithoutDeterminant(newton.Newton):
     """Forgets that a normal density is the lower the wider it is: its width differs from place to place."""
 
-    def log_proposal(self, tangent, mean, factor):
-        return super().log_proposal(tangent, mean, factor) - float(np.sum(np.log(np.diag(factor))))
+    def log_proposal(self, tangent, known):
+        return super().log_proposal(tangent, known) - float(np.sum(np.log(np.diag(known[1]))))
 
 
 CASES = {

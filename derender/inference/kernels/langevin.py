@@ -2,47 +2,33 @@
 
 import numpy as np
 
-from derender.inference.kernels.base import KernelType, decide, evaluate, kernels
+from derender.inference.kernels.base import KernelType, kernels
+from derender.inference.kernels.informed import Informed
 
 
-class Langevin:
+class Langevin(Informed):
     """Propose tangent t = s^2 / 2 C g(old) + s L z with C = L L^T, g the gradient of the log posterior in tangents.
 
-    Normal with that mean m(old) and covariance s^2 C, so with b the tangent back, from new to old,
-    log q(new | old) = -|L^-1 (t - m(old))|^2 / (2 s^2), log q(old | new) = -|L^-1 (b - m(new))|^2 / (2 s^2) and
-    log ratio = log posterior(new) - log posterior(old) + log q(old | new) - log q(new | old).
-    Refused as in `independence`: steps of more than half a period, which `difference` would read the short way.
-    Any vector in place of g leaves the step exact; a good gradient makes it fast.
+    Normal with that mean m(old) and covariance s^2 C, so
+    log q(t | place) = -|L^-1 (t - m(place))|^2 / (2 s^2); the log ratio is that of `Informed`.
     """
 
     name = "langevin all"
 
     def __init__(self, target, block, derivative, factor, scale, temperature=1.0):
-        self.target, self.block, self.derivative, self.factor = target, block, derivative, factor
-        self.scale, self.temperature = scale, temperature
+        super().__init__(target, block, derivative, scale, temperature)
+        self.factor = factor
 
-    def _mean(self, values):
+    def known(self, values):
         gradient, _ = self.derivative.at(values, self.temperature)
         return 0.5 * self.scale**2 * (self.factor @ (self.factor.T @ gradient))
 
-    def _log_proposal(self, tangent, mean):
-        white = np.linalg.solve(self.factor, tangent - mean)
-        return -0.5 * float(white @ white) / self.scale**2
+    def tangent(self, normal, known):
+        return known + self.scale * (self.factor @ normal)
 
-    def __call__(self, rng, state):
-        space = self.target.space
-        normal = np.array([rng.standard_normal() for _ in range(len(self.factor))])
-        mean = self._mean(state.values)
-        tangent = mean + self.scale * (self.factor @ normal)
-        new = evaluate(self.target, space.move(state.values, self.block, tangent))
-        correction = 0.0
-        if new.log_prior > -np.inf:
-            back = space.difference(state.values, new.values, self.block)
-            if np.allclose(back, -tangent, rtol=1e-6, atol=1e-9):
-                correction = self._log_proposal(back, self._mean(new.values)) - self._log_proposal(tangent, mean)
-            else:
-                new = new._replace(log_prior=-np.inf)
-        return decide(rng, state, new, correction, self.temperature, self.name)
+    def log_proposal(self, tangent, known):
+        white = np.linalg.solve(self.factor, tangent - known)
+        return -0.5 * float(white @ white) / self.scale**2
 
 
 @kernels.register("langevin")
