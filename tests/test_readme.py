@@ -78,9 +78,15 @@ def test_every_make_target_named_exists_and_the_ci_runs_the_readmes_test_command
 
 
 @pytest.mark.parametrize("text", parameters("python"))
-def test_the_python_runs_and_the_shape_works(text, tmp_path):
-    """The README's shape, in a process of its own, is read from YAML, drawn and listed."""
-    more = """
+def test_the_python_runs_and_its_functions_and_shape_work(text, tmp_path):
+    """In a process of its own: an image is inferred; the shape is read from YAML and drawn."""
+    infer = """
+from derender.vision.renderers import find_renderer
+camera = Camera.from_field_of_view(64, 48)
+found = solids(find_renderer("raycast").render_depth(graph.solids(), camera)[0], camera)
+assert found["floor"][1] is None and all(pose.shape == (4, 4) for pose, _ in found.values())
+"""
+    draw = """
 from pathlib import Path
 from derender.document import read_document
 from derender.vision.camera import Camera
@@ -98,8 +104,7 @@ solids = read_document("scene.yaml").graph.solids()
 depth, label = find_renderer("raycast").render_depth(solids, Camera.from_field_of_view(80, 60))
 assert (label == 1).sum() > 100
 """
-    if "wedge" not in text:
-        more = ""
+    more = draw if "wedge" in text else infer
     done = subprocess.run(
         [sys.executable, "-c", text + more], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )

@@ -24,7 +24,7 @@ from derender.model.scene import Contact, SceneGraph, Vertex
 FORMAT = 1  # of posterior.npz
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StructurePosterior:
     """Draws under one structure.
 
@@ -50,6 +50,11 @@ class StructurePosterior:
     periods: tuple[float | None, ...] = ()
     root_pose: np.ndarray | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        chains, draws, size = self.values.shape
+        drawn = f"{chains} chains of {draws} draws of {size} numbers"
+        return f"<StructurePosterior of weight {self.weight:.3f}: {', '.join(self.graph.names)}; {drawn}>"
 
     @property
     def log_density(self) -> np.ndarray:
@@ -83,7 +88,7 @@ class StructurePosterior:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Posterior:
     """A posterior over scene graphs.
 
@@ -99,6 +104,9 @@ class Posterior:
     command: str = ""
     version: str = __version__
     meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<Posterior, structures: {len(self.parts)}, the best: {self.best_part!r}>"
 
     @property
     def best_part(self) -> StructurePosterior:

@@ -72,6 +72,13 @@ def test_each_draw_is_taken_before_one_is_taken_again():
     assert len(set(said[:count])) == count and sorted(said[:count]) == sorted(said[count:])
 
 
+def test_a_posterior_is_one_line_where_it_is_printed():
+    _, one = part()
+    text = repr(Posterior((one,)))
+    assert text.startswith("<Posterior, structures: 1, the best: <StructurePosterior of weight 1.000: ")
+    assert "chains of" in text and len(text) < 300
+
+
 def test_best_is_the_highest():
     _, one = part()
     log_prior = np.zeros((2, 5))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.inference.space import Block, Space
 from derender.registry import Registry
 
@@ -149,7 +149,8 @@ def mixture(space: Space, entries: list[dict[str, Mapping[str, Any] | None]], wh
     parts = []
     for entry in entries:
         for name, given in entry.items():
-            kind = kernels[name]
+            with at_fault(where):
+                kind = kernels[name]
             given = dict(given or {})
             weight = given.pop("weight", 1.0)
             _check(weight, f"{name}.weight", where, lower=0.0)

@@ -26,7 +26,9 @@ class LogUniform(DistributionType):
 
     def fault(self, parameters):
         lower, upper = parameters
-        return None if 0 < lower < upper else f"it is not true that 0 < {lower:g} < {upper:g}"
+        if not lower > 0:
+            return f"lower {lower:g} is not above 0"
+        return None if lower < upper else f"lower {lower:g} is not below upper {upper:g}"
 
     def row(self, parameters):
         lower, upper = parameters
