@@ -6,47 +6,157 @@ a home folder can be written it refuses to import. Here every entry is one file 
 on: the kernel's file and every file of derender that it imports, directly or not, the types of the arguments, numba
 and the processor. An entry is written under a temporary name and moved into place, so processes cannot harm each other.
 
+numba is imported by the process that compiles something (kernel_compiler.py), and by no other: what was compiled before
+is loaded without it (kernel_loader.py), for its import takes as long as many a command.
+
 The folder is the first of these that can be written: NUMBA_CACHE_DIR, the `__pycache__` beside the source, the user's
 cache folder, and a private folder for temporary files. Without any, kernels are compiled anew in each process.
 """
 
 import functools
-import gc
 import hashlib
+import importlib
 import os
 import re
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
-import numba
-from numba.core import caching, config, event
-from numba.core.runtime import rtsys
-
-from derender.kernel_entries import Entries, Library
+from derender.kernel_entries import Entries, machine
+from derender.kernel_loader import Version, fingerprint, fingerprints, load
 
 PACKAGE = Path(__file__).parent
-IMPORT = re.compile(rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+))",
-                    re.MULTILINE)
+IMPORT = re.compile(rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+)"
+                    rb'|[^\n]* = late\(\s*"(derender[\w.]+)")', re.MULTILINE)
+LOADS = sys.platform != "win32"  # where numba links in a way of its own
+_lock = threading.RLock()  # one thread loads or compiles at a time
 
 
 def njit(function: Callable | None = None, *, cache: bool = False, **options):
     """As `numba.njit`, with this module's cache, and without the entry for C callers, a tenth of the compilation."""
     if function is None:
         return functools.partial(njit, cache=cache, **options)
-    options.setdefault("no_cfunc_wrapper", True)
-    _name_apart(function)
-    dispatcher = numba.njit(**options)(function)
-    folder = _folder(Path(function.__code__.co_filename)) if cache else None
-    if folder is not None:
-        dispatcher._cache = _KernelCache(function, folder)
-    return dispatcher
+    return Kernel(function, cache, options)
+
+
+class Kernel:
+    """A function that is compiled for the types of its arguments when it is first called with such.
+
+    Attributes
+    ----------
+    py_func : the Python function; targetoptions : of numba.njit. numba asks for both by these names.
+    cache : whether versions are kept in files.
+    """
+
+    def __init__(self, function: Callable, cache: bool, options: dict[str, Any]) -> None:
+        self.py_func, self.cache, self.targetoptions = function, cache, {"no_cfunc_wrapper": True, **options}
+        self.__name__, self.__doc__, self.__module__ = function.__name__, function.__doc__, function.__module__
+        self._versions: dict[tuple, Version] = {}
+        self._calls: dict[tuple, Callable] = {}
+        _name_apart(function)
+
+    def __call__(self, *arguments):
+        try:
+            call = self._calls[tuple(map(fingerprint, arguments))]
+        except (KeyError, NotImplementedError):
+            arguments = self._complete(arguments)
+            call = self.version(arguments).call
+        return call(*arguments)
+
+    def _complete(self, arguments):
+        """Return the arguments with the defaults of those left out."""
+        count, defaults = self.py_func.__code__.co_argcount, self.py_func.__defaults__ or ()
+        missing = count - len(arguments)
+        if not 0 <= missing <= len(defaults):
+            raise TypeError(f"{self.__name__} takes {count} arguments, not {len(arguments)}")
+        return (*arguments, *defaults[len(defaults) - missing :])
+
+    def version(self, arguments) -> Version:
+        """Return what was compiled for arguments of these types: loaded, or compiled now."""
+        key = fingerprints(arguments)
+        if key not in self._versions:
+            with _lock:
+                if key not in self._versions:  # another thread may have been faster
+                    self._versions[key] = self._new_version(key, arguments)
+                    self._calls[key] = self._versions[key].call
+        return self._versions[key]
+
+    def _new_version(self, key, arguments) -> Version:
+        path = self.entries and self.entries.path((machine(), key))
+        found = load(path) if path and LOADS else None
+        if found is None:
+            from derender.kernel_compiler import compile_version
+
+            found = compile_version(self, arguments, path)
+        return found
+
+    @functools.cached_property
+    def entries(self) -> Entries | None:
+        """Where the code of its versions lies; None where nothing can be kept."""
+        code = self.py_func.__code__
+        source = Path(code.co_filename)
+        folder = _folder(source) if self.cache else None
+        if folder is None:
+            return None
+        base = f"{source.stem}.{self.py_func.__qualname__.replace('<locals>.', '')}-{code.co_firstlineno}"
+        return Entries(folder, f"{base}.py{sys.version_info[0]}{sys.version_info[1]}", source_stamp(source))
+
+    @functools.cached_property
+    def dispatcher(self):
+        """numba's own form of this kernel, for others that it is compiled into."""
+        from derender.kernel_compiler import make_dispatcher
+
+        return make_dispatcher(self)
+
+
+class Late(NamedTuple):
+    """Something that kernels name and that only numba can make: looked up when one of them is compiled."""
+
+    module: str
+    name: str
+
+    def found(self):
+        return getattr(importlib.import_module(self.module), self.name)
+
+
+def late(module: str, *names: str) -> tuple[Late, ...]:
+    """Return stand-ins in kernels for what a module has under these names, which is imported when one is compiled."""
+    return tuple(Late(module, name) for name in names)
+
+
+def overload(function: Callable):
+    """As `numba.extending.overload`, made known to numba when something is compiled."""
+
+    def keep(choose):
+        overloads.append((function, choose))
+        return choose
+
+    return keep
+
+
+def when_compiling(function: Callable[[], object]) -> None:
+    """Have a function called when this process first compiles a kernel, if it ever does."""
+    helpers.append(function)
+
+
+overloads: list[tuple[Callable, Callable]] = []
+helpers: list[Callable[[], object]] = []
+
+
+@functools.cache
+def announce() -> None:
+    """Say it, at most once in a process, and call for help; worker processes leave it to the one that started them."""
+    import multiprocessing
+
+    if multiprocessing.parent_process() is None:
+        for helper in helpers:
+            helper()
+        clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
+        print(f"{clear}derender: compiling kernels for this machine, once (ten seconds or more; the result is cached)",
+              file=sys.stderr, flush=True)
 
 
 def _name_apart(function: Callable) -> None:
@@ -60,92 +170,6 @@ def _name_apart(function: Callable) -> None:
     if not all(isinstance(value, int | float | str) for value in held):
         raise TypeError(f"{function.__qualname__} can be told from its like only by numbers and words that it holds")
     function.__qualname__ += "".join(f"_{value}" for value in held)
-
-
-class _Locator:
-    """Where numba's cache looks for a function's entries."""
-
-    def __init__(self, function: Callable, folder: Path) -> None:
-        self.folder, self.source = folder, Path(function.__code__.co_filename)
-        self.line = function.__code__.co_firstlineno
-
-    def ensure_cache_path(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-
-    def get_cache_path(self) -> str:
-        return str(self.folder)
-
-    def get_source_stamp(self) -> str:
-        return source_stamp(self.source)
-
-    def get_disambiguator(self) -> str:
-        return str(self.line)
-
-
-class _KernelCache(caching.FunctionCache):
-    """numba's cache of one function, its entries in files of ours."""
-
-    def __init__(self, function: Callable, folder: Path) -> None:  # in place of numba's, which looks for a folder
-        implementation = caching.CompileResultCacheImpl.__new__(caching.CompileResultCacheImpl)
-        implementation._locator = _Locator(function, folder)
-        implementation._lineno = function.__code__.co_firstlineno
-        source = Path(function.__code__.co_filename)
-        implementation._filename_base = implementation.get_filename_base(
-            f"{source.stem}.{function.__qualname__}", getattr(sys, "abiflags", ""))
-        self._name, self._py_func, self._impl, self._cache_path = repr(function), function, implementation, str(folder)
-        self._cache_file = Entries(folder, implementation.filename_base, source_stamp(source))
-        self._turns: list[_Turn] = []
-        self.enable()
-
-    def load_overload(self, sig, target_context):
-        """Load an entry, without numba's registries of what can be compiled (a quarter of a second).
-
-        Where there is none it is this process's turn to compile it: another one that is at it already is waited for.
-        """
-        target_context.codegen()._library_class = Library
-        rtsys.initialize(target_context)
-        found = self._load_overload(sig, target_context)
-        if found is None:
-            turn = _Turn(self._cache_file.path(self._index_key(sig, target_context.codegen())))
-            found = self._load_overload(sig, target_context)
-            if found is None:
-                self._turns.append(turn)
-            else:
-                turn.end()
-        return found
-
-    def save_overload(self, sig, data):
-        """Write an entry; whoever waits for it may have it."""
-        super().save_overload(sig, data)
-        self.end_turn()
-
-    def end_turn(self) -> None:
-        """Let others compile what this process has compiled last, or failed to."""
-        if self._turns:
-            self._turns.pop().end()
-
-
-class _Turn:
-    """The right to compile one entry: a lock of the system's on a file beside it, gone with the process.
-
-    Who compiles an entry waits at most for entries that it calls: no two processes can wait for each other.
-    """
-
-    def __init__(self, entry: Path) -> None:
-        self.path, self.file = entry.with_suffix(".lock"), None
-        if fcntl is not None:
-            try:
-                self.file = self.path.open("wb")
-                fcntl.flock(self.file, fcntl.LOCK_EX)
-            except OSError:  # a file system without locks: both compile it
-                self.end()
-
-    def end(self) -> None:
-        """Let the next one have it."""
-        if self.file is not None:
-            self.path.unlink(missing_ok=True)
-            self.file.close()
-            self.file = None
 
 
 @functools.cache
@@ -168,12 +192,26 @@ def _read(source: Path) -> tuple[bytes, list[Path]]:
     """Return the hash of a file and the files of derender that its top level imports."""
     text = source.read_bytes() if source.exists() else b""
     found = []
-    for module, names, plain in IMPORT.findall(text):
-        place = PACKAGE.joinpath(*(module or plain).decode().split(".")[1:])
-        for name in ["", *re.findall(r"\w+", re.sub(r"#.*", "", names.decode()))]:
-            target = place / name if name else place
-            found += [file for file in (target.with_suffix(".py"), target / "__init__.py") if file.is_file()]
-    return hashlib.sha256(text).digest(), found
+    for module, names, plain, later in IMPORT.findall(text):
+        place = os.path.join(PACKAGE, *(module or plain or later).decode().split(".")[1:])
+        words = re.findall(r"\w+", re.sub(r"#.*", "", names.decode()))
+        found += [_file_of(target) for target in (place, *(os.path.join(place, word) for word in words))]
+    return hashlib.sha256(text).digest(), [file for file in found if file is not None]
+
+
+@functools.cache
+def _file_of(module: str) -> Path | None:
+    """Return the file of a module of this path; None where it is no module but a name in one."""
+    folder, name = os.path.split(module)
+    if f"{name}.py" in _listing(folder):
+        return Path(f"{module}.py")
+    return Path(module, "__init__.py") if "__init__.py" in _listing(module) else None
+
+
+@functools.cache
+def _listing(folder: str) -> frozenset[str]:
+    """Return the names in a folder: asked once, for there are a thousand to look up."""
+    return frozenset(os.listdir(folder)) if os.path.isdir(folder) else frozenset()
 
 
 @functools.cache
@@ -193,7 +231,7 @@ def _candidates(source: Path):
     """Yield the folders to try, the best first."""
     place = source.resolve().parent
     name = f"{place.name}_{hashlib.sha256(str(place).encode()).hexdigest()[:16]}"
-    if chosen := getattr(config, "CACHE_DIR", ""):
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen) / name
     yield source.parent / "__pycache__"
     if sys.platform == "win32":
@@ -212,51 +250,3 @@ def _candidates(source: Path):
             return
         if not private.is_symlink() and status.st_uid == os.getuid() and not status.st_mode & 0o077:
             yield private / name
-
-
-class _WhileCompiling(event.Listener):
-    """Announces the first compilation of a process, and keeps the garbage collector, a tenth of its time, out of it."""
-
-    def __init__(self) -> None:
-        self.depth, self.collecting = 0, False
-
-    def on_start(self, happening) -> None:
-        if self.depth == 0:
-            self.collecting = gc.isenabled()
-            gc.disable()
-        self.depth += 1
-        if isinstance(getattr(happening.data["dispatcher"], "_cache", None), _KernelCache):
-            _announce()
-
-    def on_end(self, happening) -> None:
-        dispatcher = happening.data["dispatcher"]
-        failed = tuple(happening.data["args"]) not in dispatcher.overloads  # numba's `is_failed` says the opposite
-        if failed and isinstance(dispatcher._cache, _KernelCache):
-            dispatcher._cache.end_turn()
-        self.depth -= 1
-        if self.depth == 0 and self.collecting:
-            gc.enable()
-
-
-def when_compiling(function: Callable[[], object]) -> None:
-    """Have a function called when this process first compiles a kernel, if it ever does."""
-    _helpers.append(function)
-
-
-_helpers: list[Callable[[], object]] = []
-
-
-@functools.cache
-def _announce() -> None:
-    """Say it, at most once in a process, and call for help; worker processes leave it to the one that started them."""
-    import multiprocessing
-
-    if multiprocessing.parent_process() is None:
-        for helper in _helpers:
-            helper()
-        clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
-        print(f"{clear}derender: compiling kernels for this machine, once (ten seconds or more; the result is cached)",
-              file=sys.stderr, flush=True)
-
-
-event.register("numba:compile", _WhileCompiling())

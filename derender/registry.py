@@ -5,7 +5,6 @@ Another package adds a type by an entry point in the registry's group; naming it
 
 import difflib
 from collections.abc import Callable, Iterator
-from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
 from derender.errors import DerenderError
@@ -45,6 +44,8 @@ class Registry(Generic[T]):
     def _load(self) -> None:
         if not self._loaded:
             self._loaded = True
+            from importlib.metadata import entry_points  # a hundredth of a second
+
             for point in entry_points(group=self.entry_point_group):
                 point.load()
 
@@ -57,7 +58,8 @@ class Registry(Generic[T]):
             raise DerenderError(f"no {self.kind} is called {name!r}", remedy=suggest(name, self._entries)) from None
 
     def __contains__(self, name: object) -> bool:
-        self._load()
+        if name not in self._entries:
+            self._load()
         return name in self._entries
 
     def __iter__(self) -> Iterator[str]:

@@ -9,9 +9,12 @@ from pathlib import Path
 import pytest
 
 import derender
-from derender.kernel_cache import PACKAGE, _candidates, _read, fcntl, njit, source_stamp
+from derender.kernel_cache import PACKAGE, _candidates, _read, njit, source_stamp
+from derender.kernel_compiler import fcntl
 
 PROBE = """
+import sys
+
 from derender.answer import ANSWER  # a constant: numba alone would go on returning the old one
 from derender.kernel_cache import njit
 
@@ -24,7 +27,39 @@ def kernel(x):
     return inner(x)
 
 if __name__ == "__main__":
-    print(kernel(1), bool(kernel._cache_hits))
+    print(kernel(1), "numba" not in sys.modules or bool(kernel.dispatcher._cache_hits))
+"""
+
+
+WARM = """
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.kernel_cache import njit
+
+class Pair(NamedTuple):
+    values: np.ndarray
+    factor: float
+
+@njit(cache=True, nogil=True)
+def kernel(rng, pair, more=2.0):
+    if pair.factor < 0.0:
+        raise ValueError("a negative factor")
+    return pair.factor * pair.values + more, rng.random(), (len(pair.values), more > 1.0)
+
+def told(*arguments):
+    try:
+        return repr(kernel(np.random.default_rng(1), *arguments)).replace(" ", "")
+    except Exception as fault:
+        return type(fault).__name__ + str(fault).replace(" ", "")
+
+if __name__ == "__main__":
+    values = np.arange(3.0)
+    for given in (Pair(values, 2.0), Pair(values, -1.0), Pair(values[::2], 2.0), Pair(np.float32(values), 2.0)):
+        print(told(given), told(given, 0.5), told(given, 1))
+    print("numba" in sys.modules)
 """
 
 
@@ -34,7 +69,7 @@ def package(tmp_path):
     folder = tmp_path / "derender"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
-    for file in ("kernel_cache.py", "kernel_entries.py"):
+    for file in PACKAGE.glob("kernel_*.py"):
         shutil.copy(PACKAGE / file, folder)
     (folder / "answer.py").write_text("ANSWER = 41\n")
     (folder / "probe.py").write_text(PROBE)
@@ -59,10 +94,18 @@ def test_compiles_once_says_so_once_and_notices_a_constant_elsewhere(package):
     assert out == ["42", "False"] and err.count("compiling kernels") == 1
     out, err = run(package)
     assert out == ["42", "True"] and err == ""
-    entries = sorted(package.glob("__pycache__/*.nbc"))
+    entries = sorted([*package.glob("__pycache__/*.nbc"), *package.glob("__pycache__/*.run")])
+    assert len(entries) == 3  # inner's is for compiling it into others alone
     (package / "answer.py").write_text("ANSWER = 1\n")
     assert run(package)[0] == ["2", "False"]
     assert not any(entry.exists() for entry in entries)  # stale entries are deleted
+
+
+def test_what_was_compiled_is_called_without_numba(package):
+    """Its answers, faults, arrays, tuples, defaults and random numbers are numba's."""
+    (package / "probe.py").write_text(WARM)
+    cold, warm = (run(package)[0] for _ in range(2))
+    assert cold[-1] == "True" and warm[-1] == "False" and cold[:-1] == warm[:-1]
 
 
 def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_path):
@@ -107,7 +150,7 @@ def test_what_cannot_be_compiled_is_nobodys_turn_any_more(package):
     (package / "probe.py").write_text(PROBE.split("if __name__")[0] + """
 import pathlib
 try:
-    kernel("text")
+    kernel(())
 except Exception as error:
     print(type(error).__name__, list(pathlib.Path(".").rglob("*.lock")))
 """)
@@ -120,10 +163,10 @@ def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
 
 
 import os
-from derender import kernel_cache
+from derender import kernel_compiler
 
 if os.environ.get("DIE"):
-    kernel_cache._KernelCache.save_overload = lambda *_: os._exit(9)
+    kernel_compiler._KernelCache.save_overload = lambda *_: os._exit(9)
 
 
 @njit(cache=True, nogil=True)
@@ -154,7 +197,7 @@ def test_stamps_follow_imports():
         return {str(file.relative_to(PACKAGE)) for file in seen}
 
     files = reached(PACKAGE / "inference" / "compiled" / "steps.py")
-    assert {"vision/raycast/lanes.py", "model/solids.py", "model/distributions/uniform_rotation.py",
+    assert {"vision/raycast/lanes.py", "vision/raycast/lane_code.py", "model/solids.py", "model/distributions/uniform_rotation.py",
             "inference/kernels/window.py"} <= {name.replace(os.sep, "/") for name in files}
     assert "inference/compiled/steps.py" not in reached(PACKAGE / "vision" / "raycast" / "engine.py")
     assert source_stamp(PACKAGE / "model" / "solids.py") != source_stamp(PACKAGE / "model" / "pose.py")
@@ -162,7 +205,7 @@ def test_stamps_follow_imports():
 
 def test_every_kernel_of_the_package_uses_this_cache():
     for source in Path(derender.__file__).parent.rglob("*.py"):
-        if source.name != "kernel_cache.py":
+        if source.name != "kernel_compiler.py":
             assert "from numba import njit" not in source.read_text(), source
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from numba import njit
 from random_scenes import random_solids
 
+from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 from derender.vision.camera import Camera
 from derender.vision.likelihoods import likelihoods

@@ -1,7 +1,7 @@
 """The built-in distributions for compiled samplers: the very functions that the readable types use, each on its own.
 
 They are called by address (`kernel_call.py`), so a model compiles those that occur in it. The same generator gives both
-the same draws. Importing this module imports numba.
+the same draws.
 """
 
 import functools

@@ -23,7 +23,7 @@ from derender.kernel_call import address_of, call_for_nothing, call_for_number
 from derender.model.solids import MESH
 from derender.vision.raycast.depth import bound_address, rasterise_address
 from derender.vision.raycast.filter import blur_for
-from derender.vision.raycast.lane_code import LANES
+from derender.vision.raycast.lane_names import LANES
 from derender.vision.raycast.region import draw_region, score_region
 from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (

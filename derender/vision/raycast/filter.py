@@ -10,13 +10,16 @@ There is one kernel for each usual radius, its taps unrolled, and a plain one fo
 """
 
 from derender.kernel_cache import njit
-from derender.vision.raycast.lane_blur import blur_along_row, blur_window, new_window, push
-from derender.vision.raycast.lanes import (
+from derender.vision.raycast.lane_names import (
     LANES,
     add,
+    blur_along_row,
+    blur_window,
     load,
     multiply,
     multiply_add,
+    new_window,
+    push,
     splat,
     store,
 )

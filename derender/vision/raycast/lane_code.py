@@ -6,7 +6,8 @@ Everything here runs while a kernel is compiled: it takes an LLVM builder and re
 from llvmlite import ir
 from numba.core import cgutils
 
-LANES = 16
+from derender.vision.raycast.lane_names import LANES
+
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
 INTEGERS = ir.VectorType(ir.IntType(32), LANES)

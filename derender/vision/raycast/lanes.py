@@ -13,7 +13,7 @@ from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
 from derender.vision.raycast import lane_code as code
-from derender.vision.raycast.lane_code import LANES
+from derender.vision.raycast.lane_names import LANES
 
 
 class _LanesType(types.Type):

@@ -5,7 +5,7 @@ import numpy as np
 from derender.kernel_cache import njit
 from derender.kernel_call import call_for_nothing, call_for_two_numbers
 from derender.model.solids import MESH
-from derender.vision.raycast.lane_code import LANES
+from derender.vision.raycast.lane_names import LANES
 from derender.vision.raycast.rows import fill, invert, raise_solid, raise_to_image
 from derender.vision.raycast.state import (
     BACKGROUND,

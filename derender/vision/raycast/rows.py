@@ -8,15 +8,16 @@ import numpy as np
 
 from derender.kernel_cache import njit
 from derender.vision.raycast.convex import DISCRIMINANT, FACES, QUADRIC_B
-from derender.vision.raycast.lane_functions import reciprocal, square_root
-from derender.vision.raycast.lanes import (
+from derender.vision.raycast.lane_names import (
     LANES,
     add,
     load,
     maximum,
     minimum,
     multiply_add,
+    reciprocal,
     splat,
+    square_root,
     steps_from,
     store,
     subtract,

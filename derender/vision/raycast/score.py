@@ -5,13 +5,15 @@ import math
 import numpy as np
 
 from derender.kernel_cache import njit
-from derender.vision.raycast.lane_functions import absolute, exponential, logarithm
-from derender.vision.raycast.lanes import (
+from derender.vision.raycast.lane_names import (
     LANES,
+    absolute,
     accumulate,
     add,
     divide,
+    exponential,
     load,
+    logarithm,
     maximum,
     multiply,
     multiply_add,

@@ -12,7 +12,7 @@ from derender.model.solids import MESH, Solids
 from derender.vision.blur import blur_taps
 from derender.vision.raycast.convex import PREPARED
 from derender.vision.raycast.depth import FlatMeshes, camera_array
-from derender.vision.raycast.lane_code import LANES
+from derender.vision.raycast.lane_names import LANES
 
 # numpy integers, not literals: numba would compile every function once for each literal
 CURRENT, CANDIDATE = np.int64(0), np.int64(1)
