@@ -1,10 +1,10 @@
 """How long a person waits: whole processes of the command, warm and with no kernel compiled yet.
 
-    python scripts/waiting.py [-n 5]
+    python scripts/waiting.py [-n 5] [--only cubes --only tower]
 
 Warm: the median over n images of each set of `scripts/evaluate.py` (all files and the report written), over n stacks of
-three cubes, and over n runs of four chains of 2,000 draws on Figure 4. Cold: one run each with an empty folder for the
-kernels; what it takes more than the next run is compilation.
+three cubes, and over n runs of four chains of 2,000 draws on Figure 4; with --only over n images of these sets alone.
+Cold: one run each with an empty folder for the kernels; what it takes more than the next run is compilation.
 """
 
 import argparse
@@ -58,13 +58,19 @@ def main() -> None:
     """Print the two tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("-n", type=int, default=5)
-    count = parser.parse_args().n
+    parser.add_argument("--only", action="append", choices=SETS, help="time inference on this set alone, warm")
+    count, only = parser.parse_args().n, parser.parse_args().only
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         sample = ("sample", "figure-4", "--seed", "1", "-o", "chains")
         chains = ("infer", "chains/sample_000.npz", "--scene", "figure-4", "--draws", "2000", "-o", "result")
-        made = {each: images(folder, each, count) for each in WARM_SETS}
+        made = {each: images(folder, each, count) for each in only or WARM_SETS}
         print("| warm, whole process | median s | range |\n|---|---|---|")
+        if only:
+            for each in only:
+                seconds(folder, *made[each][0])
+                row(f"infer {each}", [seconds(folder, *one) for one in made[each]])
+            return
         seconds(folder, *sample)
         for each in (made["settled"][0], chains):
             seconds(folder, *each)  # compiles what is not compiled yet

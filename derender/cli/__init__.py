@@ -16,8 +16,9 @@ import click
 from derender import __version__
 from derender.errors import DerenderError
 
-# Objects made between two looks for garbage: Python's 700 cost a tenth of the start.
-GARBAGE = 50_000
+# Objects made between two looks for garbage: Python's 700 cost a tenth of the start, and one look at 50,000 a hundredth
+# of a second.
+GARBAGE = 200_000
 
 # Each command's module is derender.cli.NAME and holds it as `command`. The summaries stand here so that
 # `derender --help` imports no command.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import make_folder
+from derender.beside import import_beside
 from derender.document import LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault
 from derender.inference.ahead import compile_ahead
@@ -21,6 +22,7 @@ from derender.report.result_folder import Outcome, write_results
 from derender.vision.depth_file import read_depth
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
+WRITERS = ("derender.report.html", "derender.inference.netcdf", "h5py")  # modules that only the files need
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
 
@@ -97,6 +99,7 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
     if document is not None and has_objects(document):
         from derender.inference.scene import infer_scene
 
+        import_beside(*WRITERS)
         likelihood = document.likelihood or LikelihoodPrior()
         settings = read_settings(document.inference)
         given = {"chains": chains, "draws": draws, "warmup": warmup}
@@ -111,7 +114,7 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
             if present and method in ("auto", "map"):
                 warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
         run = {"folder": folder, "resume": resume, "jobs": jobs, "warmup": warmup}
-        posterior = _structure(seen, document, method, found, chains, draws, seed, progress, run)
+        posterior = _structure(seen, document, method, found, chains, draws, seed, _importing(progress), run)
         interrupted = bool(posterior.meta.get("interrupted"))
         if posterior.meta.get("backdrop"):
             share = f"{posterior.meta['backdrop']:.0%} of the pixels lie on a plane or beyond"
@@ -131,6 +134,18 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
     for number, why in lost.items():
         warn(f"chain {number} was lost: {why.strip().splitlines()[-1]}")
     return write_results(folder, posterior, seen, likelihood, made, len(lost), time.monotonic() - started)
+
+
+def _importing(progress):
+    """Return `progress` that also begins to import what the files need, when the search gives way to long walks."""
+
+    def told(share, message):
+        if share > 0.0:
+            import_beside(*WRITERS)
+        if progress:
+            progress(share, message)
+
+    return told
 
 
 def has_objects(document) -> bool:

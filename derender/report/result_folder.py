@@ -3,12 +3,14 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from derender.atomic import files_together, write_text
+from derender.beside import side_by_side
 from derender.document import LikelihoodPrior, document_text
 from derender.inference.posterior import Posterior
 from derender.vision.depth_file import DepthImage, write_depth
@@ -116,12 +118,15 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         "scene": scene_json(graph, posterior),
     }
     with files_together(folder, WRITTEN) as place:
-        write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
-        posterior.save(place / "posterior.npz")
-        write_netcdf(place / "posterior.nc", posterior)
-        write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
-        write_report(place / "report.html", report)
-        write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
+
+        def write_numbers() -> None:
+            write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
+            posterior.save(place / "posterior.npz")
+            write_netcdf(place / "posterior.nc", posterior)
+            write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
+            write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
+
+        side_by_side(partial(write_report, place / "report.html", report), write_numbers)
     return Outcome(folder, posterior, report.parameters, doubts, bool(posterior.meta["interrupted"]))
 
 
