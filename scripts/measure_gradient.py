@@ -1,14 +1,16 @@
 """Measure the exact derivative of the antialiased image against differences of images. One table on stdout.
 
-A plane and four solids of one shape at 64 x 64, one of them moving in a random way (shift, turn and growth), blur of
-one pixel. Errors are shares of the norm of what is compared with:
+A plane and four solids of one shape (meshes: tori of 5,120 triangles) at 64 x 64, one of them moving in a random way
+(shift, turn and growth), blur of one pixel. Errors are shares of the norm of what is compared with:
+* `rays`: central differences of images of 16 x 16 rays a pixel, the mean over 64 places of their grid within a ray's
+  distance from the next; `rays itself`: half the difference of two halves of the places, what is known of that mean;
+* `one grid`: the same of the grid in its usual place alone, with the step that suits it best. That is mostly its own
+  error: in a short step an edge nearly along a row of rays meets none of them or all, and in a long one solids that
+  touch leave each other or enter;
+* `lines`: differences of an image that is integrated exactly along 64 lines a pixel (`exact_rows`), which shares
+  nothing with ours but the solids; `lines itself`: those of 32 lines against those of 64. Not of meshes;
 * `own`: differences of the antialiased image itself, the smallest of four steps (where a curved outline gets one chord
   more, a step may show the change): is the derivative that of the image?
-* `lines`: differences of an image that is integrated exactly along 64 lines a pixel (`exact_rows`), which shares
-  nothing with ours but the solids; `lines itself`: those of 32 lines against those of 64, what is known of them;
-* `16`, `32`, `64`: central differences of images of so many rays a pixel each way with a step of a tenth of a pixel.
-  They are mostly their own error, which falls as rays grow: an edge moves three of 16 rows of rays in such a step, and
-  a larger step rounds off what a pixel sees (`16 itself`: 16 x 16 rays against the lines);
 * `image`: the antialiased image's own error against 64 x 64 rays, as a share of that of one ray a pixel.
 
 The last lines say what derivatives by all numbers of a chain of ten cubes cost, in forward renders (image, blur and
@@ -21,6 +23,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -30,7 +33,7 @@ from derender.cli import status_of
 from derender.inference.map import MapProblem  # noqa: E402
 from derender.model.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
 from derender.model.scene import SceneGraph  # noqa: E402
-from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids  # noqa: E402
+from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids  # noqa: E402
 from derender.model.vertex import Contact, Vertex  # noqa: E402
 from derender.vision.blur import blur  # noqa: E402
 from derender.vision.camera import Camera  # noqa: E402
@@ -40,7 +43,9 @@ from derender.vision.raycast.records import MOTION  # noqa: E402
 
 CAMERA = Camera.from_field_of_view(64, 64)
 BACKGROUND, BLUR = 10.0, 1.0
-SHAPES = {"boxes": BOX, "spheres": SPHERE, "cylinders": CYLINDER}
+SHAPES = {"boxes": BOX, "spheres": SPHERE, "cylinders": CYLINDER, "meshes": MESH}
+RAYS, PLACES = 16, 64  # a pixel each way, and places of their grid
+RAYS_STEP, GRID_STEP = 0.014, 0.05  # pixels, with all places and with one
 LINES_STEP = 0.01  # pixels: edges nearly along the lines are then met by some line in spite of their number
 STEPS = (1e-5, 1e-4, 5e-4, 2e-3)  # pixels
 
@@ -48,8 +53,9 @@ STEPS = (1e-5, 1e-4, 5e-4, 2e-3)  # pixels
 def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
     """Return a plane and four solids, scattered or in a stack; the camera looks down, so no horizon is seen.
 
-    No two of them enter each other.
+    No two of them enter each other. Of meshes these are the boxes to hold them, see `as_meshes`.
     """
+    kind = BOX if kind == MESH else kind
     rng = np.random.default_rng(seed)
     root = translation(0, 0.05, 0.9) @ rotation_x(np.pi / 2 + rng.uniform(0.7, 1.1))
     poses, sizes, places = [root], [np.zeros(3)], []
@@ -70,13 +76,20 @@ def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
     return Solids(kinds, np.array(poses), np.array(sizes), np.full(5, -1, np.int32))
 
 
+def as_meshes(solids: Solids, vertices: np.ndarray, triangles: np.ndarray) -> Solids:
+    """Return the same poses and extents with this mesh for every solid but the plane."""
+    mesh = np.ascontiguousarray(vertices, float), np.ascontiguousarray(triangles, np.int32)
+    kinds, index = np.where(solids.kind == PLANE, PLANE, MESH), np.where(solids.kind == PLANE, -1, 0)
+    return solids._replace(kind=kinds.astype(np.int32), mesh=index.astype(np.int32), meshes=(mesh,))
+
+
 def random_motion(solids: Solids, k: int, seed: int) -> np.ndarray:
     """Return a motion of solid k with turns about its own centre and, keeping it what it is, growth."""
     rng = np.random.default_rng([seed, 7])
     motion = rng.normal(size=MOTION)
     motion[3:6] /= 0.08  # as much movement at a surface from turning as from shifting
     motion[:3] -= np.cross(motion[3:6], solids.pose[k, :3, 3])
-    if solids.kind[k] != BOX:
+    if solids.kind[k] not in (BOX, MESH):
         motion[7] = motion[6]
     if solids.kind[k] == SPHERE:
         motion[8] = motion[6]
@@ -102,6 +115,28 @@ def central(image, step: float, orders: int = 1) -> np.ndarray:
     return found[0]
 
 
+def cast(solids: Solids, rays: int, place=(0.0, 0.0)) -> np.ndarray:
+    """Return the blurred image by rays x rays a pixel, their grid shifted by a share of the rays' distance."""
+    x, y = np.asarray(place) / rays
+    camera = Camera(CAMERA.fx, CAMERA.fy, CAMERA.cx - x, CAMERA.cy - y, CAMERA.width, CAMERA.height)
+    return blur(render_depth(solids, camera, antialias=rays, background=BACKGROUND)[0], BLUR)
+
+
+def cast_differences(scene, step: float, places: int = PLACES) -> tuple[np.ndarray, float]:
+    """Return central differences of images of RAYS x RAYS rays, their mean over places of the grid, and its error.
+
+    scene(h) : Solids at a place h of some motion. The places lie in as many rows and columns, one in each, so that
+    together an edge along the rays is told to 1 / (RAYS * places) pixels. The error, a share of the mean, is half the
+    difference between every other place and the rest.
+    """
+    number, halves = np.arange(places), [np.zeros((CAMERA.height, CAMERA.width)) for _ in range(2)]
+    shifts = (np.stack([number, number * (round(places * 0.2964) | 1) % places], axis=1) + 0.5) / places - 0.5
+    for n, shift in enumerate(shifts):
+        halves[n % 2] += central(lambda h, shift=shift: cast(scene(h), RAYS, shift), step) * 2.0 / places
+    mean = 0.5 * (halves[0] + halves[1])
+    return mean, 0.5 * share(halves[0], halves[1])
+
+
 def share(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.linalg.norm(first - second) / np.linalg.norm(second))
 
@@ -109,6 +144,9 @@ def share(first: np.ndarray, second: np.ndarray) -> float:
 def errors(kind: int, seed: int, rays: bool, edges: bool = True) -> dict[str, float]:
     """Return the errors of one scene, see above; those that need many rays only if asked for."""
     solids = random_scene(seed, kind, stacked=seed % 2 == 1 and kind == BOX)
+    if kind == MESH:
+        torus = trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=40)
+        solids = as_meshes(solids, torus.vertices, torus.faces)
     k = 1 + seed % 4
     motion = random_motion(solids, k, seed)
     pixel = solids.pose[k, 2, 3] / CAMERA.fx
@@ -117,27 +155,21 @@ def errors(kind: int, seed: int, rays: bool, edges: bool = True) -> dict[str, fl
     def ours(step):
         return antialiased_depth(moved(solids, k, motion, step), CAMERA, BACKGROUND, BLUR)
 
-    def cast(step, count):
-        depth, _ = render_depth(moved(solids, k, motion, step), CAMERA, antialias=count, background=BACKGROUND)
-        return blur(depth, BLUR)
+    def scene(step):
+        return moved(solids, k, motion, step)
 
-    found = {"own": min(share(exact, central(ours, step * pixel, 2)) for step in STEPS)}
+    found = {}
     if rays:
-
-        def lines(count):
-            def scene(step):
-                return moved(solids, k, motion, step)
-
-            return blur(exact_derivative(scene, CAMERA, BACKGROUND, LINES_STEP * pixel, count), BLUR)
-
-        fine = lines(64)
-        found |= {"lines": share(exact, fine), "lines itself": share(lines(32), fine)}
-        for count in (16, 32, 64):
-            coarse = central(lambda step, n=count: cast(step, n), 0.1 * pixel)
-            found[str(count)] = share(exact, coarse)
-            if count == 16:
-                found["16 itself"] = share(coarse, fine)
-        found["image"] = share(ours(0), cast(0, 64)) / share(cast(0, 1), cast(0, 64))
+        supersampled, doubt = cast_differences(scene, RAYS_STEP * pixel)
+        one_grid = central(lambda step: cast(scene(step), RAYS), GRID_STEP * pixel)
+        found |= {"rays": share(exact, supersampled), "rays itself": doubt, "one grid": share(exact, one_grid)}
+        if kind != MESH:
+            coarse, fine = (
+                blur(exact_derivative(scene, CAMERA, BACKGROUND, LINES_STEP * pixel, count), BLUR) for count in (32, 64)
+            )
+            found |= {"lines": share(exact, fine), "lines itself": share(coarse, fine)}
+        found["image"] = share(ours(0), cast(solids, 64)) / share(cast(solids, 1), cast(solids, 64))
+    found["own"] = min(share(exact, central(ours, step * pixel, 2)) for step in STEPS)
     return found
 
 
@@ -176,14 +208,15 @@ def chain_costs(width: int, height: int, repeats: int = 200) -> tuple[float, flo
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=200, help="of each shape")
-    parser.add_argument("--with-rays", type=int, default=10, help="so many of them against many rays a pixel")
+    parser.add_argument("shapes", nargs="*", metavar="SHAPE", help=f"some of {', '.join(SHAPES)}: only those")
+    parser.add_argument("--scenes", type=int, default=24, help="of each shape")
+    parser.add_argument("--with-rays", type=int, default=24, help="so many of them against rays and lines")
     options = parser.parse_args()
     print(f"{'':12s}{'':12s}{'median':>9s}{'95 %':>9s}{'worst':>9s}{'scenes':>9s}")
-    for shape, kind in SHAPES.items():
+    for shape in options.shapes or SHAPES:
         rows: dict[str, list[float]] = {}
         for seed in range(options.scenes):
-            for name, value in errors(kind, seed, seed < options.with_rays).items():
+            for name, value in errors(SHAPES[shape], seed, seed < options.with_rays).items():
                 rows.setdefault(name, []).append(value)
         for name, values in rows.items():
             low, high = np.quantile(values, [0.5, 0.95])

@@ -178,3 +178,39 @@ def test_faults():
         MapProblem(draw.graph, ["yelow.contact.u"], draw.camera, depth)
     with pytest.raises(DerenderError, match="newton"):
         problem.maximise(method="gaus-newton")
+
+
+RING = """
+derender: 1
+camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}
+root: {distance: 0.5, elevation: 35 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof, z: -0.05}}
+  ring:
+    shape: {type: mesh, file: ring.ply, hull: false, scale: {uniform: [0.8, 1.2]}}
+    parent: floor
+    contact: {type: face-to-face, theta: 0.3, x: {normal: [0, 0.01]}, y: {normal: [0, 0.01]}}
+  box:
+    shape: {type: box, length: 0.06, width: 0.03, height: {uniform: [0.03, 0.06]}}
+    parent: ring
+    contact: {type: face-to-face, theta: {uniform: [0, 180 deg]}, u: {uniform: [0.4, 0.6]}, v: {uniform: [0.4, 0.6]}}
+likelihood: {type: gaussian, sigma: 0.003, blur: 1.0}
+"""
+
+
+def test_a_fine_mesh_climbs(tmp_path):
+    """A ring of 2,048 triangles with a box on it: from a guess some millimetres and degrees off to the truth."""
+    import trimesh
+
+    trimesh.creation.torus(0.05, 0.02, major_sections=32, minor_sections=32).export(tmp_path / "ring.ply")
+    (tmp_path / "ring.yaml").write_text(RING)
+    (draw,) = draw_documents(read_document(tmp_path / "ring.yaml"), 1, 0, {})
+    clean, _ = render_depth(draw.graph.solids(), draw.camera, antialias=16, background=10.0)
+    depth = observe(draw.rng, clean, draw.likelihood)
+    addresses = [f"ring.{name}" for name in ("scale", "contact.x", "contact.y")]
+    addresses += [f"box.{name}" for name in ("height", "contact.theta", "contact.u", "contact.v")]
+    problem = MapProblem(draw.graph, addresses, draw.camera, depth, sigma=0.003, blur=1.0)
+    start = problem.values + [0.05, 0.006, -0.004, 0.004, 0.15, 0.05, -0.05]
+    (maximum,) = problem.maximise(start, explore=False)
+    assert maximum.log_density > problem.log_density(problem.values) - 3.0
+    assert maximum.iterations <= 8

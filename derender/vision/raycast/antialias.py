@@ -19,6 +19,9 @@ from derender.vision.raycast.integral import integrate
 from derender.vision.raycast.outline import LINES
 from derender.vision.raycast.pieces import curved_inverse_depth, insert_solid, whole_pixel
 
+CROWD = 8  # triangles to a cell, of what a pixel is divided into first where it sees many: pieces meet each other
+MOST_CELLS = 16  # of them in a row
+
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _which_face(prepared, column, row):
@@ -143,30 +146,39 @@ def _draw_mixed(canvas, kinds, wall, window):
     part_range, border_range = canvas.part_range, canvas.border_range
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
     facets, sides = canvas.facets, kinds.shape[0] * LINES
-    if facets.first[kinds.shape[0]] > 0:
-        list_facets(facets, mixed, window)
+    meshes = facets.first[kinds.shape[0]] > 0
+    triangles = list_facets(facets, mixed, window) if meshes else order  # any array of numbers
     width = depth.shape[1]
     part, border = canvas.used[0], canvas.used[1]
     for row in range(window[2], window[3]):
         for column in range(window[0], window[1]):
             if mixed[row, column] == 0:
                 continue
-            whole_pixel(pieces, 0, wall)
-            count = 1
-            for n in range(order.shape[0]):
-                k = order[n]
-                if not (rectangle[k, 0] <= column < rectangle[k, 1] and rectangle[k, 2] <= row < rectangle[k, 3]):
-                    continue
-                if kinds[k] == MESH:
-                    x, y = float(column), float(row)
-                    count = insert_facets(facets, pieces, prepared, lines, sides, k, x, y, count)
-                else:
-                    count = insert_solid(pieces, prepared, lines, line_counts, k, float(column), float(row), count)
-            pixel = row * width + column
+            first, end, cells = 0, 0, 1
+            if meshes:
+                first, end = facets.listed[row, column, 0], facets.listed[row, column, 1]
+                cells = min(int(math.sqrt((end - first) / CROWD)) + 1, MOST_CELLS)
+            pixel, begin = row * width + column, part
+            half, total = 0.5 / cells, 0.0
             part_range[pixel, 0], border_range[pixel, 0] = part, border
-            depth[row, column], part, border = integrate(
-                pieces, prepared, part_code, parts, border_code, borders, count, float(column), float(row), part, border
-            )
+            for cell in range(cells * cells):
+                x = column + (2 * (cell % cells) + 1) * half - 0.5
+                y = row + (2 * (cell // cells) + 1) * half - 0.5
+                whole_pixel(pieces, 0, wall, half)
+                count = 1
+                for n in range(order.shape[0]):
+                    k = order[n]
+                    if not (rectangle[k, 0] <= column < rectangle[k, 1] and rectangle[k, 2] <= row < rectangle[k, 3]):
+                        continue
+                    if kinds[k] == MESH:
+                        count = insert_facets(facets, triangles[first:end], pieces, prepared, lines, sides, k, x, y,
+                                              half, count)  # fmt: skip
+                    else:
+                        count = insert_solid(pieces, prepared, lines, line_counts, k, x, y, half, count)
+                integral, part, border = integrate(pieces, prepared, part_code, parts, border_code, borders, count,
+                                                   x, y, begin, part, border)  # fmt: skip
+                total += integral
+            depth[row, column] = total
             part_range[pixel, 1], border_range[pixel, 1] = part, border
     canvas.used[0], canvas.used[1] = part, border
 

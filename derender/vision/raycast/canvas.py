@@ -15,7 +15,7 @@ FACE_MASK = (1 << FACE_BITS) - 1
 QUADRIC = FACE_MASK  # the "face" number of a curved surface; others count the front faces in the order of `prepared`
 NOTHING = -1
 PIECES, CORNERS = 512, 24  # most pieces of one pixel, and corners of one piece
-ROOM = 6  # parts and borders to a pixel, on average, that there is room for
+ROOM = 6  # parts and borders to a pixel or triangle, on average, that there is room for
 SPARE = 1 << 14  # and so many more
 
 
@@ -95,8 +95,8 @@ def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
     """Allocate a Canvas for a Camera and this many solids; where there are meshes, a scene with them must be given."""
     height, width = camera.height, camera.width
     pixels = height * width
-    room = ROOM * pixels + SPARE
     facets = new_facets(camera, solids, scene)
+    room = ROOM * (pixels + int(facets.first[-1])) + SPARE
     pieces = Pieces(
         np.zeros((PIECES, CORNERS, 2)),
         np.zeros((PIECES, CORNERS), np.int64),

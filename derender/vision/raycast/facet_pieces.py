@@ -1,8 +1,10 @@
 """Draw the triangles of meshes: at pixel centres, and as pieces of mixed pixels."""
 
+import numpy as np
+
 from derender.kernel_cache import njit
 from derender.vision.raycast.canvas import FACE_BITS
-from derender.vision.raycast.facets import side_matters
+from derender.vision.raycast.facets import FLAT, OUTLINE
 from derender.vision.raycast.outline import EDGE
 from derender.vision.raycast.pieces import CELL, bound, insert
 
@@ -24,7 +26,7 @@ def draw_facets(facets, k, lines, base, inverse, code, mixed, window):
                     reach = 0.5 * (abs(lines[line, EDGE + 1]) + abs(lines[line, EDGE + 2]))
                     least = min(least, value)
                     missed = missed or value <= -reach
-                    if abs(value) < reach and side_matters(facets, t, side) > 0:
+                    if abs(value) < reach and facets.side[t, side] != FLAT:
                         crossed = True
                 if missed:
                     continue
@@ -38,41 +40,52 @@ def draw_facets(facets, k, lines, base, inverse, code, mixed, window):
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def list_facets(facets, mixed, window):
-    """List for every mixed pixel of a window the triangles that may be seen in it."""
-    head, following = facets.head, facets.following
-    used = 0
-    for row in range(window[2], window[3]):
-        for column in range(window[0], window[1]):
-            head[row, column] = -1
-    for t in range(facets.triangles.shape[0]):
-        if not facets.shown[t]:
-            continue
-        for row in range(max(facets.bounds[t, 2], window[2]), min(facets.bounds[t, 3], window[3])):
-            for column in range(max(facets.bounds[t, 0], window[0]), min(facets.bounds[t, 1], window[1])):
-                if mixed[row, column] != 0 and used < following.shape[0]:
-                    following[used, 0], following[used, 1] = head[row, column], t
-                    head[row, column] = used
-                    used += 1
-    facets.used[0] = used
+    """Return the triangles (L,) that may be seen in the mixed pixels of a window, pixel after pixel.
+
+    facets.listed[row, column] says where those of a pixel start and end.
+    """
+    listed, bounds = facets.listed, facets.bounds
+    left, right, top, bottom = window[0], window[1], window[2], window[3]
+    listed[top:bottom, left:right] = 0
+    triangles = np.empty(0, np.int64)
+    for filling in range(2):  # count them, then write them
+        for t in range(facets.triangles.shape[0]):
+            if not facets.shown[t]:
+                continue
+            for row in range(max(bounds[t, 2], top), min(bounds[t, 3], bottom)):
+                for column in range(max(bounds[t, 0], left), min(bounds[t, 1], right)):
+                    if mixed[row, column] != 0:
+                        if filling:
+                            triangles[listed[row, column, 1]] = t
+                        listed[row, column, 1] += 1
+        if filling == 0:
+            total = 0
+            for row in range(top, bottom):
+                for column in range(left, right):
+                    count = listed[row, column, 1]
+                    listed[row, column, 0] = listed[row, column, 1] = total
+                    total += count
+            triangles = np.empty(total, np.int64)
+    return triangles
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def insert_facets(facets, pieces, prepared, lines, base, k, column, row, count):
-    """Put the triangles of mesh solid k that the pixel may see into its `count` pieces; return how many there are."""
-    at = facets.head[int(row), int(column)]
-    while at >= 0:
-        t = facets.following[at, 1]
-        at = facets.following[at, 0]
+def insert_facets(facets, listed, pieces, prepared, lines, base, k, column, row, half, count):
+    """Put the `listed` triangles that are mesh solid k's into the `count` pieces of the square about (column, row).
+
+    Return how many pieces there are.
+    """
+    for t in listed:
         if facets.solid[t] != k:
             continue
         cuts, inside = 0, True
         for side in range(3):
             line, edge, outer = base + 3 * t + side, -1, -1
-            if side_matters(facets, t, side) == 2:
+            if facets.side[t, side] == OUTLINE:
                 edge, outer = 2 * line, 2 * line + 1
             a = lines[line, EDGE] + lines[line, EDGE + 1] * column + lines[line, EDGE + 2] * row
             b, c = lines[line, EDGE + 1], lines[line, EDGE + 2]
-            cuts, inside = bound(pieces.lines, pieces.edges, cuts, a, b, c, edge, outer)
+            cuts, inside = bound(pieces.lines, pieces.edges, cuts, a, b, c, edge, outer, half)
             if not inside:
                 break
         if inside:

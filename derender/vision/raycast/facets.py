@@ -8,15 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.errors import DerenderError
 from derender.kernel_cache import njit
 from derender.model.solids import MESH
 from derender.vision.raycast.outline import add_line
 
 NEAR = 1e-4  # metres: a triangle that comes nearer to the camera's plane is left out
+FLAT, CREASE, OUTLINE = range(3)  # a side between triangles that are seen and nearly in line, at an angle, or not so
 SHARP = 0.95  # cosine of the angle between neighbours from which their crease is taken for none
-FINEST = 400  # triangles of one mesh
-SPARE = 1 << 16  # places in the lists of triangles beyond one for every pixel
 
 
 class Facets(NamedTuple):
@@ -29,10 +27,10 @@ class Facets(NamedTuple):
     triangles : (T, 3) int64, vertices. neighbours : (T, 3) int64, the triangle across each side, -1 if there is none.
     winding : (N,) int64, 1 or -1 where a mesh is closed: by which winding triangles face outwards; else 0.
     points : (V, 3) float64, camera axes. plane : (T, 3) float64, inverse depth a + b i + c j.
-    normal : (T, 3) float64. shown : (T,) bool. solid : (T,) int64.
+    normal : (T, 3) float64. side : (T, 3) int64, what the side from each corner to the next is: FLAT, CREASE, OUTLINE.
+    shown : (T,) bool. solid : (T,) int64.
     bounds : (T, 4) int64, columns and rows that it may touch, ends excluded.
-    head : (H, W) int64, start of the list of triangles that may be seen in a pixel, -1: none.
-    following : (L, 2) int64, next place in the list, triangle. used : (1,) int64, places taken.
+    listed : (H, W, 2) int64, start and end of each mixed pixel's part of what `list_facets` returned last.
     """
 
     first: np.ndarray
@@ -44,12 +42,11 @@ class Facets(NamedTuple):
     points: np.ndarray
     plane: np.ndarray
     normal: np.ndarray
+    side: np.ndarray
     shown: np.ndarray
     solid: np.ndarray
     bounds: np.ndarray
-    head: np.ndarray
-    following: np.ndarray
-    used: np.ndarray
+    listed: np.ndarray
 
 
 def _neighbours(triangles: np.ndarray) -> np.ndarray:
@@ -62,10 +59,7 @@ def _neighbours(triangles: np.ndarray) -> np.ndarray:
 
 
 def new_facets(camera, count: int, solids=None) -> Facets:
-    """Allocate Facets for a Camera and scenes with the meshes of these Solids; without meshes almost nothing.
-
-    Raises DerenderError for a mesh of more than FINEST triangles: pixels would see too many of them to be cut exactly.
-    """
+    """Allocate Facets for a Camera and scenes with the meshes of these Solids; without meshes almost nothing."""
     first, vertex = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
     winding = np.zeros(count, np.int64)
     vertices, triangles, neighbours, solid = [np.zeros((0, 3))], [np.zeros((0, 3), int)], [np.zeros((0, 3), int)], []
@@ -74,11 +68,6 @@ def new_facets(camera, count: int, solids=None) -> Facets:
         if solids is None or solids.kind[k] != MESH:
             continue
         points, corners = (np.asarray(array) for array in solids.meshes[solids.mesh[k]])
-        if len(corners) > FINEST:
-            raise DerenderError(
-                f"exact derivatives take meshes of at most {FINEST} triangles, this one has {len(corners)}",
-                remedy="simplify the mesh, or use --method mcmc",
-            )
         across = _neighbours(corners)
         a, b, c = (points[corners[:, n]] for n in range(3))
         winding[k] = int(np.sign(np.sum(a * np.cross(b, c)))) if np.all(across >= 0) else 0
@@ -87,7 +76,7 @@ def new_facets(camera, count: int, solids=None) -> Facets:
         neighbours.append(np.where(across >= 0, across + first[k], -1))
         solid += [k] * len(corners)
         first[k + 1], vertex[k + 1] = first[k] + len(corners), vertex[k] + len(points)
-    total, pixels = max(first[-1], 1), camera.width * camera.height
+    total = max(first[-1], 1)
     return Facets(
         first,
         vertex,
@@ -98,12 +87,11 @@ def new_facets(camera, count: int, solids=None) -> Facets:
         np.zeros((max(vertex[-1], 1), 3)),
         np.zeros((total, 3)),
         np.zeros((total, 3)),
+        np.zeros((total, 3), np.int64),
         np.zeros(total, np.bool_),
         np.array([*solid, 0], np.int64),
         np.zeros((total, 4), np.int64),
-        np.full((camera.height, camera.width), -1),
-        np.zeros((16 * pixels + SPARE if solid else 1, 2), np.int64),
-        np.zeros(1, np.int64),
+        np.zeros((camera.height, camera.width, 2) if solid else (1, 1, 2), np.int64),
     )
 
 
@@ -148,15 +136,22 @@ def pose_facets(facets, k, pose, size, camera, width, height, lines, base):
             line = base + 3 * t + side
             good = add_line(lines, line, start, end, middle, camera) > line and good
         shown[t] = good
+    for t in range(facets.first[k], facets.first[k + 1]):
+        if shown[t]:
+            for side in range(3):
+                facets.side[t, side] = _side(facets.neighbours[t, side], t, shown, normal, points[triangles[t, side]])
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def side_matters(facets, t, side):
-    """0: a side between triangles that are seen and nearly in line; 1: a crease between such; 2: of the outline."""
-    other = facets.neighbours[t, side]
-    if other < 0 or not facets.shown[other]:
-        return 2
-    cosine = 0.0
+def _side(other, t, shown, normal, corner):
+    """What the side between a triangle that is seen and another one is; they share a corner."""
+    if other < 0 or not shown[other]:
+        return OUTLINE
+    cosine, here, there = 0.0, 0.0, 0.0
     for axis in range(3):
-        cosine += facets.normal[t, axis] * facets.normal[other, axis]
-    return 1 if cosine < SHARP else 0
+        cosine += normal[t, axis] * normal[other, axis]
+        here += normal[t, axis] * corner[axis]
+        there += normal[other, axis] * corner[axis]
+    if here * there < 0.0:  # an open mesh, of which one is seen from inside: it folds here
+        return OUTLINE
+    return CREASE if cosine < SHARP else FLAT
