@@ -5,11 +5,14 @@ the price of each number in `Settings` stands for the Occam factor that its inte
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from derender.inference.diagnostics import unwrap
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import supports_within
+from derender.inference.structure.draws.continuous import agree
 from derender.inference.structure.draws.discrepancy import with_offsets
 from derender.inference.structure.search.greedy import sweep, total_energy, try_cube
 from derender.inference.structure.solids.graph import names_of, periods_of, pose_of, scene_graph
@@ -19,6 +22,7 @@ from derender.inference.structure.solids.polish import walk
 from derender.inference.structure.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.inference.structure.solids.support import with_bottom
 from derender.inference.structure.solids.touch import highest
+from derender.inference.structure.threads import in_threads
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
 from derender.model.scene import ROOT
@@ -27,6 +31,8 @@ from derender.model.solids import BOX, CYLINDER, SPHERE
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
 MOST_PARTS = 12
+# Steps of each solid between two draws, and how many times as many where the chains do not agree; sweeps of warm-up.
+STEPS, MORE, WARMUP = 120, 3, 4
 
 
 def refresh_bottom(state, index):
@@ -48,19 +54,25 @@ def walk_solid(rng, image, state, index, settings, scales, steps, adapt):
     )  # fmt: skip
 
 
-def draw_rows(rng, image, state, settings, chains, draws, steps=120):
+def draw_rows(rng, image, state, settings, chains, draws, steps=STEPS):
     """Return rows (chains, draws, N, ROW) and energies (chains, draws) of states of this structure."""
-    rows = np.empty((chains, draws, *state.rows.shape))
-    energies = np.empty((chains, draws))
-    for chain in range(chains):
-        now = state.copy()
-        scales = np.full((len(now), 14), 1e-3)
-        for sweeps in range(4 + draws):
-            for index in rng.permutation(len(now)):
-                walk_solid(rng, image, now, index, settings, scales, 2 * steps if sweeps < 4 else steps, sweeps < 4)
-            if sweeps >= 4:
-                rows[chain, sweeps - 4] = now.rows
-                energies[chain, sweeps - 4] = total_energy(image, now, settings)
+    one = partial(draw_chain, image=image, state=state, settings=settings, draws=draws, steps=steps)
+    rows, energies = zip(*in_threads(rng, [one] * chains), strict=True)
+    return np.array(rows), np.array(energies)
+
+
+def draw_chain(rng, image, state, settings, draws, steps):
+    """Return rows (draws, N, ROW) and energies (draws,) of one chain."""
+    rows, energies = np.empty((draws, *state.rows.shape)), np.empty(draws)
+    now = state.copy()
+    scales = np.full((len(now), 14), 1e-3)
+    for sweeps in range(WARMUP + draws):
+        early = sweeps < WARMUP
+        for index in rng.permutation(len(now)):
+            walk_solid(rng, image, now, index, settings, scales, 2 * steps if early else steps, early)
+        if not early:
+            rows[sweeps - WARMUP] = now.rows
+            energies[sweeps - WARMUP] = total_energy(image, now, settings)
     return rows, energies
 
 
@@ -101,6 +113,15 @@ def numbers_of(graph, state, rows, names, floor_pose):
         numbers.update({f"{vertex.name}.{key}": value for key, value in parameters.items()})
         numbers.update({f"{vertex.name}.contact.{key}": values[key] for key in contact.values})
     return numbers
+
+
+def values_of(graph, state, rows, names, floor_pose, addresses):
+    """Return the graph's numbers at these addresses, (chains, draws, P), of rows (chains, draws, N, ROW)."""
+    values = np.empty((*rows.shape[:2], len(addresses)))
+    for chain, draw in np.ndindex(rows.shape[:2]):
+        numbers = numbers_of(graph, state, rows[chain, draw], names, floor_pose)
+        values[chain, draw] = [numbers[a] for a in addresses]
+    return values
 
 
 def parameters_of(row, shape):
@@ -145,24 +166,26 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
     """Return the StructurePosterior of one structure."""
     graph = scene_graph(state, floor_pose, names, settings.may_float)
     addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names)
+    periods = periods_of(graph, addresses)
     if len(state) == 0 or draws < 2:
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
+        values = values_of(graph, state, rows, names, floor_pose, addresses)
     else:
-        rows, energies = draw_rows(rng, image, state, settings, chains, draws)
-        for k in range(len(state)):
-            if int(state.rows[k][0]) == CYLINDER:
-                undo_spin(rows[:, :, k], state.rows[k])
-        if settings.discrepancy > 0.0:
-            for chain, draw in np.ndindex(energies.shape):
-                rows[chain, draw] = with_offsets(rng, rows[chain, draw], state, settings.discrepancy)
-        rows[0, 0], energies[0, 0] = state.rows, total_energy(image, state, settings)
-    values = np.empty((*energies.shape, len(addresses)))
-    for chain, draw in np.ndindex(energies.shape):
-        numbers = numbers_of(graph, state, rows[chain, draw], names, floor_pose)
-        values[chain, draw] = [numbers[a] for a in addresses]
+        for steps in (STEPS, MORE * STEPS):
+            rows, energies = draw_rows(rng, image, state, settings, chains, draws, steps)
+            for k in range(len(state)):
+                if int(state.rows[k][0]) == CYLINDER:
+                    undo_spin(rows[:, :, k], state.rows[k])
+            if settings.discrepancy > 0.0:
+                for chain, draw in np.ndindex(energies.shape):
+                    rows[chain, draw] = with_offsets(rng, rows[chain, draw], state, settings.discrepancy)
+            rows[0, 0], energies[0, 0] = state.rows, total_energy(image, state, settings)
+            values = values_of(graph, state, rows, names, floor_pose, addresses)
+            if chains == 1 or agree(np.stack([*map(unwrap, np.moveaxis(values, -1, 0), periods)], axis=-1)):
+                break
     return StructurePosterior(
         graph, addresses, values, np.zeros(energies.shape), -energies / settings.temper, weight,
-        periods_of(graph, addresses),
+        periods,
     )
 
 

@@ -205,7 +205,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
         steps = [*singles, *block_steps(chart, spread, only)]
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
-        if not more or chains == 1 or agree(drawn, members):
+        if not more or chains == 1 or agree(np.stack([each.values[:, members] for each in drawn])):
             return drawn
         spread = spread_of(np.concatenate([draws.values[:, members] for draws in drawn]), factor)
         singles, thin = steps[: len(singles)], MORE * thin
@@ -218,12 +218,12 @@ def spread_of(met, factor):
     return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
 
 
-def agree(drawn, members):
-    """Whether chains of enough draws to tell mix well enough to be trusted for a quick look."""
-    values = np.stack([draws.values[:, members] for draws in drawn])
+def agree(values):
+    """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
     if values.shape[1] < FEW:
         return True
-    return all(r_hat(values[..., n]) < AGREE and bulk_ess(values[..., n]) > ENOUGH for n in range(len(members)))
+    columns = np.moveaxis(values, -1, 0)
+    return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
 
 
 def stretch(rng, walkers, steps, temperature, gain, count, thin):
