@@ -159,6 +159,13 @@ def merges(rng, best, rules):
     return found
 
 
+def one_step_away(best, names):
+    """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
+    for i in range(len(best.state)):
+        yield from (structure_key(state, names) for state in changes(best, i))
+        yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
+
+
 def whole_evidence(rng, refined):
     """Return the log of the density's integral over all coordinates."""
     steps = 10 + 5 * len(refined.state)
@@ -167,12 +174,12 @@ def whole_evidence(rng, refined):
 
 
 def from_search(rng, best, pool, energy, rules, evidence):
-    """Return (Refined, log odds against the best) of structures that the search met on its way.
+    """Return (Refined, log odds against the best) of structures that the search met, more than one step from the best.
 
     pool : (state, energy) of them. energy : the best one's. evidence : as `whole_evidence`, for the best.
     """
     names = names_of(best.state)
-    seen = {structure_key(best.state, names)}
+    seen = {structure_key(best.state, names), *one_step_away(best, names)}
     near: list = []
     for state, value in sorted(pool, key=lambda pair: pair[1]):
         if value > energy + WITHIN or len(near) >= FROM_SEARCH:
@@ -193,6 +200,6 @@ def from_search(rng, best, pool, energy, rules, evidence):
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
     if not trials:
         return []
-    own = evidence(rng, best)
-    weights = in_threads(rng, [partial(whole_evidence, refined=each) for each in trials])
+    tasks = [partial(evidence, refined=best), *(partial(whole_evidence, refined=each) for each in trials)]
+    own, *weights = in_threads(rng, tasks)
     return [(trial, weight - own) for trial, weight in zip(trials, weights, strict=True)]

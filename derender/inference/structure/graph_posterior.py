@@ -32,9 +32,10 @@ from derender.inference.structure.scored_posterior import MOST_PARTS, NEGLIGIBLE
 from derender.inference.structure.search.greedy import total_energy
 from derender.inference.structure.solids.graph import names_of
 from derender.inference.structure.solids.naming import matched_names, structure_key
-from derender.inference.structure.threads import THREADS, in_threads
+from derender.inference.structure.threads import in_threads
 
 MOST_MERGES = 4
+AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
 # By how much an image may be reduced: pixels are then sure to a fraction of a millimetre, so that the few that take the
@@ -105,7 +106,7 @@ def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence)
         former = best
         k = 0
         while k < len(best.state):  # it may lose one on the way
-            ahead = range(k, min(k + THREADS, len(best.state)))
+            ahead = range(k, min(k + AHEAD, len(best.state)))
             tasks = [partial(of_one_solid, best=best, i=i, rules=rules) for i in ahead]
             for weighed in in_threads(rng, tasks):
                 k, against = k + 1, best

@@ -4,6 +4,7 @@ The search scores edges pixel by pixel without blur and cuts misfits off; here t
 are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (continuous.py).
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from derender.inference.structure.solids.image import ROW
 from derender.inference.structure.threads import THREADS, in_threads
 from derender.vision.camera import Camera
 
-ANNEALING = 400  # steps of each temperature for each solid
+ANNEALING = 200  # steps of each temperature for each solid
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3, 1.0), 600  # of annealing, and its steps, where outliers are left
 STEPS, MOST_STEPS = 6, 250  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
@@ -70,6 +71,13 @@ def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=(
     return refined_at(state, chart, values, sensor, *draws.densities[best])
 
 
+def best_climb(rng, state, chart, values, sensor, **options):
+    """As `climb`, the better of two walks: one alone may end beside the mode."""
+    task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING, **options)
+    tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(THREADS)])
+    return max(tries, key=lambda each: each.log_prior + each.log_likelihood)
+
+
 def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
     """Return the Refined whose state's rows are those of the coordinates."""
     rows = np.empty((len(state), ROW))
@@ -85,12 +93,12 @@ def refine(rng, seen, state, rules):
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, rules)
     sensor = first_sensor(camera, observed, chart, values)
-    refined = settled(rng, climb(rng, state, chart, values, sensor, ANNEALING))
+    refined = settled(rng, best_climb(rng, state, chart, values, sensor))
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
         return refined
     chart, values = make_chart(kept, floor_pose_of(refined), rules)
-    return settled(rng, climb(rng, kept, chart, values, refined.sensor, ANNEALING))
+    return settled(rng, best_climb(rng, kept, chart, values, refined.sensor))
 
 
 def without_unseen(state, refined):
@@ -136,7 +144,7 @@ def robust_offset(sensor):
 def with_sensor_refitted(rng, refined):
     """Return the Refined at its mode under the sensor model that its present state suggests."""
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
-    return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, temperatures=(0.2, 1.0))
+    return best_climb(rng, refined.state, refined.chart, refined.values, sensor, temperatures=(0.2, 1.0))
 
 
 def chains_of(rng, refined, chains, draws, only=None):

@@ -15,6 +15,8 @@ from derender.inference.structure.solids.support import assign_supports, concern
 from derender.inference.structure.solids.touch import highest
 from derender.model.solids import BOX, SPHERE
 
+# Rounds in which every promising hypothesis is polished, how many are kept then, and rounds for these.
+SIFTING, KEPT, KEEPING = 50, 3, 100
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 
@@ -100,24 +102,29 @@ def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
     """
     state = State() if state is None else state
     alive = list(hypotheses)
+
+    def tried_out(h, row, rounds, step):
+        """Return (energy, row, h) of a hypothesis polished from here."""
+        row, energy, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, rounds, step)
+        return energy + complexity(int(row[0]), h.form, h.cube, settings), row, h
+
     while alive and len(state) < settings.max_objects:
         view = held_out(image, state, -1)
         gains = np.array([-added_misfit(image, h.row, view[0], view[2]) for h in alive])
         order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
-        best = None
-        for k in order:
-            h = alive[k]
-            row, energy, change = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, np.nan, settings, 150)
-            energy += complexity(int(row[0]), h.form, h.cube, settings)
-            if best is None or energy < best[1]:
-                best = (row, energy, h)
-        row, energy, h = best
+        sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, 0.003) for k in order), key=energy_of)
+        energy, row, h = min((tried_out(h, row, KEEPING, 0.002) for _, row, h in sifted[:KEPT]), key=energy_of)
         if energy > 0:
             break
         row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, 300, 0.002)
         state = state.add(row, h.form, h.cube)
         alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -200]
     return state
+
+
+def energy_of(tried):
+    """Return the energy of a hypothesis tried out."""
+    return tried[0]
 
 
 def promising(gains, kinds, tried):

@@ -47,7 +47,7 @@ def explain_anew(rng, image, state, hypotheses, settings, places):
 def split(rng, image, state, hypotheses, settings, places):
     """Cut a box in two across one of its axes, at a badly explained point or anywhere, and polish both pieces."""
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    if not boxes or len(state) >= settings.max_objects:
+    if not boxes or len(state) >= settings.max_objects or places.none_left(settings):
         return None
     i = boxes[pick(rng, places.blame[boxes])]
     row = state.rows[i]

@@ -29,6 +29,10 @@ class Places(NamedTuple):
     shown: np.ndarray
     seen: np.ndarray
 
+    def none_left(self, settings):
+        """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
+        return self.blame.sum() < settings.clean
+
 
 def find_places(image, state, limit=4.5):
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""

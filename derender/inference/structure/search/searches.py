@@ -80,7 +80,7 @@ def repair(rng, image, state, hypotheses, settings, pool):
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
-        if quiet >= settings.quiet + 3 * len(state) and places.blame.sum() < settings.clean:
+        if quiet >= settings.quiet + 3 * len(state) and places.none_left(settings):
             break
         quiet += 1
         proposed = propose(rng, image, state, hypotheses, settings, places)
