@@ -145,14 +145,11 @@ def read_documents() -> list[Document]:
 
 def read_prior_document(name: str | Path) -> Document:
     """Read a prior file, or the built-in prior of that name ("tabletop")."""
-    path = Path(name)
-    if str(name) != "-" and path.suffix not in (".yaml", ".yml") and not path.exists():
-        built_in = built_in_priors()
-        if str(name) not in built_in:
-            raise DerenderError(
-                f"no file and no built-in prior is called {str(name)!r}", remedy=suggest(name, built_in)
-            )
+    path, built_in = Path(name), built_in_priors()
+    if str(name) in built_in and not path.is_file():  # a folder may have its name
         path = data_path(f"priors/{name}.yaml")
+    elif str(name) != "-" and path.suffix not in (".yaml", ".yml") and not path.exists():
+        raise DerenderError(f"no file and no built-in prior is called {str(name)!r}", remedy=suggest(name, built_in))
     return read_document(path)
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 SHOWN_DRAWS = 12
-SHOWN_WEIGHT = 0.0005  # of a structure, from which on it is told: what three digits can show
 # A residual picture's scale: what holds all but 5 % of the residuals, yet no less than 2 mm and no more than 5 cm.
+MOST_STRUCTURES = 8  # of the table
 RESIDUAL_SCALE = (0.002, 0.05)
 
 
@@ -77,6 +77,7 @@ def report_of(
     lost : how many chains died.
     """
     from derender.report.scene_json import scene_json
+    from derender.report.structure_words import told_structures
 
     known: dict[str, Any] = {**sensor_words(likelihood or {}), **dict(facts or {})}
     draws, rows, structures = [], [], []
@@ -87,8 +88,7 @@ def report_of(
         best = posterior.best_part
         periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
         rows = tables.parameter_rows(best.addresses, best.values, periods)
-        ordered = sorted(posterior.parts, key=lambda part: -part.weight)
-        structures = [(part.weight, structure_words(part.graph)) for part in ordered]
+        structures = told_structures(posterior)
     return Report(
         title,
         scene_json(graph, posterior),
@@ -137,16 +137,6 @@ def write_report(path: str | Path, report: Report) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(page(report), encoding="utf-8")
-
-
-def structure_words(graph: "SceneGraph") -> str:
-    """Return who rests on what, in words."""
-    words = []
-    for vertex in graph.vertices:
-        if vertex.shape not in ("plane", "frame"):
-            where = "floats" if vertex.parent == "root" else "on " + " and ".join((vertex.parent, *vertex.supports))
-            words.append(f"{vertex.name} ({vertex.shape}) {where}")
-    return ", ".join(words) or "nothing"
 
 
 def page(report: Report) -> str:
@@ -236,11 +226,11 @@ def _picture(words: str, values: np.ndarray, low: float, high: float, unit: str,
 
 
 def _structures(report: Report) -> str:
-    shown = [(weight, words) for weight, words in report.structures if weight >= SHOWN_WEIGHT]
-    if len(shown) < 2:
+    if len(report.structures) < 2:
         return ""
     rows = "".join(
-        f'<tr><td class="number">{weight:.1%}</td><td>{escape(words)}</td></tr>' for weight, words in shown[:8]
+        f'<tr><td class="number">{weight:.1%}</td><td>{escape(words)}</td></tr>'
+        for weight, words in report.structures[:MOST_STRUCTURES]
     )
     head = '<tr><th class="number">weight</th><th>structure</th></tr>'
     return f'<div class="scroll"><table class="narrow">{head}{rows}</table></div>'

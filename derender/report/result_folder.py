@@ -38,11 +38,9 @@ class Outcome:
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in three digits: what rests on what."""
-        from derender.report.html import SHOWN_WEIGHT, structure_words
+        from derender.report.structure_words import told_structures
 
-        ordered = sorted(self.posterior.parts, key=lambda part: -part.weight)
-        told = [part for part in ordered if part is ordered[0] or part.weight >= SHOWN_WEIGHT]
-        return [f"p {part.weight:.3f}  {structure_words(part.graph)}" for part in told]
+        return [f"p {weight:.3f}  {words}" for weight, words in told_structures(self.posterior)]
 
     def table(self) -> str:
         """Return the table, and what rests on what, as plain text."""

@@ -9,10 +9,11 @@ import numpy as np
 CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
 TRACE_POINTS = 160
 RANK_BINS = 20
+MOST_ABREAST = 5  # objects beside each other whose words can be read
 
 
 def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None) -> str:
-    """Return the scene graph as a tree that stands on its root, as the things themselves do.
+    """Return the scene graph as a tree that stands on its root, as the things themselves do; a broad one lies.
 
     Parameters
     ----------
@@ -25,7 +26,6 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     for name, item in objects.items():
         parent = item.get("parent") or "root"
         children.setdefault(parent if parent in objects else "root", []).append(name)
-    width, height, gap = 196, 46, 44
     column: dict[str, float] = {}
     row: dict[str, int] = {}
     leaves = 0
@@ -44,30 +44,42 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
 
     place("root", 0)
     deepest = max(row.values())
-    total_width = max(1, leaves) * (width + 18) + 10
-    total_height = (deepest + 1) * (height + gap) - gap + 12
+    lying = leaves > MOST_ABREAST
+    width, height, gap, apart = (196, 62, 44, 10) if lying else (196, 46, 44, 18)
+    if lying:
+        total_width = (deepest + 1) * (width + gap) - gap + 12
+        total_height = leaves * (height + apart) + 10
+    else:
+        total_width = max(1, leaves) * (width + apart) + 10
+        total_height = (deepest + 1) * (height + gap) - gap + 12
 
     def middle(name: str) -> tuple[float, float]:
-        return (column[name] + 0.5) * (width + 18), (deepest - row[name]) * (height + gap) + 0.5 * height + 6
+        if lying:
+            return row[name] * (width + gap) + 0.5 * width + 6, (column[name] + 0.5) * (height + apart)
+        return (column[name] + 0.5) * (width + apart), (deepest - row[name]) * (height + gap) + 0.5 * height + 6
+
+    def line(name: str, parent: str, bend: float, dashes: str = "") -> str:
+        """Return the line from a parent's side to that of what it bears."""
+        (x, y), (px, py) = middle(name), middle(parent)
+        away = (0.5 * width, 0.0) if lying else (0.0, -0.5 * height)
+        x, y, px, py = x - away[0], y - away[1], px + away[0], py + away[1]
+        bx, by = (bend, 0.0) if lying else (0.0, -bend)
+        return (
+            f'<path d="M{px:.1f} {py:.1f}C{px + bx:.1f} {py + by:.1f} {x - bx:.1f} {y - by:.1f} {x:.1f} {y:.1f}" '
+            f'fill="none" stroke="#9aa0a8" stroke-width="1.6"{dashes}/>'
+        )
 
     parts, labels = [], []
     for name, item in objects.items():
+        parts.append(line(name, item["parent"] if item.get("parent") in objects else "root", 0.5 * gap))
+        parts += [
+            line(name, other, 0.0, ' stroke-dasharray="5 4"') for other in item.get("supports", ()) if other in column
+        ]
         x, y = middle(name)
-        px, py = middle(item.get("parent") if item.get("parent") in objects else "root")
-        top, bottom = y + 0.5 * height, py - 0.5 * height
-        parts.append(
-            f'<path d="M{px:.1f} {bottom:.1f}C{px:.1f} {bottom - 0.5 * gap:.1f} {x:.1f} {top + 0.5 * gap:.1f} '
-            f'{x:.1f} {top:.1f}" fill="none" stroke="#9aa0a8" stroke-width="1.6"/>'
-        )
-        for other in item.get("supports", ()):
-            if other in column:
-                ox, oy = middle(other)
-                parts.append(
-                    f'<path d="M{ox:.1f} {oy - 0.5 * height:.1f}L{x:.1f} {top:.1f}" fill="none" stroke="#9aa0a8" '
-                    'stroke-width="1.6" stroke-dasharray="5 4"/>'
-                )
-        labels.append(_text(x, top + 14, _edge_words(item), size=10.5, colour="#6a7078", halo=True))
-    parts += labels  # after all lines, which would strike them through
+        labels.append(_text(x, y + 0.5 * height - 9 if lying else y + 0.5 * height + 14, _edge_words(item), size=10.5,
+                            colour="#6a7078", halo=not lying))  # fmt: skip
+    if not lying:
+        parts += labels  # after all lines, which would strike them through
     for name in column:
         x, y = middle(name)
         shown = objects.get(name)
@@ -76,8 +88,11 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
             f'<rect x="{x - 0.5 * width:.1f}" y="{y - 0.5 * height:.1f}" width="{width}" height="{height}" rx="6" '
             f'fill="{fill}" fill-opacity="0.35" stroke="{fill if shown else "#9aa0a8"}" stroke-width="1.6"/>'
         )
-        parts.append(_text(x, y - 4, name, size=13, weight=600))
-        parts.append(_text(x, y + 13, _node_words(shown), size=11, colour="#4a4f57"))
+        top = y - 0.5 * height + 19
+        parts.append(_text(x, top, name, size=13, weight=600))
+        parts.append(_text(x, top + 17, _node_words(shown), size=11, colour="#4a4f57"))
+    if lying:
+        parts += labels
     scale = min(1.0, 720 / total_width)
     picture = _svg(total_width, total_height, parts, "The scene graph", scale)
     # in a narrow window it is scrolled before its words get too small to read

@@ -16,6 +16,7 @@ from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.report import pictures, svg, tables, trust
 from derender.report.html import Report, page
+from derender.report.structure_words import structure_words
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines
 from derender.vision.camera import Camera
@@ -90,6 +91,23 @@ class Checker(html.parser.HTMLParser):
 
     def handle_endtag(self, tag):
         assert self.stack.pop() == tag
+
+
+def test_of_a_second_structure_only_what_differs_is_told():
+    vertices = [Vertex(name, "box", {}, "root", Contact("6dof")) for name in "abc"]
+    graph = SceneGraph(np.eye(4), tuple(vertices))
+    assert structure_words(graph) == "a (box) floats, b (box) floats, c (box) floats"
+    other = graph.remove("c").replace("b", shape="cube").replace("a", contact=Contact("face-to-face", "+z", "-x"))
+    assert structure_words(other, graph) == "the same, but a (box) floats, face-to-face -x on +z, b (cube) floats, no c"
+    assert structure_words(graph, graph) == "the same"
+
+
+def test_a_broad_scene_graph_lies_so_that_its_words_can_be_read():
+    item = {"parent": "floor", "type": "box", "size": [0.1, 0.1, 0.1]}
+    objects = [{"name": "floor", "type": "plane", "size": None}, *({"name": f"box_{n}", **item} for n in range(20))]
+    picture = svg.graph_svg({"objects": objects})
+    width, height = (float(word) for word in re.search(r'viewBox="0 0 (\d+) (\d+)"', picture).groups())
+    assert width < 800 < height and picture.count("<rect") == 22
 
 
 def test_page_is_well_formed_and_needs_no_network(report):

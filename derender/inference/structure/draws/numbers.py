@@ -50,7 +50,8 @@ def contact_numbers(chart, draws, parents, codes):
 def numbers_of_draws(chart, draws, graph, names):
     """Return (addresses, values (n, P), periods (P,), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
 
-    names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out.
+    names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out, and
+        how a cylinder that stands is turned about itself: nothing tells.
     """
     count = len(names)
     parents, codes = np.empty(count, np.int64), np.empty((count, 3), np.int64)
@@ -72,7 +73,8 @@ def numbers_of_draws(chart, draws, graph, names):
         on = graph.body(vertex.parent).shape
         slots = contacts[contact.type].parameters(on, shapes[vertex.shape], contact.parent_face, contact.child_face)
         for slot, parameter in enumerate(slots):
-            if parameter.name in contact.values:
+            spin = vertex.shape == "cylinder" and contact.type == "face-to-face" and parameter.name == "theta"
+            if parameter.name in contact.values and not spin:
                 address = f"{name}.contact.{parameter.name}"
                 found[address] = phi[:, k, slot]
                 periods[address] = parameter.period
