@@ -115,7 +115,7 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
                 warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
         run = {"folder": folder, "resume": resume, "jobs": jobs, "warmup": warmup}
         posterior = _structure(seen, document, method, found, chains, draws, seed, _importing(progress), run)
-        interrupted = bool(posterior.meta.get("interrupted"))
+        interrupted, lost = bool(posterior.meta.get("interrupted")), posterior.meta.get("lost_chains", {})
         if posterior.meta.get("backdrop"):
             share = f"{posterior.meta['backdrop']:.0%} of the pixels lie on a plane or beyond"
             warn(f"{share}: taken as background; with --floor auto solids stand on it")
@@ -183,7 +183,7 @@ def _structure(seen, document, method, found, chains, draws, seed, progress, run
     if method in ("mcmc", "smc") and document is not None:
         from derender.inference.structure.jumps.run import infer_by_jumps
 
-        chosen |= {"resume": run["resume"], "warmup": run["warmup"]}
+        chosen |= run
         return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)
     if document is not None:
         chosen["prior"] = document.prior

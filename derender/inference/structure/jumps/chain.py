@@ -1,7 +1,7 @@
 """A Markov chain over scene graphs by reversible jumps, and the posterior that its draws make up."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -53,16 +53,15 @@ def jump_chain(
     warmup: int,
     thin: int,
     parts: Sequence[tuple[Move, float]],
-    tell: Callable[[float], None] = lambda fraction: None,
+    counts: Counter | None = None,
 ) -> Draws:
-    """Return `draws` states, `thin` steps apart, after `warmup` steps."""
+    """Return `draws` states, `thin` steps apart, after `warmup` steps; counts : see `walk`."""
     state = walk(rng, target, words, evaluate(target, start), warmup, parts)
-    counts: Counter = Counter()
+    counts = Counter() if counts is None else counts
     states = []
-    for number in range(draws):
+    for _ in range(draws):
         state = walk(rng, target, words, state, thin, parts, counts)
         states.append(state)
-        tell((number + 1) / draws)
     return Draws(states, np.full(draws, 1.0 / draws), acceptance_of(counts))
 
 

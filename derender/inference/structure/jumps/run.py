@@ -1,100 +1,37 @@
 """Scene graphs under a prior of open structure, sampled by jump chains or structure SMC: `infer --scene PRIOR --method
 mcmc` or `smc`. Without a prior see structure/leaps."""
 
-from collections.abc import Callable, Mapping, Sequence
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from derender import __version__
 from derender.errors import DerenderError
+from derender.inference import workers
 from derender.inference.bottom_up.given_floor import read_floor
+from derender.inference.chains import Plan
+from derender.inference.checkpoint import fingerprint
 from derender.inference.posterior import Posterior
-from derender.inference.structure.jumps import mixture
 from derender.inference.structure.jumps.base import Target
-from derender.inference.structure.jumps.chain import jump_chain, posterior_of
-from derender.inference.structure.jumps.proposal import Hypothesis, HypothesisProposal
-from derender.inference.structure.jumps.slots import SlotImage
-from derender.inference.structure.jumps.smc import structure_smc
-from derender.inference.structure.jumps.start import (
-    base_graph,
-    hypotheses_of,
-    root_pose_near,
-    start_graph,
-)
+from derender.inference.structure.jumps.chain import posterior_of
+from derender.inference.structure.jumps.sampler import JumpSampler
+from derender.inference.structure.jumps.start import base_graph, hypotheses_of, root_pose_near, start_graph
 from derender.inference.structure.jumps.vocabulary import Vocabulary
-from derender.model.scene import SceneGraph
 
+DECIDES = ("method", "shapes", "max_objects", "may_overlap", "may_float", "floor", "chains", "warmup", "seed")
 DRAWS, CHAINS, THIN, WARMUP = 400, 2, 20, 4000
-PARTICLES, STEPS, ANNEAL = 40, 60, 4
+PARTICLES = 40
+SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
 EXTRA = 1  # objects beyond those seen that SMC makes room for
-
-
-def sample_structures(
-    rng: np.random.Generator,
-    prior,
-    likelihood: str,
-    camera,
-    image: np.ndarray,
-    start: Sequence[SceneGraph],
-    hypotheses: Sequence[Hypothesis] = (),
-    method: str = "mcmc",
-    draws: int = DRAWS,
-    chains: int = CHAINS,
-    thin: int = THIN,
-    warmup: int = WARMUP,
-    most: int | None = None,
-    values: Mapping[str, float] | None = None,
-    weights: Mapping[str, float] | None = None,
-    progress: Callable[[float, str], None] | None = None,
-) -> Posterior:
-    """Return the posterior over scene graphs.
-
-    Parameters
-    ----------
-    prior : Algorithm1Prior or GrammarPrior. likelihood, values : registered name and its numbers.
-    image : (H, W) metres, NaN where nothing returned.
-    start : scenes of positive prior density; chains start from them in turn, SMC from the first one's base.
-    hypotheses : what births are drawn from besides the prior.
-    method : "mcmc", or "smc" with `draws` particles for each of `chains` populations.
-    thin, warmup : steps between draws of a chain, and before the first.
-    most : objects at which SMC stops; by default those of the start and one more.
-    weights : of moves by name, see `derender.inference.structure.jumps.mixture`.
-
-    Raises
-    ------
-    DerenderError : a start that the prior rules out, a prior with named objects, an unknown method.
-    """
-    if method not in ("mcmc", "smc"):
-        raise DerenderError(f"{method!r} does not sample structures", "--method", "mcmc or smc does")
-    parts = mixture(weights)
-    found = []
-    for chain, child in enumerate(rng.spawn(chains)):
-        graph = start[chain % len(start)]
-        words = Vocabulary(prior, HypothesisProposal(hypotheses) if hypotheses else None)
-        target = Target(prior, SlotImage(camera, image, likelihood, values))
-        if method == "mcmc" and target.log_prior(graph) == -np.inf:
-            raise DerenderError("the prior rules out the scene to start from", remedy="widen the prior")
-
-        def tell(fraction: float, chain=chain) -> None:
-            if progress:
-                progress((chain + fraction) / chains, "jumping" if method == "mcmc" else "adding objects")
-
-        if method == "mcmc":
-            found.append(jump_chain(child, target, words, graph, draws, warmup, thin, parts, tell))
-            continue
-        bare = graph
-        for name in reversed(words.grown(graph)):
-            bare = bare.remove(name) if name in bare.names else bare
-        size = len(words.grown(graph)) + EXTRA if most is None else most
-        found.append(structure_smc(child, target, words, bare, draws, size, parts, STEPS, ANNEAL, tell))
-    return posterior_of(Vocabulary(prior), found)
 
 
 def infer_by_jumps(image, camera, options, document, rng=None, progress=None) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
     options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
-        chains, draws, warmup (steps of a chain before its first draw), seed.
+        chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
     Raises
     ------
@@ -104,8 +41,6 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     from derender.inference.structure.solids.graph import scene_graph
 
     method, chain = options["method"], options["method"] == "mcmc"
-    if options.get("resume"):
-        raise DerenderError("jumps under a prior of open structure keep no checkpoints", "--resume", "leave it out")
     if not chain and options.get("warmup") is not None:
         raise DerenderError("populations have no warm-up", "--warmup", "leave it out, or take --method mcmc")
     rng = np.random.default_rng(options.get("seed")) if rng is None else rng
@@ -120,14 +55,37 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)
     likelihood, values = _likelihood_of(document, seen, settings, depth)
-    warmup = options.get("warmup")
-    posterior = sample_structures(
-        rng, prior, likelihood, camera, depth, [start], hypotheses_of(words, graph), method,
-        int(options.get("draws") or (DRAWS if chain else PARTICLES)), int(options.get("chains") or CHAINS),
-        warmup=WARMUP if warmup is None else int(warmup), most=options.get("max_objects"), values=values,
-        progress=progress,
-    )  # fmt: skip
-    return replace(posterior, meta={**posterior.meta, "likelihood": {"type": likelihood, **(values or {})}})
+    draws, chains = int(options.get("draws") or (DRAWS if chain else PARTICLES)), int(options.get("chains") or CHAINS)
+    most = options.get("max_objects") or len(words.grown(start)) + EXTRA
+    sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses_of(words, graph), method, THIN,
+                          SEGMENT if chain else draws, int(most))  # fmt: skip
+    if chain and Target(prior).log_prior(start) == -np.inf:
+        raise DerenderError("the prior rules out the scene to start from", remedy="widen the prior")
+    warmup = WARMUP if options.get("warmup") is None else int(options["warmup"])
+    folder = None if options.get("folder") is None else Path(options["folder"]) / "checkpoint"
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    decides = [str(options.get(key)) for key in DECIDES] + ([] if chain else [str(draws)])
+    run = fingerprint(__version__, *decides, depth.tobytes(), repr(camera), likelihood, repr(values),
+                      sampler.start(rng)["now"].tobytes(), repr(sampler.hypotheses))  # fmt: skip
+    plan = Plan(sampler, int(rng.integers(2**63)), chains, -(-warmup // THIN) if chain else 0, draws, folder, run,
+                bool(options.get("resume")))  # fmt: skip
+    total, done = chains * (plan.warmup + plan.draws), dict.fromkeys(range(chains), 0)
+
+    def report(number: int, steps: int, _: int) -> None:
+        done[number] = steps
+        if progress:
+            progress(sum(done.values()) / total, "jumping" if chain else "adding objects")
+
+    outcome = workers.run(plan, int(options.get("jobs") or 1), True, report)
+    found = [sampler.draws(record) for record in outcome.records.values() if record.drawn]
+    if not found:
+        raise KeyboardInterrupt
+    if folder is not None and not outcome.interrupted:
+        shutil.rmtree(folder)
+    posterior = posterior_of(words, found)
+    return replace(posterior, meta={**posterior.meta, "likelihood": {"type": likelihood, **(values or {})},
+                                    "interrupted": outcome.interrupted, "lost_chains": outcome.lost})  # fmt: skip
 
 
 def _likelihood_of(document, seen, settings, depth) -> tuple[str, dict[str, float]]:

@@ -16,7 +16,7 @@ estimate of the evidence; adaptive steps bias it by O(1 / particles).
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +79,7 @@ def structure_smc(
     parts: Sequence[tuple[Move, float]],
     steps: int,
     anneal: int = 8,
-    tell: Callable[[float], None] = lambda fraction: None,
+    counts: Counter | None = None,
 ) -> Draws:
     """Return particles of equal weight from the posterior over scenes of at most `most` grown objects.
 
@@ -91,7 +91,7 @@ def structure_smc(
     empty = evaluate(target, start)
     population = [Particle(empty, None, empty)] * particles
     log_evidence = empty.log_prior + empty.log_likelihood
-    counts: Counter = Counter()
+    counts = Counter() if counts is None else counts
     for size in range(1, most + 1):
         population = [_forth(rng, target, words, particle.state, size) for particle in population]
         whole = np.array([log_increment(words, particle, size) for particle in population])
@@ -111,7 +111,6 @@ def structure_smc(
             evaluate(target, particle.state.graph)  # the image goes back to this particle
             state = walk(rng, limited, words, particle.state, steps, parts, counts)  # type: ignore[arg-type]
             population[index] = Particle(state, None, state)
-        tell(size / most)
     states = [particle.state for particle in population]
     return Draws(states, np.full(particles, 1.0 / particles), acceptance_of(counts), log_evidence)
 
