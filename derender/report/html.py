@@ -263,17 +263,20 @@ def _share(value: float | None) -> str:
 def _parameters(report: Report) -> str:
     if not report.parameters:
         return ""
-    head = "".join(f"<th{' class=number' if k else ''}>{name}</th>" for k, name in enumerate(tables.COLUMNS))
+    names = tables.columns(report.parameters)
+    head = "".join(f"<th{' class=number' if k else ''}>{name}</th>" for k, name in enumerate(names))
+    chains, draws = report.parameters[0]["draws"].shape
+    plots = chains * draws > 1
     rows = []
     for row in report.parameters:
         texts = tables.cells(row)
         numbers = "".join(f"<td class=number>{text}</td>" for text in texts[1:])
         mark = ' class="bad"' if trust.doubtful(row) else ""
-        rows.append(
-            f"<tr><td{mark}>{escape(texts[0])}</td>{numbers}<td>{svg.trace_svg(row['draws'])}</td>"
-            f"<td>{svg.rank_svg(row['draws'])}</td></tr>"
-        )
-    chains, draws = report.parameters[0]["draws"].shape
+        shown = f"<td>{svg.trace_svg(row['draws'])}</td><td>{svg.rank_svg(row['draws'])}</td>" if plots else ""
+        rows.append(f"<tr><td{mark}>{escape(texts[0])}</td>{numbers}{shown}</tr>")
+    if not plots:
+        table = f'<table class="narrow"><tr>{head}</tr>{"".join(rows)}</table>'
+        return f'<h2>Numbers of the most probable scene</h2><div class="scroll">{table}</div>'
     largest, smallest = trust.limits(chains * draws)
     return (
         f"<h2>Posterior of the most probable structure: {chains} chain{'s' if chains > 1 else ''} of {draws} draws</h2>"

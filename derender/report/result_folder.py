@@ -59,14 +59,14 @@ class Outcome:
         from rich.console import Console
         from rich.table import Table
 
-        from derender.report.tables import COLUMNS, cells
+        from derender.report.tables import cells, columns
         from derender.report.trust import doubtful
 
         console = Console()
         for line in self.structures():
             console.print(line, highlight=False)
         if self.rows:
-            table = Table(*COLUMNS, box=None, pad_edge=False, padding=(0, 2, 0, 0))  # fits into 80 columns
+            table = Table(*columns(self.rows), box=None, pad_edge=False, padding=(0, 2, 0, 0))  # fits into 80 columns
             for column in table.columns[1:]:
                 column.justify = "right"
             for row in self.rows:

@@ -65,13 +65,21 @@ def parameter_rows(
     return rows
 
 
+def columns(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return the heads of the columns of these rows; of one draw, as `--method map` has it, the value alone."""
+    return COLUMNS if rows[0]["draws"].size > 1 else ("address", "value")
+
+
 def cells(row: Mapping[str, Any]) -> list[str]:
     """Return the texts of a row's columns, in the unit that people read."""
     scale, unit = row["scale"], row["unit"]
     digits = 2 if unit else 4
+    name = f"{row['address']} ({unit})" if unit else str(row["address"])
     numbers = [f"{row[key] * scale:.{digits}f}" for key in ("mean", "sd", "q05", "q95")]
+    if row["draws"].size == 1:
+        return [name, numbers[0]]
     return [
-        f"{row['address']} ({unit})" if unit else str(row["address"]),
+        name,
         *numbers,
         number_or_dash(row["r_hat"], ".3f"),
         number_or_dash(row["ess_bulk"], ".0f"),
@@ -99,4 +107,4 @@ def text_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
 
 def parameter_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the rows of a posterior as text for a terminal."""
-    return text_table([cells(row) for row in rows], COLUMNS)
+    return text_table([cells(row) for row in rows], columns(rows))

@@ -215,6 +215,13 @@ def test_doubtful_chains_are_marked():
     assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
 
 
+def test_of_a_single_draw_there_is_its_value_alone(report):
+    rows = tables.parameter_rows(["a.x"], np.full((1, 1, 1), 0.5))
+    assert tables.parameter_table(rows).split() == ["address", "value", "a.x", "0.5000"]
+    text = page(report._replace(parameters=rows))
+    assert "R-hat" not in text and "ranks" not in text and "Numbers of the most probable scene" in text
+
+
 @pytest.mark.parametrize("meta", [{"log_evidence": [1.0, 9.0]}, {"structure_chains": {"log_evidence": [1.0, 9.0]}}])
 def test_populations_that_disagree_are_told(meta):
     """Of leaps and of jumps, however few draws the likeliest structure has."""
