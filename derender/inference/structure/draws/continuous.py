@@ -38,6 +38,7 @@ WIDE_SHARE, WIDEST = 0.15, 4.0
 ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40)), 20, 10
 SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
 MORE = 2  # times as many steps between draws where those made first do not agree
+MANY = 50  # coordinates from which on that may be done twice
 AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
 TRUSTED = 10  # draws for each coordinate that the covariance at the beginning is worth
 
@@ -201,7 +202,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
         if temperature == 1.0:
             met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
             spread = spread_of(met, factor)
-    for more in (True, False):
+    for more in (True, len(members) > MANY, False):
         steps = [*singles, *block_steps(chart, spread, only)]
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
