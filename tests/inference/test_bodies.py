@@ -12,13 +12,13 @@ from scene_makers import photograph  # noqa: E402
 
 from derender.inference.structure.infer import point_estimate  # noqa: E402
 from derender.inference.structure.search.bodies import body_hypotheses, find_bodies  # noqa: E402
-from derender.inference.structure.search.greedy import Settings, settle, total_energy  # noqa: E402
+from derender.inference.structure.search.greedy import Settings, complexity, settle, total_energy  # noqa: E402
 from derender.inference.structure.search.moves import explain_anew  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
 from derender.inference.structure.search.shaping import appear  # noqa: E402
 from derender.inference.structure.solids.image import make_row  # noqa: E402
 from derender.inference.structure.solids.polish import UPRIGHT  # noqa: E402
-from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
+from derender.inference.structure.solids.state import FLOOR, State, held_out, run_polish  # noqa: E402
 from derender.inference.structure.solids.support import assign_supports, concerned  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 
@@ -127,6 +127,21 @@ def test_slabs_that_explain_a_can_become_one():
         reached.append(total_energy(seen.image, settle(rng, seen.image, new, Settings(), 150, changed), Settings()))
     assert [int(row[0]) for row in state.rows] == [CYLINDER]
     assert min(reached) < least + 5.0
+
+
+def test_a_new_solid_costs_what_it_adds_to_the_energy():
+    """However many stand on the floor already: they do not stand on the new one."""
+    scene = seen_from_afar(0)
+    state, seen = point_estimate(np.random.default_rng(0), scene["depth"], scene["camera"])
+    settings, without = Settings(), state.without(0)
+    view, row = held_out(seen.image, without, -1), state.rows[0]
+    assert len(without) == 2 and without.bottoms == [0.0, 0.0]
+    _, energy, _ = run_polish(np.random.default_rng(0), seen.image, without, -1, row, state.forms[0], False, view,
+                              0.0, settings, 0)  # fmt: skip
+    energy += complexity(int(row[0]), state.forms[0], False, settings)
+    whole = without.add(row, state.forms[0], False, FLOOR, 0.0)
+    added = total_energy(seen.image, whole, settings) - total_energy(seen.image, without, settings)
+    assert energy == pytest.approx(added, abs=1e-6)
 
 
 def test_solids_that_a_change_does_not_concern_keep_their_supports():

@@ -26,20 +26,21 @@ FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
-    """Take out one solid with some of those that share its badly explained pixels, or beside it where there are none,
-    and explain what they showed: by the hypotheses, or as one solid."""
+    """Take out one solid with some of those that share its badly explained pixels, or that show beside it, and explain
+    what they showed: by the hypotheses, or all of it, or what shows beside the first, as one solid."""
     seed = pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
-    shared = places.pairs if places.pairs[seed].any() else places.beside
+    shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
     out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
     new = state.copy()
     for k in sorted(out, reverse=True):
         new = new.without(k)
     kept = len(new)
-    points = places.seen[np.isin(places.shown, list(out)) & (image.depth > 0)]
-    if len(points) >= FEWEST:
-        bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
-        hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom)]
+    for one in (out, out - {seed}):
+        points = places.seen[np.isin(places.shown, list(one)) & (image.depth > 0)]
+        if len(points) >= FEWEST:
+            bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
+            hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom)]
     new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
     return new, set(range(kept, len(new)))
 

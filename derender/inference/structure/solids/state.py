@@ -83,6 +83,8 @@ class State:
 
 def carried_by(state, index):
     """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
+    if index == FLOOR:  # of a solid that is not there yet: nothing, and not what stands on the floor
+        return NOTHING
     held = [k for k in range(len(state)) if state.parents[k] == index and not np.isnan(state.bottoms[k])]
     return np.array([lowest(state.rows[k]) for k in held])
 
