@@ -13,6 +13,7 @@ from derender.inference.structure.search.surface import make_surface
 from derender.inference.structure.solids.image import make_image
 from derender.inference.structure.solids.sizes import sizes_of
 from derender.inference.structure.solids.support import final_parents
+from derender.inference.structure.unit import in_metres, unit_of
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
@@ -102,13 +103,17 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
+    plane = read_floor(options.get("floor"))
+    unit = unit_of(depth)
+    if unit != 1.0 and not options.get("known") and options.get("prior") is None:  # which say how long things are
+        floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
+        return in_metres(infer_structure(depth / unit, camera, {**options, "floor": floor}, rng, progress), unit)
     plan = None
     if options.get("method") in ("mcmc", "smc"):
         from derender.inference.structure.leaps.run import leap_parts, read_plan
 
         plan = read_plan(options, depth)
     pool: list = []
-    plane = read_floor(options.get("floor"))
     library = chosen_library(options["known"]) if options.get("known") else ()
     state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
     settings = settings.for_correlation(seen.correlation)
