@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 from scene_makers import photograph  # noqa: E402
 
+from derender.inference.structure.graph_posterior import parts_of  # noqa: E402
 from derender.inference.structure.infer import point_estimate  # noqa: E402
 from derender.inference.structure.search.bodies import body_hypotheses, find_bodies  # noqa: E402
 from derender.inference.structure.search.greedy import Settings, complexity, settle, total_energy  # noqa: E402
@@ -101,6 +102,25 @@ def test_what_nothing_explains_appears():
     assert changed == {2}
     least, started = (total_energy(seen.image, each, Settings()) for each in (state, without))
     assert total_energy(seen.image, new, Settings()) - least < 0.2 * (started - least)
+
+
+def test_what_shows_in_few_pixels_may_have_another_shape():
+    """The search may take a small ball or can for a box: the weights then say what it is."""
+    scene = seen_from_afar(0)
+    state, seen = point_estimate(np.random.default_rng(0), scene["depth"], scene["camera"])
+    for k in range(3):
+        wrong = state.copy()
+        row = state.rows[k]
+        wrong.rows[k] = make_row(BOX, np.eye(3), row[10:13], row[13:16])
+        wrong.forms[k], wrong.cubes[k], wrong.bottoms[k] = UPRIGHT, False, 0.0
+        wrong = settle(np.random.default_rng(k), seen.image, wrong, Settings(), 200, {k})
+        parts = parts_of(np.random.default_rng(k), seen, wrong, [], Settings(), 1, 4)
+        likeliest = max(parts, key=lambda part: part.weight)
+        assert likeliest.weight > 0.9
+        assert sorted(v.shape for v in likeliest.graph.vertices) == ["cylinder", "plane", "sphere", "sphere"]
+        boxes = parts_of(np.random.default_rng(k), seen, wrong, [], Settings(shapes=("box", "cube")), 1, 4)
+        shapes = {v.shape for part in boxes for v in part.graph.vertices if v.name.startswith(("box", "cube"))}
+        assert shapes <= {"box", "cube"}
 
 
 def test_slabs_that_explain_a_can_become_one():

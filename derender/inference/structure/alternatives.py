@@ -19,21 +19,24 @@ from derender.inference.structure.draws.refined import (
     local_evidence,
     refined_at,
 )
+from derender.inference.structure.draws.sensor import model_image
 from derender.inference.structure.search.greedy import cube_of, spaced
 from derender.inference.structure.solids.graph import names_of
+from derender.inference.structure.solids.image import make_row, rotation_of
 from derender.inference.structure.solids.naming import matched_names, structure_key
-from derender.inference.structure.solids.polish import FREE
+from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR
 from derender.inference.structure.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
 from derender.inference.structure.solids.touch import highest, lowest, penetration
 from derender.inference.structure.threads import in_threads
-from derender.model.solids import BOX, SPHERE
+from derender.model.solids import BOX, CYLINDER, SPHERE
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
+FEW_PIXELS = 80  # in which a solid's shape may hardly show
 QUICK = 100  # steps of each temperature for one changed solid
 
 
@@ -76,12 +79,44 @@ def changed(state, i, row, cube):
     return new
 
 
-def of_one_solid(rng, best, i, rules):
-    """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless."""
+def other_shapes(best, i, shapes):
+    """Return the states in which a solid that shows in few pixels has another of these shapes, as large as it is."""
+    state, (_, label) = best.state, model_image(best.chart, best.values, best.sensor.camera)
+    if np.sum((label == i + 1) & np.isfinite(best.sensor.observed)) > FEW_PIXELS:
+        return []
+    row, kind = state.rows[i], int(state.rows[i][0])
+    size = row[13:16]
+    # a box becomes a can about the axis across which it is most nearly square
+    axis = int(np.argmin([abs(size[k - 1] - size[k - 2]) for k in range(3)])) if kind == BOX else 2
+    order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+    turned = np.eye(3) if kind == SPHERE else rotation_of(row)[:, order]
+    wide, mean = np.sqrt(size[order[0]] * size[order[1]]), np.prod(size) ** (1.0 / 3.0)
+    form = UPRIGHT if kind == SPHERE else state.forms[i] if axis == 2 else FREE
+    found = []
+    if kind != BOX and {"box", "cube"} & set(shapes):
+        found.append((BOX, form, [wide, wide, size[axis]]))
+    if kind != CYLINDER and "cylinder" in shapes:
+        found.append((CYLINDER, form, [wide, wide, size[axis]]))
+    if kind != SPHERE and "sphere" in shapes and i not in state.parents:
+        found.append((SPHERE, FREE, [mean] * 3))
+    states = []
+    for other, form, extents in found:
+        new = changed(state, i, make_row(other, turned, row[10:13], extents), other == BOX and kind == SPHERE)
+        new.rows[i, 12] += lowest(row) - lowest(new.rows[i])
+        new.forms[i] = form
+        states.append(new)
+    return states
+
+
+def of_one_solid(rng, best, i, rules, shapes=()):
+    """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless.
+
+    shapes : names of those that it may be instead, where that hardly shows.
+    """
     floor = floor_pose_of(best)
     height = best.log_prior + best.log_likelihood
     found: list[Refined] = []
-    for state in changes(best, i):
+    for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, i)
         if trial.log_prior + trial.log_likelihood > height - HOPELESS:
             found.append(trial)
@@ -101,7 +136,7 @@ def best_of_each(weighed):
     """Return the likeliest of those with the same structure (cubes that hold different corners at the start)."""
     found: dict[tuple, tuple] = {}
     for trial, odds in weighed:
-        key = (tuple(trial.state.cubes), tuple(trial.state.parents))
+        key = (tuple(trial.state.cubes), tuple(trial.state.parents), tuple(trial.state.rows[:, 0]))
         if key not in found or odds > found[key][1]:
             found[key] = (trial, odds)
     return list(found.values())

@@ -64,13 +64,14 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
     made: dict = {}
 
-    def evidence(rng, refined):
+    def own_evidence(rng, refined):
         """Return its evidence from the draws that it will need anyway, should it stay the best."""
         made["of"], made["draws"] = refined, chains_of(rng, refined, chains, draws)
         return log_evidence(made["draws"], list(range(len(refined.values))))
 
-    kept = weighed_structures(rng, first, total_energy(seen.image, state, settings), pool, settings.rules,
-                              evidence if chains * draws >= WHOLE_DRAWS else whole_evidence)  # fmt: skip
+    evidence = own_evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
+    energy = total_energy(seen.image, state, settings)
+    kept = weighed_structures(rng, first, energy, pool, settings.rules, evidence, settings.shapes)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
     weights = np.exp([odds - kept[0][1] for _, odds, _ in kept])
     weights /= weights.sum()
@@ -88,13 +89,13 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
     return parts
 
 
-def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence):
+def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence, shapes=()):
     """Return (Refined, log odds, names) of the structures that the search met and of those one step from the best.
 
     The likeliest comes first, with odds 0; a solid has the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
-    evidence : of the first, see `whole_evidence`.
+    evidence : of the first, see `whole_evidence`. shapes : names of those that a solid may have instead of its own.
     """
     best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
     for _ in range(MOST_MERGES):
@@ -107,7 +108,7 @@ def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence)
         k = 0
         while k < len(best.state):  # it may lose one on the way
             ahead = range(k, min(k + AHEAD, len(best.state)))
-            tasks = [partial(of_one_solid, best=best, i=i, rules=rules) for i in ahead]
+            tasks = [partial(of_one_solid, best=best, i=i, rules=rules, shapes=shapes) for i in ahead]
             for weighed in in_threads(rng, tasks):
                 k, against = k + 1, best
                 best, others = leading(best, [*others, *weighed])
