@@ -12,7 +12,7 @@ import numpy as np
 from derender.inference.adaptation import first_tuning, rescale
 from derender.inference.chains import Segment
 from derender.inference.kernels.base import Part, Target, Tuning, evaluate, kernels
-from derender.inference.pilots import LOCAL, fly, shaped
+from derender.inference.pilots import ALONE, LOCAL, fly, shaped
 
 
 class Stretch(NamedTuple):
@@ -125,13 +125,16 @@ class MixtureSampler:
         """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
         if self.population <= 1:
             return self
-        local = [part for part in self.parts if part.type in LOCAL] or self.parts
-        total = sum(part.weight for part in local)
-        local = [part._replace(weight=part.weight / total) for part in local]
+        space, alone = self.target.space, {}
+        for block in (block for block in space.blocks if block.name in space.relocations):
+            own = [part for part in self.parts if part.type in ALONE and part.block.name == block.name]
+            if own:
+                alone[block.objects[0]] = self._made(own)
+        local = self._made([part for part in self.parts if part.type in LOCAL] or self.parts)
         backends = [self.backend() for _ in range(chains)]
-        first = self._made(local)
-        movers = [first.twin() for _ in range(chains)]
-        found = fly(self.target.space, backends, self.parts, movers, seed, jobs, self.thin, self.population,
+        movers = [local.twin() for _ in range(chains)]
+        singles = [{name: one.twin() for name, one in alone.items()} for _ in range(chains)]
+        found = fly(space, backends, self.parts, movers, singles, seed, jobs, self.thin, self.population,
                     self.particles)  # fmt: skip
         if found is None:  # nothing possible: each chain starts from the prior on its own
             return self

@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
+from small_scenes import SceneWorld
 from toy_worlds import World
 
+from derender import data_path
 from derender.inference import pilots
 from derender.inference.kernels import mixture
 from derender.inference.kernels.base import Tuning
 from derender.inference.kernels.place_mixture import fitted
 from derender.inference.sampler import MixtureSampler, ReadableBackend
+from derender.inference.settings import Settings
 from derender.inference.space import Block, Unknown
+from derender.inference.target import default_parts
 from derender.model.distributions import distributions
 
 
@@ -33,6 +37,43 @@ def test_pilots_find_every_mode():
     assert 0.1 < np.mean(places > 0) < 0.9
     again = sampler.prepared(2, chains=3, jobs=1)
     np.testing.assert_array_equal(prepared.places, again.places)
+
+
+def tower(seed):
+    """Return a tower of Figure 4 that `scripts/calibrate.py` draws: values, and the target of its image."""
+    world = SceneWorld(data_path("priors/figure-4.yaml").read_text())
+    rng = np.random.default_rng([17, seed])
+    truth = world.space.sample(rng)
+    return truth, world.target(rng, truth)
+
+
+def test_scouts_turn_an_object_back():
+    """Two cubes half a period off, one after the other; twelve numbers cost six nats, give or take two and a half."""
+    truth, target = tower(9)
+    wrong, parts = truth, mixture(target.space, [{"drift": {}}, {"slide": {}}])
+    for name in ("green", "yellow"):
+        wrong = target.put(wrong, {name: target.placement(wrong, name) + [np.pi / 4, 0.0, 0.0]})[0]
+    singles = {
+        name: target.backend([part for part in parts if part.block.objects == (name,)])
+        for name in ("blue", "green", "red", "yellow")
+    }
+    density = np.array(singles["red"].evaluate(wrong))
+    places, densities = pilots.scouted(np.random.default_rng(0), target.space, singles, wrong, density)
+    right = sum(singles["red"].evaluate(truth))
+    assert density.sum() < right - 100.0
+    assert densities.sum(axis=1).max() > right - 8.0
+    np.testing.assert_allclose(singles["red"].evaluate(places[0]), densities[0])
+
+
+@pytest.mark.parametrize("seed", [9, 90])
+def test_pilots_find_the_tower_in_the_image(seed):
+    """Cubes that hide half of each other: one at a wrong angle costs thousands of nats and is hard to turn back."""
+    truth, target = tower(seed)
+    sampler = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
+    prepared = sampler.prepared(seed, chains=4, jobs=2)
+    backend = sampler.backend()
+    best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
+    assert best > sum(backend.evaluate(truth)) - 8.0
 
 
 def test_pilots_climb_until_the_density_has_settled(monkeypatch):

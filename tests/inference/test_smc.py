@@ -18,8 +18,8 @@ class Narrow(World):
     noise = 0.02
 
 
-@pytest.mark.parametrize("broken", [False, True])
-def test_evidence_is_the_integral(broken, monkeypatch):
+@pytest.mark.parametrize("broken, share", [(False, 0.5), (False, 0.25), (True, 0.5)])
+def test_evidence_is_the_integral(broken, share, monkeypatch):
     """A place in [-1, 1] seen through its square: the mean of estimates is it; a twin resamples wrongly."""
     world = Narrow([Unknown("a.contact.x", distributions["uniform"](-1.0, 1.0))], [Block("a.contact", (0,))],
                    lambda values: values**2)  # fmt: skip
@@ -30,8 +30,9 @@ def test_evidence_is_the_integral(broken, monkeypatch):
     if broken:
         genuine = smc.systematic
         monkeypatch.setattr(smc, "systematic", lambda rng, weights, *count: genuine(rng, np.sqrt(weights), *count))
+    backend = ReadableBackend(target, parts)
     ratios = [
-        math.exp(tempered(rng, world.space, ReadableBackend(target, parts), parts, 40, 2).log_evidence - exact)
+        math.exp(tempered(rng, world.space, backend, parts, 40, 2, share=share).log_evidence - exact)
         for rng in np.random.default_rng(2).spawn(200)
     ]
     z = (np.mean(ratios) - 1.0) / (np.std(ratios, ddof=1) / math.sqrt(len(ratios)))
