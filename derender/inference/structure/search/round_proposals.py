@@ -4,10 +4,13 @@ from itertools import combinations
 
 import numpy as np
 
+from derender.inference.bottom_up.outline import convex_outline
 from derender.inference.structure.search.surface import THINNEST, UP, Hypothesis, convex, tangent
 from derender.inference.structure.solids.image import make_row
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.model.solids import CYLINDER, SPHERE
+
+MOST_CORNERS = 16  # of an outline, three of which a circle goes through
 
 
 def fit_sphere(points):
@@ -83,6 +86,7 @@ def cylinders(surface, group):
         if cap:
             flat = np.concatenate([surface.points[k] for k in cap]) @ np.column_stack([u, v])
             choices.append((flat.mean(axis=0), np.sqrt(2 * flat.var(axis=0).mean()) + 0.25 * surface.footprint))
+            choices.extend(rim_circle(flat, surface.footprint))
         heights = points @ axis
         low, high = np.quantile(heights, [0.01, 0.99]) + 0.25 * surface.footprint * np.array([-1, 1])
         if form == UPRIGHT and (low < max(0.02, 2 * surface.footprint) or not side):
@@ -102,6 +106,32 @@ def lying_circle(flat, axes):
     radius = max(0.5 * np.quantile(flat @ up, 0.99), 0.004)
     across = np.array([-up[1], up[0]])
     return radius * up + np.median(flat @ across) * across, radius
+
+
+def rim_circle(flat, footprint):
+    """Return [(centre, radius)] of the circle on which most of the outline of points (N, 2) lies, or [].
+
+    What hides a part of a disc cuts its outline along lines: the mean and the spread of what is left are not the
+    disc's. The circle goes through three corners of the outline, leaves no corner outside, and of all such has the
+    most others near it.
+    """
+    corners = convex_outline(flat)
+    if corners is None or len(corners) < 5:
+        return []
+    corners = corners[np.unique(np.linspace(0, len(corners) - 1, MOST_CORNERS).round().astype(int))]
+    a, b, c = (corners[list(k)] for k in zip(*combinations(range(len(corners)), 3), strict=True))
+    first, second = b - a, c - a
+    area = 2.0 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    one, other = (first**2).sum(axis=1), (second**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (second[:, 1] * one - first[:, 1] * other) / area
+        y = (first[:, 0] * other - second[:, 0] * one) / area
+        centre, radius = a + np.column_stack([x, y]), np.hypot(x, y)
+        beyond = np.linalg.norm(corners[None] - centre[:, None], axis=2) - radius[:, None]
+        near = np.exp(-0.5 * (beyond / (0.5 * footprint)) ** 2).sum(axis=1)
+    near[~(beyond.max(axis=1) < footprint)] = 0.0
+    best = int(np.argmax(near))
+    return [(centre[best], radius[best] + 0.25 * footprint)] if near[best] > 0.0 else []
 
 
 def fit_circle(points):
