@@ -16,10 +16,11 @@ from derender.inference.structure.search.moves import MOVES, recut  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
 from derender.inference.structure.search.shaping import shake, stretch, tilt  # noqa: E402
 from derender.inference.structure.search.supporting import lift, stand  # noqa: E402
-from derender.inference.structure.solids.graph import scene_graph  # noqa: E402
+from derender.inference.structure.solids.graph import pose_of, scene_graph  # noqa: E402
 from derender.inference.structure.solids.image import make_row  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
+from derender.model.pose import rotation_x, rotation_z  # noqa: E402
 from derender.model.scene import ROOT  # noqa: E402
 from derender.model.solids import BOX  # noqa: E402
 
@@ -181,6 +182,22 @@ def test_a_cube_that_leans_a_little_is_one_cube_on_what_bears_it():
     assert state.rows[leaning, 13:16] == pytest.approx(true["size"], abs=0.003)
     support = state.rows[state.parents[leaning], 13:16]
     assert np.sort(support) == pytest.approx(np.sort(scene["objects"][true["parent"]]["size"]), abs=0.003)
+
+
+def test_a_face_against_an_edge_is_where_it_was_seen():
+    """No contact says so: the slack of another does, to the last digit; the pose is not that contact's ideal one."""
+    carrier = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1))
+    rotation = rotation_z(0.1)[:3, :3] @ rotation_x(np.radians(40.0))[:3, :3]
+    leaning = make_row(BOX, rotation, np.array([0.0, 0.0, 0.0]), np.array([0.12, 0.08, 0.08]))
+    edge = np.array([0.0, -0.05, 0.1])
+    leaning[10:13] = edge + rotation @ np.array([0.0, 0.01, 0.04])  # its lower face meets the front edge of the top
+    state = State().add(carrier, UPRIGHT, True, FLOOR, 0.0).add(leaning, FREE, False, 0, np.nan)
+    graph = scene_graph(state, np.eye(4))
+    child = graph.vertex("box_1")
+    assert child.parent == "cube_1"
+    np.testing.assert_allclose(graph.poses()["box_1"], pose_of(leaning), atol=1e-9)
+    ideal = graph.with_numbers({f"box_1.contact.{name}": 0.0 for name in child.contact.values if "tilt" in name})
+    assert np.abs(ideal.poses()["box_1"] - pose_of(leaning)).max() > 0.1  # a broken twin
 
 
 def test_a_piece_that_floats_is_made_to_stand(explained):

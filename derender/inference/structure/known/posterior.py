@@ -16,6 +16,7 @@ from derender.inference.structure.solids.graph import (
     periods_of,
     pose_of,
     vertex_of,
+    without,
 )
 from derender.inference.structure.solids.image import make_row, rotation_of
 from derender.inference.structure.solids.polish import walk
@@ -99,7 +100,10 @@ def graph_of(placed, parents, floor_pose, names) -> SceneGraph:
             vertex = Vertex(names[k], known.shape, known.parameters, ROOT, pose, known.options)
         parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
         contact = best_contact(graph.add(vertex), names[k], parent, item.row)
-        graph = graph.add(vertex if contact is None else replace(vertex, parent=parent, contact=contact))
+        if contact is not None:
+            contact = contact if k in parents else without(contact, "roll")
+            vertex = replace(vertex, parent=parent, contact=contact)
+        graph = graph.add(vertex)
     return graph
 
 

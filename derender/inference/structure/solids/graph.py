@@ -1,21 +1,24 @@
 """From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.structure.solids.image import rotation_of
 from derender.inference.structure.solids.state import FLOOR, State
-from derender.inference.structure.solids.support import LEAST_GAP
+from derender.inference.structure.solids.support import LEAST_GAP, touches
 from derender.model.contacts import contacts
 from derender.model.scene import ROOT, Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, SPHERE
 
 FLOOR_NAME = "floor"
 ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
-# Contacts that hold to these are written as holding exactly.
+# Contacts that hold to these are written as holding exactly; others say where the solid is by their slack, exactly.
 GAP, TILT = 0.004, np.radians(2.0)
+EXACT = 1e-9  # metres
+FAR_FROM_ANY = 0.06  # metres by which a contact and a pose differ that is not by it
 TILTS = ("tilt", "tilt_x", "tilt_y")
 
 
@@ -92,43 +95,68 @@ def scene_graph(
         if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
             row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]
             faces = ("+z", "-z") if upright(row) and (on is None or upright(on)) else (None, None)
-            contact = best_contact(graph.add(vertex), names[k], parent, row, *faces)
+            contact = best_contact(graph.add(vertex), names[k], parent, row, on, *faces)
             if contact is not None:
-                vertex = replace(vertex, parent=parent, contact=contact)
+                vertex = replace(vertex, parent=parent, contact=contact if k in parents else without(contact, "roll"))
         graph = graph.add(vertex)
     return graph
 
 
 def best_contact(
-    graph: SceneGraph, name: str, parent: str, row: np.ndarray, on: str | None = None, by: str | None = None
-) -> Contact | None:
+    graph: SceneGraph, name: str, parent: str, row: np.ndarray, carrier: np.ndarray | None = None,
+    on: str | None = None, by: str | None = None,
+) -> Contact | None:  # fmt: skip
     """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near.
 
-    on, by : the parent's and the child's face, None for any; of a floor it is +z.
+    None where the solid is far from any, unless it touches its carrier: it leans on it with as much slack as that
+    takes, such as a face against an edge, which no contact can say.
+
+    carrier : the parent's row, None for a floor. on, by : the parent's and the child's face, None for any; of a floor
+        it is +z.
     """
-    best, chosen = np.inf, None
+    on = "+z" if parent == FLOOR_NAME else on
+    near = [fit for fit in fits(graph, name, parent, row, lambda kind: [(on, by)]) if fit.missed < GAP]
+    best = min((fit for fit in near if fit.missed < EXACT or fit.tilt < TILT), key=lambda fit: fit.cost, default=None)
+    if best is not None and best.cost < FAR_FROM_ANY and best.gap < LEAST_GAP:
+        if best.tilt > TILT:
+            return best.contact
+        return without(best.contact, *TILTS) if best.gap >= GAP else without(best.contact, *TILTS, "gap")
+    if carrier is None or not touches(row, carrier):
+        return None
+    bodies = graph.body(parent).shape, graph.vertex(name).body.shape
+    leaning = [fit for fit in fits(graph, name, parent, row, lambda kind: contacts[kind].choices(*bodies))
+               if fit.missed < EXACT]  # fmt: skip
+    return min(leaning, key=lambda fit: fit.cost).contact if leaning else None
+
+
+class Fit(NamedTuple):
+    """A Contact with slack, its gap and tilt, by how many metres it still misses the pose, and all of that together."""
+
+    contact: Contact
+    gap: float
+    tilt: float
+    missed: float
+    cost: float
+
+
+def fits(graph, name, parent, row, faces):
+    """Yield the Fit of each kind of contact by each of its (parent's face, child's face) that faces(kind) returns."""
     reach = 0.5 * float(np.linalg.norm(row[13:16]))
     for place, kind in enumerate(ON_A_FACE):
-        try:
-            contact, left = graph.nearest_contact(name, parent, kind, "+z" if parent == FLOOR_NAME else on, by)
-        except DerenderError:
-            continue
-        gap = abs(contact.values.get("gap", 0.0))
-        tilt = float(np.hypot(*[0.0, 0.0, *(contact.values.get(t, 0.0) for t in TILTS)][-2:]))
-        cost = gap + reach * (tilt + left.angle) + left.outside + 0.002 * place
-        if cost < best:
-            best, chosen = cost, (contact, gap, tilt, left)
-    if chosen is None or best > 0.06 or chosen[1] > LEAST_GAP:
-        return None
-    contact, gap, tilt, left = chosen
-    values = dict(contact.values)
-    values.pop("roll", None)  # about its own axis a cylinder may be turned as one likes
-    if gap < GAP:
-        values.pop("gap", None)
-    if tilt < TILT:
-        for t in TILTS:
-            values.pop(t, None)
-    return replace(contact, values=values)
+        for on, by in faces(kind):
+            try:
+                contact, left = graph.nearest_contact(name, parent, kind, on, by)
+            except DerenderError:
+                continue
+            gap = abs(contact.values.get("gap", 0.0))
+            tilt = float(np.linalg.norm([contact.values.get(t, 0.0) for t in TILTS]))
+            missed = left.outside + reach * left.angle
+            yield Fit(contact, gap, tilt, missed, gap + reach * tilt + missed + 0.002 * place)
+
+
+def without(contact: Contact, *names: str) -> Contact:
+    """Return a contact without these numbers; without `roll` a cylinder may be turned about its axis as one likes."""
+    return replace(contact, values={name: value for name, value in contact.values.items() if name not in names})
 
 
 def upright(row: np.ndarray) -> bool:
