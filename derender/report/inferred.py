@@ -97,8 +97,11 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
     seed, command = made["seed"], made["command"]
     compile_ahead("steps" if document is not None and has_objects(document) else "draws")
     if document is not None and has_objects(document):
-        from derender.inference.scene import infer_scene
+        from derender.inference.scene import SMC_PARTICLES, infer_scene
 
+        for option, number in (("--draws", draws), ("--warmup", warmup)):
+            if method == "smc" and number is not None:
+                warn(f"{option} says nothing here: each population of --method smc has {SMC_PARTICLES} particles")
         import_beside(*WRITERS)
         likelihood = document.likelihood or LikelihoodPrior()
         settings = read_settings(document.inference)
