@@ -26,7 +26,8 @@ from derender.model.priors.tree import TreePrior
 from derender.model.scene import SceneGraph
 from derender.vision.likelihoods import likelihoods
 
-STRUCTURE_DRAWS = 300  # of the prior, among which its structures are looked for
+STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
+DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
 MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
@@ -70,9 +71,13 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
     unknown = {a.removeprefix("likelihood."): law for a, law in likelihood.free_addresses().items()}
     rng = np.random.default_rng([seed, 1])
     found: dict[tuple, SceneGraph] = {}
-    for _ in range(STRUCTURE_DRAWS if _is_open(document.prior) else 1):
+    wanted, drawn = STRUCTURE_DRAWS if _is_open(document.prior) else 1, 0
+    while drawn < wanted:
         graph = document.prior.sample(rng)
         found.setdefault(graph.structure(), graph)
+        drawn += 1
+        if len(found) > 1:
+            wanted = min(max(STRUCTURE_DRAWS, DRAWS_EACH * len(found)), MOST_DRAWS)
     shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
     for graph in found.values():
         free = document.prior.free_addresses(graph)

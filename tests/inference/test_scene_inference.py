@@ -8,8 +8,9 @@ from small_scenes import LOOKED_AT, OPENING, TOWER, SceneWorld, read
 from derender.errors import DerenderError
 from derender.inference import diagnostics
 from derender.inference.kernels import mixture
-from derender.inference.scene import infer_scene
+from derender.inference.scene import infer_scene, targets
 from derender.inference.settings import Settings, read_settings
+from derender.vision.camera import Camera
 
 TWO_NUMBERS = (
     OPENING
@@ -126,6 +127,30 @@ def test_open_faces_become_weighted_structures():
     best = result.posterior.best_part
     assert best.weight > 0.95
     assert best.graph.structure() == world.template.structure()
+
+
+def boxes_on_any_face(count: int) -> str:
+    faces = "{categorical: {-z: 1, -x: 1, +x: 1, -y: 1, +y: 1, +z: 1}}"
+    return "".join(
+        f"""
+  box_{k}:
+    shape: {{type: box, length: 0.1, width: 0.08, height: 0.06}}
+    parent: floor
+    contact: {{type: face-to-face, child_face: {faces}, theta: {{uniform: [0, 180 deg]}}, x: {0.2 * k}, y: 0}}"""
+        for k in range(count)
+    )
+
+
+def test_no_structure_is_overlooked():
+    """Three boxes on any of six faces: 216 ways, eight of each say the same, and the 27 are equally likely."""
+    head = "derender: 1\nroot: {distance: 1, elevation: 40 deg}\n"
+    head += "objects:\n  floor: {shape: plane, contact: {type: 6dof}}"
+    image, camera = np.ones((18, 24)), Camera.from_field_of_view(24, 18)
+    found = targets(read(head + boxes_on_any_face(3) + "\n"), image, camera, 0)
+    assert len(found) == 27
+    np.testing.assert_allclose([density for _, density in found], np.log(1 / 27), atol=1e-9)
+    with pytest.raises(DerenderError, match="more than 64 combinations of parents and faces open"):
+        targets(read(head + boxes_on_any_face(4) + "\n"), image, camera, 0)
 
 
 def test_settings_are_data():
