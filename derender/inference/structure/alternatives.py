@@ -18,6 +18,7 @@ from derender.inference.structure.draws.refined import (
     floor_pose_of,
     local_evidence,
     refined_at,
+    without_unseen,
 )
 from derender.inference.structure.draws.sensor import model_image
 from derender.inference.structure.search.greedy import cube_of, spaced
@@ -52,7 +53,10 @@ def supports_within(state, i):
 
 
 def changes(best, i):
-    """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else."""
+    """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else.
+
+    Where two of a box's extents are about as long as a cube's edge the third may be hidden.
+    """
     state = best.state
     row, form = state.rows[i], state.forms[i]
     found = []
@@ -61,7 +65,7 @@ def changes(best, i):
     elif int(row[0]) == BOX:
         origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
         for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
-            if np.abs(row[13:16] - side).max() < 0.6 * side:
+            if np.median(np.abs(row[13:16] - side)) < 0.6 * side:
                 found.append(changed(state, i, cube_of(row, side, origin, form), cube=True))
     if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
         for parent in supports_within(state, i):
@@ -118,7 +122,7 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     found: list[Refined] = []
     for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, i)
-        if trial.log_prior + trial.log_likelihood > height - HOPELESS:
+        if trial.log_prior + trial.log_likelihood > height - HOPELESS and all_seen(trial):
             found.append(trial)
     removed = without(best, i, floor, rules)
     keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
@@ -130,6 +134,11 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     if keep_removed:
         weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
     return weighed
+
+
+def all_seen(trial):
+    """Whether every solid of a Refined shows or carries something: one that does neither could be anywhere at all."""
+    return len(without_unseen(trial.state, trial)) == len(trial.state)
 
 
 def best_of_each(weighed):
@@ -232,7 +241,7 @@ def from_search(rng, best, pool, energy, rules, evidence):
     trials = in_threads(rng, [
         partial(at_mode, state=state, floor_pose=floor, sensor=best.sensor, rules=rules, steps=QUICK) for state in near
     ])  # fmt: skip
-    trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS]
+    trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS and all_seen(t)]
     if not trials:
         return []
     tasks = [partial(evidence, refined=best), *(partial(whole_evidence, refined=each) for each in trials)]

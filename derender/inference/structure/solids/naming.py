@@ -3,20 +3,25 @@
 import numpy as np
 
 from derender.inference.structure.solids.state import FLOOR
+from derender.inference.structure.solids.touch import penetration
 
 
 def matched_names(state, reference, names):
-    """Return names for a state's solids: those of the reference solids that they are, new ones for the others."""
+    """Return names for a state's solids: those of the reference solids that they are, new ones for the others.
+
+    They are the same if they enter each other by half of what is thinnest, however far a hidden side reaches; the
+    nearest first.
+    """
+    pairs = []
+    for k, row in enumerate(state.rows):
+        for j, other in enumerate(reference.rows):
+            if penetration(row, other) > 0.5 * min(row[13:16].min(), other[13:16].min()):
+                pairs.append((float(np.linalg.norm(row[10:13] - other[10:13])), k, names[j]))
     result, used = [""] * len(state), set()
-    for k in range(len(state)):
-        best, found = 0.5 * float(np.min(state.rows[k][13:16])), None
-        for j, name in enumerate(names):
-            distance = float(np.linalg.norm(state.rows[k][10:13] - reference.rows[j][10:13]))
-            if name not in used and distance < best:
-                best, found = distance, name
-        if found is not None:
-            result[k] = found
-            used.add(found)
+    for _, k, name in sorted(pairs):
+        if not result[k] and name not in used:
+            result[k] = name
+            used.add(name)
     fresh = 1
     for k in range(len(state)):
         if not result[k]:
