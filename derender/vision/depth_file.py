@@ -16,6 +16,7 @@ from derender.vision.camera_file import camera_from_tree, read_camera
 from derender.vision.depth_formats import (
     DAMAGE,
     MOST_BYTES,
+    SATURATED,
     SUFFIXES,
     decode_npz,
     encode_npy,
@@ -183,6 +184,8 @@ def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path
             depth *= scale / 1000
         elif depth.max(initial=0, where=np.isfinite(depth)) >= SKY:
             depth[depth >= SKY] = np.nan
+    if array.dtype == np.uint16:
+        depth[array == SATURATED] = np.nan
     depth[~np.isfinite(depth) | (depth == 0)] = np.nan
     valid = depth[np.isfinite(depth)]
     if not valid.size:

@@ -19,6 +19,7 @@ from derender.vision.exr import decode_exr
 
 SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
 MOST_BYTES = 2**30
+SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
 # What decoders raise on damaged files; anything else is a bug and shows its traceback.
 DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
 DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, RuntimeError)  # type: ignore[assignment]
@@ -125,6 +126,8 @@ def _decode_picture(data: bytes) -> Decoded:
         except UnidentifiedImageError:
             remedy = "save a 16-bit .png or a float32 .tiff of one channel"
             raise DerenderError("the picture is damaged, cut off, or of a rare kind", remedy=remedy) from None
+        except Image.DecompressionBombError:
+            raise DerenderError("the picture says that it has too many pixels", remedy="write it again") from None
         if picture.width * picture.height > MOST_PIXELS:
             raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
         if picture.mode in ("1", "L", "P"):
@@ -142,7 +145,7 @@ def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes
     import imageio.v3 as imageio
 
     units = np.round(depth.astype(np.float64) * (1000 / depth_scale))
-    if units.max(initial=0) > 65535:
+    if units.max(initial=0) >= SATURATED:
         what = f"{depth.max():.4g} m does not fit into 16 bits of {depth_scale:g} mm"
         raise DerenderError(what, path, "write .npz, .npy, .tiff or .exr, or a camera with a larger depth_scale")
     return imageio.imwrite("<bytes>", units.astype(np.uint16), extension=".png", plugin="pillow")

@@ -2,7 +2,9 @@
 
 import io
 import json
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +170,14 @@ def test_a_fault_is_one_clear_line_that_names_the_file(fault, tmp_path):
     assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
 
 
+def test_a_saturated_pixel_of_16_bits_is_no_return(tmp_path):
+    units = np.full((12, 16), 800, np.uint16)
+    units[:3] = 65535
+    Image.fromarray(units).save(tmp_path / "saturated.png")
+    depth = read_depth(tmp_path / "saturated.png").depth
+    assert np.isnan(depth[:3]).all() and np.allclose(depth[3:], 0.8)
+
+
 def test_a_depth_scale_that_gives_metres_of_1e5_is_refused():
     with pytest.raises(DerenderError, match=r"opencv_16bit.png: the median depth is .* set --depth-scale"):
         read_depth(FILES / "opencv_16bit.png", depth_scale=1e5)
@@ -185,6 +195,11 @@ def test_a_header_cannot_ask_for_memory_that_the_file_does_not_fill(tmp_path):
         archive.writestr("depth.npy", stream.getvalue() + bytes(10**7))
     with pytest.raises(DerenderError, match="numbers announced"):
         read_depth(tmp_path / "bomb.npz")
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+    (tmp_path / "bomb.png").write_bytes(png)
+    with pytest.raises(DerenderError, match="too many pixels"):
+        read_depth(tmp_path / "bomb.png")
 
 
 def whole_files():
