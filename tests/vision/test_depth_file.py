@@ -195,9 +195,9 @@ def test_a_header_cannot_ask_for_memory_that_the_file_does_not_fill(tmp_path):
         archive.writestr("depth.npy", stream.getvalue() + bytes(10**7))
     with pytest.raises(DerenderError, match="numbers announced"):
         read_depth(tmp_path / "bomb.npz")
-    header = b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
-    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
-    (tmp_path / "bomb.png").write_bytes(png)
+    chunks = (b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0), b"IDAT")
+    packed = (struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks)
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
     with pytest.raises(DerenderError, match="too many pixels"):
         read_depth(tmp_path / "bomb.png")
 
