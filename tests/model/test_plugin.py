@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from geometry import all_choices, contact_faults, random_body, random_values
 
-from derender import registry
 from derender.model.contacts import contacts
 from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.model.shapes import shapes
@@ -18,7 +17,12 @@ from derender.model.solids import MESH
 def plugin(monkeypatch):
     """Announce the plug-in's module by an entry point, as its package's metadata would, and forget it afterwards."""
     point = importlib.metadata.EntryPoint("frustum", "plugin_frustum", "derender.shapes")
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == "derender.shapes" else [])
+    ask = importlib.metadata.entry_points
+
+    def announced(**wanted):
+        return [point] if wanted.get("group") == "derender.shapes" else ask(**wanted)
+
+    monkeypatch.setattr(importlib.metadata, "entry_points", announced)
     for each in (shapes, contacts):
         monkeypatch.setattr(each, "_entries", dict(each._entries))
         monkeypatch.setattr(each, "_loaded", False)
