@@ -1,6 +1,7 @@
 """Jump chains and structure SMC in the form that checkpoints, resuming and several processes ask for.
 
-Scenes that come and go have no fixed row of numbers, so what has been drawn stands in the sampler's state, as text.
+Scenes that come and go have no fixed row of numbers, so what has been drawn stands in the sampler's state, as text:
+a line for each scene, to which a segment adds its own.
 Each segment begins with an engine and a vocabulary of its own: what follows depends on the scene and the generator
 alone, so that a resumed chain equals an uninterrupted one to the last bit.
 """
@@ -93,7 +94,7 @@ class JumpSampler:
         graphs = [drawn.graph for drawn in found.states]
         steps = [[counts[move.name, True] + counts[move.name, False], counts[move.name, True]]
                  for move, _ in self._parts]  # fmt: skip
-        state = {"now": _packed(graphs[-1:]), "drawn": _packed(_unpacked(state["drawn"]) + graphs),
+        state = {"now": _packed(graphs[-1:]), "drawn": np.concatenate([state["drawn"], _packed(graphs)]),
                  "counts": state["counts"] + steps, **more}  # fmt: skip
         densities = (np.array([getattr(drawn, kind) for drawn in found.states]) for kind in State._fields[1:])
         return state, Segment(np.empty((draws, 0)), *densities)
@@ -111,11 +112,12 @@ class JumpSampler:
 
 
 def _packed(graphs: Sequence[SceneGraph]) -> np.ndarray:
-    """Return scenes as the bytes of a text, exact to the last bit of each number."""
-    rows = [{"root_pose": np.asarray(graph.root_pose, float).tolist(), "gravity": list(map(float, graph.gravity)),
+    """Return scenes as the bytes of a text, a line each, exact to the last bit of each number."""
+    rows = ({"root_pose": np.asarray(graph.root_pose, float).tolist(), "gravity": list(map(float, graph.gravity)),
              "vertices": [asdict(vertex) for vertex in graph.vertices],
-             "constraints": [asdict(constraint) for constraint in graph.constraints]} for graph in graphs]  # fmt: skip
-    return np.frombuffer(json.dumps(rows, default=lambda number: number.item()).encode(), np.uint8)
+             "constraints": [asdict(constraint) for constraint in graph.constraints]} for graph in graphs)  # fmt: skip
+    text = "".join(json.dumps(row, default=lambda number: number.item()) + "\n" for row in rows)
+    return np.frombuffer(text.encode(), np.uint8)
 
 
 def _unpacked(packed: np.ndarray) -> list[SceneGraph]:
@@ -130,5 +132,5 @@ def _unpacked(packed: np.ndarray) -> list[SceneGraph]:
             tuple(row["gravity"]),
             tuple(Constraint(**one) for one in row["constraints"]),
         )
-        for row in json.loads(bytes(packed))
+        for row in map(json.loads, bytes(packed).splitlines())
     ]

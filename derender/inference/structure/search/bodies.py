@@ -58,7 +58,8 @@ def find_bodies(points, wanted, footprint):
     points : (H, W, 3) float64, floor frame. wanted : (H, W) bool. footprint : (H, W) metres across a pixel.
     """
     label, count = label_bodies(points, wanted, APART * footprint)
-    return [points[label == k] for k in range(count) if np.sum(label == k) >= FEWEST]
+    pixels = np.bincount(label[label >= 0], minlength=count)  # noise is many bodies of a pixel each
+    return [points[label == k] for k in np.flatnonzero(pixels >= FEWEST)]
 
 
 def body_hypotheses(points, origin, shapes, bottom=0.0):
