@@ -216,7 +216,7 @@ def make_scene(rng, name):
 def make_groups(rng, count=20):
     """Return 20 boxes scattered in three groups, none of which reaches into another, at 320 x 240."""
     from derender.inference.structure.solids.image import make_row
-    from derender.inference.structure.solids.touch import penetration
+    from derender.inference.structure.solids.interpenetration import penetration
     from derender.model.solids import BOX
 
     kinds, sizes, poses, parents = [], [], [], []

@@ -35,14 +35,14 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     first = found[0]
     posterior = first.posterior
     if len(found) > 1:
-        from derender.inference.merged import merged
+        from derender.inference.merge_runs import merge_runs
 
         posteriors = []
         for name, each in zip(folders, found, strict=True):
             if each.posterior is None:
                 raise DerenderError("only posteriors can be put together", name, "give DIRs made by derender infer")
             posteriors.append(each.posterior)
-        posterior = merged(posteriors, folders)
+        posterior = merge_runs(posteriors, folders)
     graph = first.graph if posterior is None else posterior.best_graph()
     image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
     observed, camera = image if image is not None else (None, first.camera)

@@ -13,13 +13,13 @@ from derender.errors import DerenderError
 from derender.inference import workers
 from derender.inference.chains import Plan
 from derender.inference.checkpoint import Record, fingerprint
-from derender.inference.equivalent import representative
 from derender.inference.images import ObservedImage
 from derender.inference.kernels import mixture
 from derender.inference.posterior import Posterior, StructurePosterior
 from derender.inference.sampler import MixtureSampler
 from derender.inference.settings import Settings
 from derender.inference.smc import tempered
+from derender.inference.symmetry import representative
 from derender.inference.target import SceneTarget, default_parts
 from derender.model.priors.base import Prior
 from derender.model.priors.tree import TreePrior
@@ -60,7 +60,7 @@ def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> Ob
 def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
     """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
 
-    Structures that say the same of the world (see `equivalent.py`) are one.
+    Structures that say the same of the world (see `symmetry.py`) are one.
 
     Raises
     ------

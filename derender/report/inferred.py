@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import make_folder
-from derender.beside import import_beside
 from derender.document import LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault
-from derender.inference.ahead import compile_ahead
 from derender.inference.posterior import Posterior
+from derender.inference.precompile import precompile
 from derender.inference.settings import read_settings
 from derender.inference.structure.draws.scene_density import BARE_IMAGE
 from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
+from derender.threads import import_in_background
 from derender.vision.depth_file import read_depth
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
@@ -95,14 +95,14 @@ def _infer(folder, document, seen, image, method, gradient, found, chains, draws
     """Infer by what is given, and write."""
     interrupted, lost = False, {}
     seed, command = made["seed"], made["command"]
-    compile_ahead("steps" if document is not None and has_objects(document) else "draws")
+    precompile("steps" if document is not None and has_objects(document) else "draws")
     if document is not None and has_objects(document):
         from derender.inference.scene import SMC_PARTICLES, infer_scene
 
         for option, number in (("--draws", draws), ("--warmup", warmup)):
             if method == "smc" and number is not None:
                 warn(f"{option} says nothing here: each population of --method smc has {SMC_PARTICLES} particles")
-        import_beside(*WRITERS)
+        import_in_background(*WRITERS)
         likelihood = document.likelihood or LikelihoodPrior()
         settings = read_settings(document.inference)
         given = {"chains": chains, "draws": draws, "warmup": warmup}
@@ -144,7 +144,7 @@ def _importing(progress):
 
     def told(share, message):
         if share > 0.0:
-            import_beside(*WRITERS)
+            import_in_background(*WRITERS)
         if progress:
             progress(share, message)
 

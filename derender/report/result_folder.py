@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import files_together, write_text
-from derender.beside import side_by_side
 from derender.document import LikelihoodPrior, document_text
 from derender.inference.posterior import Posterior
+from derender.threads import run_together
 from derender.vision.depth_file import DepthImage, write_depth
 
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
@@ -124,7 +124,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 
-        side_by_side(partial(write_report, place / "report.html", report), write_numbers)
+        run_together(partial(write_report, place / "report.html", report), write_numbers)
     return Outcome(folder, posterior, report.parameters, doubts, bool(posterior.meta["interrupted"]))
 
 

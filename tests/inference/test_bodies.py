@@ -16,7 +16,7 @@ from derender.inference.structure.search.bodies import body_hypotheses, find_bod
 from derender.inference.structure.search.greedy import Settings, complexity, settle, total_energy  # noqa: E402
 from derender.inference.structure.search.moves import explain_anew  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
-from derender.inference.structure.search.shaping import appear  # noqa: E402
+from derender.inference.structure.search.shape_moves import appear  # noqa: E402
 from derender.inference.structure.solids.image import make_row  # noqa: E402
 from derender.inference.structure.solids.polish import UPRIGHT  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State, held_out, run_polish  # noqa: E402

@@ -7,9 +7,9 @@ from derender.inference.structure.draws.discrepancy import with_offsets
 from derender.inference.structure.scored_posterior import undo_spin
 from derender.inference.structure.search.greedy import Settings
 from derender.inference.structure.solids.image import make_row, rotation_of
+from derender.inference.structure.solids.interpenetration import highest, lowest
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR, State
-from derender.inference.structure.solids.touch import highest, lowest
 from derender.model.pose import rotation_x, rotation_z
 from derender.model.solids import BOX, CYLINDER, SPHERE
 

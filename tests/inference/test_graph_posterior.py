@@ -20,14 +20,14 @@ from derender.inference.structure.draws.chart import (
     solid_log_prior,
     touching_area,
 )
-from derender.inference.structure.draws.continuous import (
+from derender.inference.structure.draws.curvature import Curvature
+from derender.inference.structure.draws.metropolis import (
     engine_of,
     load,
     log_evidence,
     run,
     sample,
 )
-from derender.inference.structure.draws.curvature import Curvature
 from derender.inference.structure.draws.numbers import numbers_of_draws
 from derender.inference.structure.draws.refined import Refined, chains_of, structure_posterior
 from derender.inference.structure.draws.scene_density import scene_log_prior

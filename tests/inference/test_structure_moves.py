@@ -14,8 +14,8 @@ from derender.inference.structure.infer import point_estimate  # noqa: E402
 from derender.inference.structure.search.greedy import Settings, settle, total_energy  # noqa: E402
 from derender.inference.structure.search.moves import MOVES, recut  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
-from derender.inference.structure.search.shaping import shake, stretch, tilt  # noqa: E402
-from derender.inference.structure.search.supporting import lift, stand  # noqa: E402
+from derender.inference.structure.search.shape_moves import shake, stretch, tilt  # noqa: E402
+from derender.inference.structure.search.support_moves import lift, stand  # noqa: E402
 from derender.inference.structure.solids.graph import pose_of, scene_graph  # noqa: E402
 from derender.inference.structure.solids.image import make_row  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT  # noqa: E402

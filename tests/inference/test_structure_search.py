@@ -18,10 +18,10 @@ from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
 from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
 from derender.inference.structure.search.observation import neighbour_correlation, observe, patches_of  # noqa: E402
 from derender.inference.structure.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration  # noqa: E402
 from derender.inference.structure.solids.misfit import added_misfit, misfit_map  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
-from derender.inference.structure.solids.touch import highest, lowest, penetration  # noqa: E402
 from derender.model.pose import random_rotation  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 

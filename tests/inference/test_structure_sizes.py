@@ -7,7 +7,7 @@ from test_graph_posterior import camera, floor_pose, observe, row
 
 from derender.document import read_prior_document
 from derender.inference.structure.draws.chart import SIZE, SLOTS, Rules, make_chart
-from derender.inference.structure.draws.continuous import engine_of, run
+from derender.inference.structure.draws.metropolis import engine_of, run
 from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps
 from derender.inference.structure.infer import settings_of
 from derender.inference.structure.solids.sizes import CUBE, box_log_density, log_density_at, sizes_of

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.stats import multivariate_t
 
+from derender.inference.structure.catalogue.entry import in_order, make_entry
 from derender.inference.structure.draws.chart import Rules, make_chart
-from derender.inference.structure.draws.continuous import engine_of, load
+from derender.inference.structure.draws.metropolis import engine_of, load
 from derender.inference.structure.draws.refined import climb
 from derender.inference.structure.draws.sensor import Sensor, model_depth
-from derender.inference.structure.leaps.entry import in_order, make_entry
 from derender.inference.structure.solids.image import make_row
 from derender.inference.structure.solids.polish import UPRIGHT
 from derender.inference.structure.solids.state import FLOOR, State

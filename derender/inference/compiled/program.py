@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.compiled import poses, steps
-from derender.inference.compiled.keep import touch_anew
+from derender.inference.compiled.contacts import touch_anew
 from derender.inference.compiled.layout import (
     CONTACT,
     HELD,

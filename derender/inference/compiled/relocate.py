@@ -1,4 +1,4 @@
-"""Where objects are put down anew in the world, compiled; see kernels.relocate. Their contacts are `keep`'s to find."""
+"""Where objects are put down anew in the world, compiled; see kernels.relocate. `contacts` finds their contacts."""
 
 import math
 

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from derender.inference.structure.draws.chart import make_chart
-from derender.inference.structure.draws.continuous import engine_of, load, log_evidence, sample
+from derender.inference.structure.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.inference.structure.draws.refined import (
     Refined,
     at_mode,
@@ -24,13 +24,13 @@ from derender.inference.structure.draws.sensor import model_image
 from derender.inference.structure.search.greedy import cube_of, spaced
 from derender.inference.structure.solids.graph import names_of
 from derender.inference.structure.solids.image import make_row, rotation_of
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
 from derender.inference.structure.solids.naming import matched_names, structure_key
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR
 from derender.inference.structure.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
-from derender.inference.structure.solids.touch import highest, lowest, penetration
-from derender.inference.structure.threads import in_threads
 from derender.model.solids import BOX, CYLINDER, SPHERE
+from derender.threads import in_threads
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 FROM_SEARCH = 3  # structures that the search met, at most

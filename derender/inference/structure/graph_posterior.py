@@ -18,7 +18,7 @@ from derender.inference.structure.alternatives import (
     of_one_solid,
     whole_evidence,
 )
-from derender.inference.structure.draws.continuous import log_evidence
+from derender.inference.structure.draws.metropolis import log_evidence
 from derender.inference.structure.draws.refined import (
     at_mode,
     chains_of,
@@ -32,7 +32,7 @@ from derender.inference.structure.scored_posterior import MOST_PARTS, NEGLIGIBLE
 from derender.inference.structure.search.greedy import total_energy
 from derender.inference.structure.solids.graph import names_of
 from derender.inference.structure.solids.naming import matched_names, structure_key
-from derender.inference.structure.threads import in_threads
+from derender.threads import in_threads
 
 MOST_MERGES = 4
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure

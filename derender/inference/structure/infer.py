@@ -84,7 +84,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     camera : Camera, or a dict with fx, fy, cx, cy.
     options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
         draws under the best structures), "map" (the best scene only), "mcmc" or "smc" (chains or populations over
-        structures, see leaps/; also warmup, jobs, folder of checkpoints, resume); floor ("auto", "none", or a plane in
+        structures: catalogue/; also warmup, jobs, folder of checkpoints, resume); floor ("auto", "none", or a plane in
         camera axes), known (a library of known objects or its file), others (whether there may be solids besides them),
         may_overlap and may_float (whether solids may interpenetrate and float), prior (see settings_of).
     rng : numpy Generator; progress : called with (fraction done, message), or None.
@@ -110,7 +110,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         return in_metres(infer_structure(depth / unit, camera, {**options, "floor": floor}, rng, progress), unit)
     plan = None
     if options.get("method") in ("mcmc", "smc"):
-        from derender.inference.structure.leaps.run import leap_parts, read_plan
+        from derender.inference.structure.catalogue.run import leap_parts, read_plan
 
         plan = read_plan(options, depth)
     pool: list = []

@@ -12,21 +12,21 @@ import numpy as np
 from derender.inference.diagnostics import unwrap
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import supports_within
-from derender.inference.structure.draws.continuous import agree
 from derender.inference.structure.draws.discrepancy import with_offsets
+from derender.inference.structure.draws.metropolis import agree
 from derender.inference.structure.search.greedy import sweep, total_energy, try_cube
 from derender.inference.structure.solids.graph import names_of, periods_of, pose_of, scene_graph
 from derender.inference.structure.solids.image import CENTRE, ROTATION, rotation_of
+from derender.inference.structure.solids.interpenetration import highest
 from derender.inference.structure.solids.naming import matched_names, structure_key
 from derender.inference.structure.solids.polish import walk
 from derender.inference.structure.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.inference.structure.solids.support import with_bottom
-from derender.inference.structure.solids.touch import highest
-from derender.inference.structure.threads import in_threads
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
 from derender.model.scene import ROOT
 from derender.model.solids import BOX, CYLINDER, SPHERE
+from derender.threads import in_threads
 
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0

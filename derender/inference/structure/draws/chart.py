@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.solids.image import ROW
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration, reach
 from derender.inference.structure.solids.polish import FREE
 from derender.inference.structure.solids.sizes import CUBE, NO_SIZES, box_log_density, log_density_at
 from derender.inference.structure.solids.state import FLOOR
-from derender.inference.structure.solids.touch import highest, lowest, penetration, reach
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 

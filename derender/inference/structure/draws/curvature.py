@@ -21,8 +21,8 @@ from derender.inference.structure.draws.chart import (
 )
 from derender.inference.structure.draws.steps import touched_by
 from derender.inference.structure.solids.image import ROW
+from derender.inference.structure.solids.interpenetration import lowest, penetration
 from derender.inference.structure.solids.state import FLOOR
-from derender.inference.structure.solids.touch import lowest, penetration
 from derender.vision.blur import blur
 from derender.vision.raycast.engine import propose_state, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD

@@ -1,7 +1,7 @@
 """From the search's best state to draws under the likelihood that the image itself suggests.
 
 The search scores edges pixel by pixel without blur and cuts misfits off; here the sensor's noise, blur and outliers
-are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (continuous.py).
+are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (metropolis.py).
 """
 
 from functools import partial
@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
-from derender.inference.structure.draws.continuous import (
+from derender.inference.structure.draws.metropolis import (
     Draws,
     anneal,
     engine_of,
@@ -24,7 +24,7 @@ from derender.inference.structure.draws.sensor import Sensor, final_sensor, firs
 from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps
 from derender.inference.structure.solids.graph import scene_graph
 from derender.inference.structure.solids.image import ROW
-from derender.inference.structure.threads import THREADS, in_threads
+from derender.threads import THREADS, in_threads
 from derender.vision.camera import Camera
 
 ANNEALING = 200  # steps of each temperature for each solid

@@ -9,10 +9,10 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.inference.structure.draws.chart import Rules, log_prior, make_chart, place_rows
 from derender.inference.structure.solids.image import ROW, make_row
+from derender.inference.structure.solids.interpenetration import lowest
 from derender.inference.structure.solids.polish import FREE, SLACK, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR, State
 from derender.inference.structure.solids.support import LEVEL
-from derender.inference.structure.solids.touch import lowest
 from derender.model.pose import inverse
 from derender.model.scene import SceneGraph
 from derender.model.shapes import shapes

@@ -1,5 +1,5 @@
 """Scene graphs under a prior of open structure, sampled by jump chains or structure SMC: `infer --scene PRIOR --method
-mcmc` or `smc`. Without a prior see structure/leaps."""
+mcmc` or `smc`. Without a prior see structure/catalogue."""
 
 import shutil
 from dataclasses import replace

@@ -14,11 +14,11 @@ from derender.inference.structure.known.image import draw_known, known_misfit, w
 from derender.inference.structure.known.library import Known, turn
 from derender.inference.structure.search.greedy import Settings
 from derender.inference.structure.solids.image import draw, make_row, rotation_of
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
 from derender.inference.structure.solids.misfit import misfit_map
 from derender.inference.structure.solids.polish import FREE
 from derender.inference.structure.solids.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.inference.structure.solids.support import standing_on
-from derender.inference.structure.solids.touch import highest, lowest, penetration
 from derender.model.solids import BOX, MESH, SPHERE
 
 LEAST_TILT = np.radians(0.5)

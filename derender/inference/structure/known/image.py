@@ -5,8 +5,8 @@ As in image.py and polish.py of solids/, in the floor frame; a pose is a rotatio
 
 import numpy as np
 
+from derender.inference.structure.solids.interpenetration import penetration
 from derender.inference.structure.solids.misfit import LIMIT, WALL, blur_into, residual
-from derender.inference.structure.solids.touch import penetration
 from derender.kernel_cache import njit
 from derender.vision.raycast.mesh import _fill
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.search.observation import CORRELATED, REAL_DISCREPANCY
+from derender.inference.structure.solids.interpenetration import highest
 from derender.inference.structure.solids.misfit import added_misfit
 from derender.inference.structure.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
 from derender.inference.structure.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.inference.structure.solids.support import assign_supports, concerned
-from derender.inference.structure.solids.touch import highest
 from derender.model.solids import BOX, SPHERE
 
 # Rounds in which every promising hypothesis is polished, how many are kept then, and rounds for these.

@@ -1,4 +1,4 @@
-"""Moves between structures: take out and explain anew, split, merge, and those of supporting.py and shaping.py.
+"""Moves between structures: take out and explain anew, split, merge, and those of support_moves.py and shape_moves.py.
 
 Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
 None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
@@ -10,12 +10,12 @@ import numpy as np
 from derender.inference.structure.search.bodies import FEWEST, body_hypotheses
 from derender.inference.structure.search.greedy import greedy
 from derender.inference.structure.search.places import pick
-from derender.inference.structure.search.shaping import appear, shake, stretch, tilt
-from derender.inference.structure.search.supporting import lift, put_under, raise_support, stand
+from derender.inference.structure.search.shape_moves import appear, shake, stretch, tilt
+from derender.inference.structure.search.support_moves import lift, put_under, raise_support, stand
 from derender.inference.structure.search.surface import THINNEST
 from derender.inference.structure.solids.image import rotation_of
+from derender.inference.structure.solids.interpenetration import lowest, penetration
 from derender.inference.structure.solids.state import held_out, run_polish
-from derender.inference.structure.solids.touch import lowest, penetration
 from derender.model.solids import BOX, CYLINDER
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another

@@ -9,10 +9,10 @@ from derender.inference.structure.search.focus import refocused
 from derender.inference.structure.search.greedy import greedy, prune, settle, sweep, total_energy
 from derender.inference.structure.search.moves import aligned_pairs, merge_pair, propose
 from derender.inference.structure.search.places import find_places
-from derender.inference.structure.search.supporting import put_under, raise_support, stand
+from derender.inference.structure.search.support_moves import put_under, raise_support, stand
 from derender.inference.structure.solids.image import Image
 from derender.inference.structure.solids.state import State
-from derender.inference.structure.threads import THREADS, in_threads
+from derender.threads import THREADS, in_threads
 
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from derender.inference.structure.solids.interpenetration import penetration
 from derender.inference.structure.solids.state import FLOOR
-from derender.inference.structure.solids.touch import penetration
 
 
 def matched_names(state, reference, names):

@@ -8,8 +8,8 @@ steps are tried, not computed; one try costs the pixels of the solid's rectangle
 
 import numpy as np
 
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
 from derender.inference.structure.solids.misfit import added_misfit
-from derender.inference.structure.solids.touch import highest, lowest, penetration
 from derender.kernel_cache import njit
 from derender.model.solids import BOX, CYLINDER, SPHERE
 

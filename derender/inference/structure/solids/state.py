@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from derender.inference.structure.solids.image import ROW, blank, draw
+from derender.inference.structure.solids.interpenetration import lowest
 from derender.inference.structure.solids.misfit import misfit_map
 from derender.inference.structure.solids.polish import contact_energy, polish, size_energy
-from derender.inference.structure.solids.touch import lowest
 
 FLOOR = -1
 NOTHING = np.empty(0)

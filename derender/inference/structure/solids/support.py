@@ -3,11 +3,11 @@
 import numpy as np
 
 from derender.inference.structure.solids.image import bounding_rectangle
-from derender.inference.structure.solids.loads import shares_of_load
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
 from derender.inference.structure.solids.misfit import added_misfit
 from derender.inference.structure.solids.polish import UPRIGHT, contact_energy, size_energy
 from derender.inference.structure.solids.state import FLOOR, NOTHING, held_out, in_the_way
-from derender.inference.structure.solids.touch import highest, lowest, penetration
+from derender.inference.structure.solids.statics import shares_of_load
 from derender.model.solids import BOX, CYLINDER
 
 NEAR = 0.006

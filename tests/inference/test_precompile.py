@@ -10,9 +10,9 @@ from numba import typeof
 
 from derender import kernel_call
 from derender.document import read_prior_document
-from derender.inference.ahead import PARTS, steps_of_chains
 from derender.inference.compiled import backend, program
 from derender.inference.kernels import mixture
+from derender.inference.precompile import PARTS, steps_of_chains
 from derender.inference.sampler import MixtureSampler
 from derender.inference.scene import targets
 from derender.inference.target import default_parts
@@ -20,7 +20,7 @@ from derender.inference.target import default_parts
 
 @pytest.mark.parametrize("name", PARTS)
 def test_what_is_compiled_ahead_still_runs(name):
-    done = subprocess.run([sys.executable, "-m", "derender.inference.ahead", name], stdin=_open_end(),
+    done = subprocess.run([sys.executable, "-m", "derender.inference.precompile", name], stdin=_open_end(),
                           capture_output=True, text=True, check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
 

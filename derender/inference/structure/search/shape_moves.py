@@ -9,9 +9,9 @@ from derender.inference.structure.search.bodies import body_hypotheses
 from derender.inference.structure.search.greedy import complexity
 from derender.inference.structure.search.places import pick
 from derender.inference.structure.solids.image import rotation_of
+from derender.inference.structure.solids.interpenetration import highest
 from derender.inference.structure.solids.polish import FREE, UPRIGHT, turn
 from derender.inference.structure.solids.state import FLOOR, held_out, run_polish
-from derender.inference.structure.solids.touch import highest
 from derender.model.solids import BOX, SPHERE
 
 BESIDE = 0.01  # metres outside a box's other faces within which a point may belong to it

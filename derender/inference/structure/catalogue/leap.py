@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.leaps.entry import Entry
+from derender.inference.structure.catalogue.entry import Entry
 
 WIDE, WIDER = 0.2, 2.5
 INFLATED = 1.1  # factor of the spread of a normal that was fitted to few draws

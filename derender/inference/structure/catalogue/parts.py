@@ -7,12 +7,12 @@ import numpy as np
 
 from derender.inference import diagnostics
 from derender.inference.checkpoint import Record
-from derender.inference.structure.draws.continuous import Draws
+from derender.inference.structure.catalogue.entry import Entry
+from derender.inference.structure.draws.metropolis import Draws
 from derender.inference.structure.draws.refined import refined_at, structure_posterior
-from derender.inference.structure.leaps.entry import Entry
 
 
-def gathered(entries: Sequence[Entry], sensor, records: Sequence[Record]):
+def parts_of(entries: Sequence[Entry], sensor, records: Sequence[Record]):
     """Return (parts, meta): one part for each entry that was visited, its weight the share of the draws there.
 
     Where the chains were there for unlike numbers of draws, the part has the draws of the shortest of them, or all

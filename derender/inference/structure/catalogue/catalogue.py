@@ -6,13 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
+from derender.inference.structure.catalogue.entry import in_order, make_entry, rebased
 from derender.inference.structure.draws.chart import make_chart
 from derender.inference.structure.draws.refined import Refined, at_mode, floor_pose_of
 from derender.inference.structure.graph_posterior import weighed_structures
-from derender.inference.structure.leaps.entry import in_order, make_entry, rebased
 from derender.inference.structure.solids.naming import structure_key
 from derender.inference.structure.solids.state import State
-from derender.inference.structure.threads import in_threads
+from derender.threads import in_threads
 
 MOST = 10  # entries
 THINKABLE = 25.0  # nats below the best: the chains are to tell

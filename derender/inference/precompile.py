@@ -1,6 +1,6 @@
 """Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
 
-A command says with `compile_ahead` what it will need late. If it comes to compile anything, a process starts that
+A command says with `precompile` what it will need late. If it comes to compile anything, a process starts that
 compiles that, on a scene of a few pixels; the kernels reach the command through the cache (kernel_cache.py), which lets
 no two processes compile the same one.
 """
@@ -16,7 +16,7 @@ from derender.kernel_cache import when_compiling
 WIDTH, HEIGHT = 32, 24  # pixels of the images that are only there to be compiled for
 
 
-def compile_ahead(name: str) -> None:
+def precompile(name: str) -> None:
     """Have the kernels of one of PARTS compiled beside this process, should it compile any; with one processor, not."""
     if len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1:
         when_compiling(functools.partial(_start, name))
@@ -24,7 +24,7 @@ def compile_ahead(name: str) -> None:
 
 @functools.cache  # it keeps the pipe to the other process open as long as this one lives
 def _start(name: str) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-m", "derender.inference.ahead", name], stdin=subprocess.PIPE,
+    return subprocess.Popen([sys.executable, "-m", "derender.inference.precompile", name], stdin=subprocess.PIPE,
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 
@@ -38,7 +38,7 @@ def draws_on_a_floor() -> None:
     """Compile what draws from the posterior of solids found in a bare image."""
     import numpy as np
 
-    from derender.inference.structure.draws import continuous
+    from derender.inference.structure.draws import metropolis
     from derender.inference.structure.draws.chart import Rules, make_chart
     from derender.inference.structure.draws.refined import only_draw, refined_at, structure_posterior
     from derender.inference.structure.draws.sensor import Sensor, model_depth
@@ -59,9 +59,9 @@ def draws_on_a_floor() -> None:
     chart, values = make_chart(state, floor, Rules(SLACK))
     sensor = Sensor(camera, np.full((HEIGHT, WIDTH), 0.8), likelihoods["robust"], {})
     sensor = sensor.changed(sigma=0.01, blur=0.5)
-    engine = continuous.engine_of(chart, sensor)
+    engine = metropolis.engine_of(chart, sensor)
     proposals = make_proposals(single_steps(chart))
-    draws = continuous.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
+    draws = metropolis.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
     model_depth(chart, values, camera)
     refined = refined_at(state, chart, values, sensor, *draws.densities[0])
     structure_posterior(refined, names_of(state), 1.0, [only_draw(refined)])

@@ -8,8 +8,8 @@ ridge), as a stiff but slightly soft contact would share the load.
 import numpy as np
 
 from derender.inference.structure.solids.image import rotation_of
+from derender.inference.structure.solids.interpenetration import clamp_direction, overlap_along, penetration
 from derender.inference.structure.solids.state import FLOOR
-from derender.inference.structure.solids.touch import clamp_direction, overlap_along, penetration
 from derender.model.solids import CYLINDER, SPHERE
 
 FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8

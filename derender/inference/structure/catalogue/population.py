@@ -18,15 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.smc import systematic
+from derender.inference.structure.catalogue.catalogue import pull_of
+from derender.inference.structure.catalogue.chain import Place, Walker
+from derender.inference.structure.catalogue.entry import Entry
+from derender.inference.structure.catalogue.leap import conditional
+from derender.inference.structure.catalogue.region import folded
 from derender.inference.structure.draws.chart import FLOOR_WAYS
-from derender.inference.structure.draws.continuous import engine_of, load, run
+from derender.inference.structure.draws.metropolis import engine_of, load, run
 from derender.inference.structure.draws.sensor import model_image
 from derender.inference.structure.draws.steps import block_steps, make_proposals, single_steps
-from derender.inference.structure.leaps.catalogue import pull_of
-from derender.inference.structure.leaps.chain import Place, Walker
-from derender.inference.structure.leaps.entry import Entry
-from derender.inference.structure.leaps.leap import conditional
-from derender.inference.structure.leaps.region import folded
 
 STEPS = 20  # of each particle for each solid that is there, after each resampling
 ROUNDS = 3  # of walks and leaps at the end

@@ -16,12 +16,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 from scene_makers import SETS, make_scene
 
 from derender.errors import DerenderError
+from derender.inference.structure.catalogue import chain as chains
+from derender.inference.structure.catalogue.chain import Walker
+from derender.inference.structure.catalogue.leap import leap_values, make_leap, shared_of
+from derender.inference.structure.catalogue.population import population
+from derender.inference.structure.catalogue.run import Plan, chain_record, read_plan
 from derender.inference.structure.infer import infer_structure
-from derender.inference.structure.leaps import chain as chains
-from derender.inference.structure.leaps.chain import Walker
-from derender.inference.structure.leaps.leap import leap_values, make_leap, shared_of
-from derender.inference.structure.leaps.population import population
-from derender.inference.structure.leaps.run import Plan, chain_record, read_plan
 
 LIMIT = 4.5  # standard errors
 SIGMA = 0.02  # metres

@@ -7,10 +7,10 @@ import numpy as np
 
 from derender.inference.structure.search.places import pick
 from derender.inference.structure.solids.image import make_row
+from derender.inference.structure.solids.interpenetration import highest, lowest, reach
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR, held_out, run_polish
 from derender.inference.structure.solids.support import LEAST_GAP, shadows_overlap, with_bottom
-from derender.inference.structure.solids.touch import highest, lowest, reach
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 

@@ -11,7 +11,7 @@ from derender.model.pose import inverse
 from derender.model.scene import ROOT
 
 
-def merged(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
+def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posterior:
     """Return several posteriors of the same scene as one with the chains of all, cut to the shortest.
 
     Of each its most probable structure counts. Where runs found the floor in a bare image each for itself, what stands

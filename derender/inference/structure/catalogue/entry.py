@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.inference.structure.catalogue.region import Region, folded
 from derender.inference.structure.draws.chart import FLOOR_WAYS, HELD, PARENT, SLOTS, TURN, VERTICAL, Chart
-from derender.inference.structure.draws.continuous import engine_of, run, sample
+from derender.inference.structure.draws.metropolis import engine_of, run, sample
 from derender.inference.structure.draws.refined import Refined
 from derender.inference.structure.draws.steps import Proposals, block_steps, make_proposals, single_steps
-from derender.inference.structure.leaps.region import Region, folded
 from derender.inference.structure.solids.graph import order_of
 from derender.inference.structure.solids.state import FLOOR, State
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.structure.draws.continuous import engine_of, load, run
-from derender.inference.structure.leaps.catalogue import shares_of
-from derender.inference.structure.leaps.leap import leap_values, make_leap
-from derender.inference.structure.leaps.region import Region, folded
+from derender.inference.structure.catalogue.catalogue import shares_of
+from derender.inference.structure.catalogue.leap import leap_values, make_leap
+from derender.inference.structure.catalogue.region import Region, folded
+from derender.inference.structure.draws.metropolis import engine_of, load, run
 
 LEAPS = 3  # tried after each walk
 

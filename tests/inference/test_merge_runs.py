@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from derender.errors import DerenderError
-from derender.inference.merged import merged
+from derender.inference.merge_runs import merge_runs
 from derender.inference.posterior import Posterior, StructurePosterior
 from derender.model.contacts import contacts
 from derender.model.pose import rotation_z, translation
@@ -27,14 +27,14 @@ def run(floor_pose, values):
 def test_all_chains_are_there_cut_to_the_shortest():
     rng = np.random.default_rng(0)
     runs = [run(np.eye(4), rng.uniform(size=(2, draws, 3))) for draws in (5, 4)]
-    assert merged(runs, ("a", "b")).parts[0].values.shape == (4, 4, 3)
+    assert merge_runs(runs, ("a", "b")).parts[0].values.shape == (4, 4, 3)
 
 
 def test_other_unknowns_are_refused_by_name():
     one = run(np.eye(4), np.ones((1, 2, 3)))
     other = replace(one, parts=(replace(one.best_part, addresses=("a", "b", "c")),))
     with pytest.raises(DerenderError, match="second.*not those of first"):
-        merged([one, other], ("first", "second"))
+        merge_runs([one, other], ("first", "second"))
 
 
 @pytest.mark.parametrize("wandering", [False, True], ids=["fixed", "wandering"])
@@ -50,7 +50,7 @@ def test_a_floor_found_elsewhere_changes_no_pose(wandering):
     first = run(np.eye(4), rng.uniform(size=(1, 6, 3)))
     if wandering:
         other, first = (wander(rng, each) for each in (other, first))
-    joined = merged([first, other], ("a", "b")).parts[0]
+    joined = merge_runs([first, other], ("a", "b")).parts[0]
     for draw in range(6):
         before = other.best_part.graph_at(0, draw).poses()["box"]
         after = joined.graph_at(1, draw).poses()["box"]

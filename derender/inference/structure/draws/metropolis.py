@@ -26,9 +26,9 @@ from derender.inference.structure.draws.steps import (
     unseen_steps,
 )
 from derender.inference.structure.solids.image import ROW
-from derender.inference.structure.threads import in_threads
 from derender.kernel_cache import njit
 from derender.model.solids import PLANE, Solids
+from derender.threads import in_threads
 from derender.vision.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
 from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
 

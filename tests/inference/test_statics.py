@@ -11,8 +11,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 from scene_makers import random_size, settle  # noqa: E402
 
 from derender.inference.structure.solids.image import KINDS, make_row  # noqa: E402
-from derender.inference.structure.solids.loads import push_on, shares_of_load, surface_distance  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR  # noqa: E402
+from derender.inference.structure.solids.statics import push_on, shares_of_load, surface_distance  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 
 

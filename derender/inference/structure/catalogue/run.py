@@ -12,12 +12,12 @@ from derender import __version__
 from derender.errors import DerenderError
 from derender.inference import checkpoint
 from derender.inference.checkpoint import Record, fingerprint
+from derender.inference.structure.catalogue.catalogue import catalogue_of
+from derender.inference.structure.catalogue.chain import Walker
+from derender.inference.structure.catalogue.parts import parts_of
+from derender.inference.structure.catalogue.population import population
 from derender.inference.structure.draws.refined import refine, refined_at
 from derender.inference.structure.graph_posterior import INDEPENDENT
-from derender.inference.structure.leaps.catalogue import catalogue_of
-from derender.inference.structure.leaps.chain import Walker
-from derender.inference.structure.leaps.gathered import gathered
-from derender.inference.structure.leaps.population import population
 from derender.inference.structure.search.greedy import total_energy
 from derender.inference.workers import interruptible
 
@@ -109,7 +109,7 @@ def leap_parts(rng, seen, state, pool, settings, plan: Plan, progress: Tell | No
         raise KeyboardInterrupt
     if not interrupted and plan.folder is not None:
         clear(plan)
-    parts, meta = gathered(entries, sensor, records)
+    parts, meta = parts_of(entries, sensor, records)
     return parts, {**meta, "interrupted": interrupted}
 
 

@@ -1,0 +1,40 @@
+"""Work in several threads: compiled code and waiting for the disk let go of the interpreter."""
+
+import functools
+import importlib.util
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+THREADS = 2  # so that two processors walk in half the time of one
+
+
+@functools.cache
+def import_in_background(*modules: str) -> None:
+    """Begin, once, to import what will be needed later, as far as it is installed."""
+    threading.Thread(target=_import_all, args=(modules,), daemon=True).start()
+
+
+def _import_all(modules) -> None:
+    for module in modules:
+        if importlib.util.find_spec(module.partition(".")[0]) is not None:
+            importlib.import_module(module)
+
+
+def run_together(*tasks: Callable[[], object]) -> None:
+    """Do all tasks, the first in this thread, and return when all are done; the first fault is raised."""
+    with ThreadPoolExecutor(max(len(tasks) - 1, 1)) as pool:
+        others = [pool.submit(task) for task in tasks[1:]]
+        tasks[0]()
+        for other in others:
+            other.result()
+
+
+def in_threads(rng, tasks: Sequence[Callable[[Any], Any]]) -> list:
+    """Return what each task gives for a random generator of its own, whatever the number of threads."""
+    streams = rng.spawn(len(tasks))
+    if len(tasks) < 2:
+        return [task(stream) for task, stream in zip(tasks, streams, strict=True)]
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(lambda task, stream: task(stream), tasks, streams))
