@@ -20,7 +20,7 @@ from derender.inference.structure.search.observation import neighbour_correlatio
 from derender.inference.structure.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
 from derender.inference.structure.solids.interpenetration import highest, lowest, penetration  # noqa: E402
 from derender.inference.structure.solids.misfit import added_misfit, misfit_map  # noqa: E402
-from derender.inference.structure.solids.polish import FREE, UPRIGHT, size_energy, walk  # noqa: E402
+from derender.inference.structure.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
 from derender.model.pose import random_rotation  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
@@ -186,7 +186,7 @@ def test_walks_without_an_image_follow_the_prior_of_sizes(rng):
     image = view_of(rng, np.empty((0, 16)))[0]
     image.weight[:] = 0.0
     depth, misfit = image.floor, np.zeros_like(image.floor)
-    row, scale = upright(0.3, [0, 0, 0.5], [0.09, 0.09, 0.09]), np.full(14, 0.05)
+    row, scale = upright(0.3, [0, 0, 0.5], [0.09, 0.09, 0.09]), np.full(MOVES, 0.05)
     values = []
     nothing, others = np.empty(0), np.empty((0, 16))
     for _ in range(3000):

@@ -19,7 +19,7 @@ from derender.inference.structure.solids.graph import names_of, periods_of, pose
 from derender.inference.structure.solids.image import CENTRE, ROTATION, rotation_of
 from derender.inference.structure.solids.interpenetration import highest
 from derender.inference.structure.solids.naming import matched_names, structure_key
-from derender.inference.structure.solids.polish import walk
+from derender.inference.structure.solids.polish import MOVES, walk
 from derender.inference.structure.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.inference.structure.solids.support import with_bottom
 from derender.model.contacts import contacts
@@ -65,7 +65,7 @@ def draw_chain(rng, image, state, settings, draws, steps):
     """Return rows (draws, N, ROW) and energies (draws,) of one chain."""
     rows, energies = np.empty((draws, *state.rows.shape)), np.empty(draws)
     now = state.copy()
-    scales = np.full((len(now), 14), 1e-3)
+    scales = np.full((len(now), MOVES), 1e-3)
     for sweeps in range(WARMUP + draws):
         early = sweeps < WARMUP
         for index in rng.permutation(len(now)):

@@ -5,8 +5,9 @@ As in image.py and polish.py of solids/, in the floor frame; a pose is a rotatio
 
 import numpy as np
 
-from derender.inference.structure.solids.interpenetration import penetration
-from derender.inference.structure.solids.misfit import LIMIT, WALL, blur_into, residual
+from derender.inference.structure.solids.image import pixels_within
+from derender.inference.structure.solids.misfit import LIMIT, WALL, change_within
+from derender.inference.structure.solids.polish import resting_energy
 from derender.kernel_cache import njit
 from derender.vision.raycast.mesh import _fill
 
@@ -35,11 +36,7 @@ def project(image, vertices, rotation, centre, points):
         v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / w
         points[k, 0], points[k, 1], points[k, 2] = u, v, 1.0 / w
         left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
-    i0 = int(min(max(np.ceil(left), 0), width))
-    i1 = int(min(max(np.floor(right) + 1, i0), width))
-    j0 = int(min(max(np.ceil(top), 0), height))
-    j1 = int(min(max(np.floor(bottom) + 1, j0), height))
-    return i0, i1, j0, j1
+    return pixels_within(left, right, top, bottom, height, width)
 
 
 @njit(cache=True, nogil=True)
@@ -89,8 +86,8 @@ def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, po
     if i0 >= i1 or j0 >= j1:
         return 0.0, low
     rasterise(triangles, points, i0, i1, j0, j1, buffer)
-    total = 0.0
     if image.taps.size == 1:
+        total = 0.0
         for j in range(j0, j1):
             for i in range(i0, i1):
                 weight = image.weight[j, i]
@@ -108,16 +105,7 @@ def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, po
             if i0 <= i < i1 and j0 <= j < j1 and buffer[j, i] > 0.0:
                 z = min(z, 1.0 / buffer[j, i])
             window[j - top, i - left] = min(z, WALL)
-    i0, i1, j0, j1 = max(i0 - radius, 0), min(i1 + radius, width), max(j0 - radius, 0), min(j1 + radius, height)
-    blurred = np.empty((j1 - j0, i1 - i0))
-    blur_into(image.taps, window, i0 - left, i1 - left, j0 - top, j1 - top, blurred)
-    for j in range(j0, j1):
-        for i in range(i0, i1):
-            weight = image.weight[j, i]
-            if weight > 0.0:
-                r = residual(image.depth[j, i], window[j - top, i - left], blurred[j - j0, i - i0])
-                total += min(r * r * weight, LIMIT) - misfit[j, i]
-    return total, low
+    return change_within(image, window, left, top, i0, i1, j0, j1, misfit), low
 
 
 @njit(cache=True, nogil=True)
@@ -127,17 +115,7 @@ def standing_energy(row, low, base, others, skip, slack, lean, tilt):
     row : the object's proxy; low : its lowest point; base : height of what it stands on, NaN for none.
     lean : radians from the way it was said to lie; tilt : their standard deviation.
     """
-    total = 0.5 * (lean / tilt) ** 2
-    if not np.isnan(base):
-        total += 0.5 * ((low - base) / slack) ** 2
-    if low < -slack:
-        total += 0.5 * ((low + slack) / slack) ** 2
-    for k in range(others.shape[0]):
-        if k != skip:
-            depth = penetration(row, others[k])
-            if depth > slack:
-                total += 0.5 * ((depth - slack) / slack) ** 2
-    return total
+    return resting_energy(row, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2
 
 
 @njit(cache=True, nogil=True)

@@ -19,7 +19,7 @@ from derender.inference.structure.solids.graph import (
     without,
 )
 from derender.inference.structure.solids.image import make_row, rotation_of
-from derender.inference.structure.solids.polish import walk
+from derender.inference.structure.solids.polish import MOVES, walk
 from derender.inference.structure.solids.state import FLOOR, NOTHING, in_the_way
 from derender.model.contacts import contacts
 from derender.model.pose import inverse
@@ -127,7 +127,7 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
     density = np.empty((chains, draws))
     for chain in range(chains):
         now = list(placed)
-        scales = [np.full(14, 1e-3) if item.known is None else SCALES / 10 for item in now]
+        scales = [np.full(MOVES, 1e-3) if item.known is None else SCALES / 10 for item in now]
         for draw in range(-3, draws):
             for k in rng.permutation(len(now)):
                 if draw != 0 or chain != 0:  # the very first draw is the best scene as it was polished

@@ -101,6 +101,12 @@ def bounding_rectangle(row, projection, height, width):
         u = (projection[0, 0] * px + projection[0, 1] * py + projection[0, 2] * pz + projection[0, 3]) / w
         v = (projection[1, 0] * px + projection[1, 1] * py + projection[1, 2] * pz + projection[1, 3]) / w
         left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    return pixels_within(left, right, top, bottom, height, width)
+
+
+@njit(cache=True, nogil=True)
+def pixels_within(left, right, top, bottom, height, width):
+    """Return (i0, i1, j0, j1): the pixels, ends excluded, whose centres lie within bounds given in pixels."""
     i0 = int(min(max(np.ceil(left), 0), width))
     i1 = int(min(max(np.floor(right) + 1, i0), width))
     j0 = int(min(max(np.ceil(top), 0), height))

@@ -103,7 +103,18 @@ def added_misfit_blurred(image, row, depth, misfit):
                 dx, dy, dz = in_axes(row, image.direction[j, i, 0], image.direction[j, i, 1], image.direction[j, i, 2])
                 z = min(z, hit(kind, row, ox, oy, oz, dx, dy, dz))
             window[j - top, i - left] = min(z, WALL)
-    # the pixels that may change
+    return change_within(image, window, left, top, i0, i1, j0, j1, misfit)
+
+
+@njit(cache=True, nogil=True)
+def change_within(image, window, left, top, i0, i1, j0, j1, misfit):
+    """Return how the misfit changes when something is drawn into pixels i0..i1, j0..j1 (ends excluded).
+
+    window : depth, not blurred, with what was drawn, of these pixels and all that they are blurred with; its first
+    pixel is (left, top).
+    """
+    height, width = image.depth.shape
+    radius = image.taps.size - 1
     i0, i1, j0, j1 = max(i0 - radius, 0), min(i1 + radius, width), max(j0 - radius, 0), min(j1 + radius, height)
     blurred = np.empty((j1 - j0, i1 - i0))
     blur_into(image.taps, window, i0 - left, i1 - left, j0 - top, j1 - top, blurred)

@@ -16,6 +16,7 @@ from derender.model.solids import BOX, CYLINDER, SPHERE
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6
 SLACK = 0.0015
 UPRIGHT, FREE = 0, 1
+MOVES = 14  # kinds of steps, see try_step
 
 
 @njit(cache=True, nogil=True)
@@ -37,12 +38,18 @@ def contact_energy(row, others, skip, bottom, carried, slack):
     bottom : height of what it stands on, NaN for none.
     carried : (K,) heights of the lowest points of what stands on it.
     """
-    total = 0.0
-    low = lowest(row)
-    if not np.isnan(bottom):
-        total += 0.5 * ((low - bottom) / slack) ** 2
+    total = resting_energy(row, lowest(row), others, skip, bottom, slack)
     for k in range(carried.shape[0]):
         total += 0.5 * min(((highest(row) - carried[k]) / slack) ** 2, 100.0)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def resting_energy(row, low, others, skip, bottom, slack):
+    """Return the energy of a solid whose lowest point is at height `low`: off its support, or inside what is there."""
+    total = 0.0
+    if not np.isnan(bottom):
+        total += 0.5 * ((low - bottom) / slack) ** 2
     if low < -slack:
         total += 0.5 * ((low + slack) / slack) ** 2
     for k in range(others.shape[0]):
@@ -152,6 +159,16 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
 
 
 @njit(cache=True, nogil=True)
+def propose(rng, row, trial, origin, form, cube, tilt, scale):
+    """Write a solid one random step from `row` into `trial`; return (the kind of step, whether it is possible)."""
+    move = int(MOVES * rng.random())
+    step = scale[move] * rng.standard_normal()
+    for n in range(row.size):
+        trial[n] = row[n]
+    return move, try_step(rng, trial, origin, form, cube, tilt, move, step)
+
+
+@njit(cache=True, nogil=True)
 def polish(
     rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, temper, rounds,
     first_step, heat,
@@ -174,14 +191,11 @@ def polish(
     energy = change + temper * size_energy(row, cube) + contact_energy(row, others, skip, bottom, carried, slack)
     energy += temper * tilt_energy(row, form, tilt)
     best, best_energy, best_change = row.copy(), energy, change
-    scale = np.full(14, first_step)
+    scale = np.full(MOVES, first_step)
     trial = np.empty(row.size)
     for k in range(rounds):
-        move = int(14 * rng.random())
-        step = scale[move] * rng.standard_normal()
-        for n in range(row.size):
-            trial[n] = row[n]
-        if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
+        move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
+        if not possible:
             continue
         rest = temper * size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
         rest += temper * tilt_energy(trial, form, tilt)
@@ -218,7 +232,7 @@ def walk(
 
     Parameters
     ----------
-    scale : (14,) float64, standard deviation of each kind of step; changed in place when `adapt` (warm-up only).
+    scale : (MOVES,) float64, standard deviation of each kind of step; changed in place when `adapt` (warm-up only).
     temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
     """
     row = start.copy()
@@ -226,11 +240,8 @@ def walk(
     energy += contact_energy(row, others, skip, bottom, carried, slack) + tilt_energy(row, form, tilt)
     trial = np.empty(row.size)
     for _ in range(steps):
-        move = int(14 * rng.random())
-        step = scale[move] * rng.standard_normal()
-        for n in range(row.size):
-            trial[n] = row[n]
-        if not try_step(rng, trial, image.origin, form, cube, tilt, move, step):
+        move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
+        if not possible:
             continue
         new = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
         new += tilt_energy(trial, form, tilt) + added_misfit(image, trial, depth, misfit) / temper
