@@ -15,7 +15,7 @@ from derender.cli.options import Talk
     metavar="FILE",
     help="The suffix is the format: .glb .obj .xml (MuJoCo) .urdf .json (BOP).",
 )
-@options.verbosity
+@options.quiet
 def command(scene: str, output: str, talk: Talk) -> None:
     """Write a scene file, or the most probable scene of a folder written by `derender infer`, for other programs.
 

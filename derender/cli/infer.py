@@ -6,7 +6,7 @@ import click
 
 from derender.cli import options
 from derender.cli.bar import Bar
-from derender.cli.options import Talk
+from derender.cli.options import Talk, command_line
 
 
 @click.command()
@@ -67,6 +67,13 @@ from derender.cli.options import Talk
 def command(talk: Talk, **arguments) -> int | None:
     """Infer the scene graph behind the depth image IMAGE.
 
+    IMAGE holds depth along the optical axis, not range: 16 bits a pixel (.png, .tiff) in millimetres unless
+    --depth-scale or the camera says otherwise; metres in .npy, float .tiff and .exr; or an .npz that derender wrote.
+    0, NaN, inf and 65535 mean no return; the more background is left in the better, for the floor is found from it,
+    so nobody need say which way is up. The camera is that of the depth image, in its pixels and without lens
+    distortion; a file {"fx": 615, "fy": 615, "cx": 320, "cy": 240} is enough. Without one, a field of view of 60
+    degrees is assumed.
+
     Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
     DIR/report.html, DIR/summary.json and DIR/observation.npz, and prints a table. Ctrl-C writes what there is.
 
@@ -80,9 +87,8 @@ def command(talk: Talk, **arguments) -> int | None:
     from derender.report.inferred import infer_to_folder
 
     bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
-    text = " ".join(["derender", *(argument for argument in sys.argv[1:])])
     try:
-        outcome = infer_to_folder(**arguments, command=text, progress=bar, say=talk.say, warn=talk.warn)
+        outcome = infer_to_folder(**arguments, command=command_line(), progress=bar, say=talk.say, warn=talk.warn)
     finally:
         if bar:
             bar.close()
@@ -90,9 +96,10 @@ def command(talk: Talk, **arguments) -> int | None:
         outcome.print_rich()
     else:
         click.echo(outcome.table())
+    talk.detail(outcome.details())
     talk.say(f"wrote {outcome.folder}/")
     if outcome.interrupted:
         return 130
     for line in outcome.verdict():
-        talk.say(line)
+        talk.say(line, always=bool(outcome.doubts))
     return 3 if arguments["strict"] and outcome.doubts else None

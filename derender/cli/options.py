@@ -27,15 +27,15 @@ class Talk:
 
     Attributes
     ----------
-    level : -1 quiet (warnings only), 0 normal, 1 and more verbose.
+    level : -1 quiet (warnings only), 0 normal, 1 verbose.
     """
 
     def __init__(self, level: int = 0) -> None:
         self.level = level
 
-    def say(self, message: str) -> None:
-        """Say what a person who did not ask for silence should know."""
-        if self.level >= 0:
+    def say(self, message: str, always: bool = False) -> None:
+        """Say what a person who did not ask for silence should know; always: also one who did."""
+        if always or self.level >= 0:
             click.echo(message, err=True)
 
     def counted(self, items: Iterable[Any], total: int, words: str) -> Iterator[Any]:
@@ -52,16 +52,20 @@ class Talk:
         click.echo(f"warning: {message}", err=True)
 
 
-def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add -v and -q; the command gets `talk`, a `Talk`."""
+def quiet(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add -q; the command gets `talk`, a `Talk`."""
 
-    @click.option("-v", "--verbose", count=True, help="Say more on stderr; repeat for still more.")
     @click.option("-q", "--quiet", is_flag=True, help="Say nothing but warnings on stderr.")
     @functools.wraps(function)
-    def wrapper(*arguments: Any, verbose: int, quiet: bool, **keywords: Any) -> Any:
-        return function(*arguments, talk=Talk(-1 if quiet else verbose), **keywords)
+    def wrapper(*arguments: Any, quiet: bool, verbose: bool = False, **keywords: Any) -> Any:
+        return function(*arguments, talk=Talk(-1 if quiet else int(verbose)), **keywords)
 
     return wrapper
+
+
+def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add -v and -q, for commands that have details to tell; the command gets `talk`, a `Talk`."""
+    return click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")(quiet(function))
 
 
 def processors() -> int:

@@ -32,7 +32,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
                    "a DIR, where infer has fitted it to an image.")
 @click.option("--preview", is_flag=True, help="Draw a shaded colour picture instead of depth.")
 @options.seed
-@options.verbosity
+@options.quiet
 def command(
     scenes: tuple[str, ...],
     output: str | None,

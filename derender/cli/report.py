@@ -12,7 +12,7 @@ from derender.cli.options import Talk
 @click.argument("folders", nargs=-1, required=True, metavar="DIR...")
 @options.output("Where to write the page. Default: report.html in the first DIR.", metavar="FILE.html")
 @click.option("--table/--no-table", default=True, show_default=True, help="Print the table of parameters on stdout.")
-@options.verbosity
+@options.quiet
 def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Talk) -> None:
     """Write one HTML page, which needs no network, about what `derender infer` left in DIR; print its table.
 
@@ -56,7 +56,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     if table and report.parameters:
         click.echo(parameter_table(report.parameters))
     for line in verdict(report.doubts, report.parameters):
-        talk.say(line)
+        talk.say(line, always=bool(report.doubts))
 
 
 def title_facts(count: int) -> dict[str, str]:

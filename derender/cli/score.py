@@ -17,7 +17,7 @@ from derender.cli import options
               help="Prior whose log density is printed: a file, a built-in one, or bare-image, which is what infer "
                    "believes without --scene. Default: the one that the scene was made with, else tabletop.")
 @options.as_json
-@options.verbosity
+@options.quiet
 def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
     """Print a scene's log prior, its log likelihood of a depth image, and each object's share of it.
 

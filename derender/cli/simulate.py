@@ -30,7 +30,7 @@ ANIMATIONS = (".gif", ".webp")
 @options.as_json
 @options.jobs
 @options.seed
-@options.verbosity
+@options.quiet
 def command(
     scene: str,
     duration: float,

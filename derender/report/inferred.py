@@ -60,19 +60,21 @@ def infer_to_folder(
         if document.camera.shape == seen.depth.shape:
             seen = seen._replace(camera=document.camera, camera_is_guess=False)
     if seen.camera_is_guess:
-        say(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
+        warn(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
     if not np.any(np.isfinite(seen.depth) & (seen.depth > 0)):
         raise DerenderError("the image has no pixel with a depth", image, "give an image that shows something")
     middle = float(np.median(seen.depth[np.isfinite(seen.depth) & (seen.depth > 0)]))
     if not NEARBY[0] < middle < NEARBY[1]:
         warn(f"the depths lie about {middle:.3g} m away: if that is wrong, give the unit, as in --depth-scale 0.1")
-    if document is not None and has_objects(document):
+    given = document is not None and has_objects(document)
+    if gradient != "exact" and (method != "map" or not given):
+        warn("--gradient says nothing here: it is for --method map with a scene given by --scene")
+    if given:
         for key, value in found.items():
             if value:
                 option = SWITCHES.get(key, "--" + key.replace("_", "-"))
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
-    given = document is not None and has_objects(document)
     if resume and (given or method in ("mcmc", "smc")) and not (folder / "checkpoint").exists():
         say(f"nothing was interrupted in {folder}: beginning anew")
     made = {"seed": seed, "command": command}

@@ -28,6 +28,7 @@ class Outcome:
     rows : of the table, see report.tables.parameter_rows.
     doubts : why the result is not to be trusted, one line each.
     interrupted : by Ctrl-C.
+    sensor : what the likelihood says of it, in words by name. seconds : that inference took.
     """
 
     folder: Path
@@ -35,6 +36,8 @@ class Outcome:
     rows: Sequence[Mapping[str, Any]]
     doubts: tuple[str, ...]
     interrupted: bool
+    sensor: Mapping[str, str]
+    seconds: float
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in three digits: what rests on what."""
@@ -53,6 +56,10 @@ class Outcome:
         from derender.report.trust import verdict
 
         return verdict(self.doubts, self.rows)
+
+    def details(self) -> str:
+        """Return what was found of the sensor, and how long it took, in a line."""
+        return ", ".join([*(f"{name} {words}" for name, words in self.sensor.items()), f"{self.seconds:.2f} s"])
 
     def print_rich(self) -> None:
         """Print the same with colours on a terminal: doubtful rows in red."""
@@ -81,7 +88,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
     """
     from derender.inference.netcdf import write_netcdf
-    from derender.report.html import likelihood_numbers, report_of, write_report
+    from derender.report.html import likelihood_numbers, report_of, sensor_words, write_report
     from derender.report.scene_json import scene_json
 
     graph = posterior.best_graph()
@@ -125,7 +132,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 
         run_together(partial(write_report, place / "report.html", report), write_numbers)
-    return Outcome(folder, posterior, report.parameters, doubts, bool(posterior.meta["interrupted"]))
+    interrupted = bool(posterior.meta["interrupted"])
+    return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(numbers), seconds)
 
 
 def _best_values(part) -> dict[str, float]:

@@ -90,7 +90,7 @@ class Camera:
         points = np.asarray(points, dtype=float)
         return points[..., :2] / points[..., 2:] * (self.fx, self.fy) + (self.cx, self.cy)
 
-    def downscaled(self, factor: int) -> "Camera":
+    def downscaled(self, factor: float) -> "Camera":
         """Return the camera whose pixels are blocks of factor x factor of this one's; a rest at the edge is cut off."""
         offset = (factor - 1) / 2
         return replace(
@@ -99,8 +99,8 @@ class Camera:
             fy=self.fy / factor,
             cx=(self.cx - offset) / factor,
             cy=(self.cy - offset) / factor,
-            width=self.width // factor,
-            height=self.height // factor,
+            width=int(self.width // factor),
+            height=int(self.height // factor),
         )
 
     def to_dict(self) -> dict[str, float]:

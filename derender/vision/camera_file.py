@@ -134,6 +134,9 @@ def _unwrap(tree: dict, frame: str | None) -> object:
             return next(iter(frames.values()))
         names = ", ".join(list(frames)[:5]) + (", ..." if len(frames) > 5 else "")
         raise DerenderError("the frames have different cameras", remedy=f"name the image after one of {names}")
+    lacking = [key for key in ("fx", "fy", "cx", "cy") if key not in tree]
+    if len(lacking) < 4:
+        raise DerenderError("this is not a whole camera", remedy="add " + " and ".join(lacking))
     known = ", ".join(sorted(map(str, tree))[:8])
     remedy = "derender reads BOP, Open3D, ROS camera_info and RealSense cameras"
     raise DerenderError(f"no camera in the keys {known}"[:300], remedy=remedy)

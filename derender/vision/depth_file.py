@@ -4,6 +4,7 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 16-bit images (.png, .tiff, integer .npy) count units of the camera's `depth_scale` millimetres; floats are metres.
 """
 
+import json
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -79,9 +80,18 @@ def read_depth(
     found, guessed = _camera(path, camera, decoded.camera, array.shape)
     if found.shape != array.shape:
         what = f"the image is {array.shape[1]} x {array.shape[0]} pixels, its camera {found.width} x {found.height}"
-        raise DerenderError(what, path, "give the camera of this image")
+        raise DerenderError(what, path, "give the camera of this image" + _at_its_size(found, array.shape))
     depth = _metres(array, found.depth_scale, depth_scale, path)
     return DepthImage(depth, found, guessed, decoded.meta)
+
+
+def _at_its_size(camera: Camera, shape: tuple[int, int]) -> str:
+    """Return what a camera file would have to hold were it the same camera, its image scaled; "" where it cannot be."""
+    factor = camera.width / shape[1]
+    if abs(camera.height - factor * shape[0]) > 0.5 * factor:  # another aspect
+        return ""
+    small = camera.downscaled(factor).to_dict() | {"height": shape[0], "width": shape[1]}
+    return f"; scaled to its size the same would be {json.dumps({key: round(n, 3) for key, n in small.items()})}"
 
 
 def write_depth(

@@ -61,7 +61,10 @@ def test_the_truth_beside_the_image_is_not_read(folder, tmp_path):
 def test_strict_doubts_too_few_draws(folder, tmp_path):
     arguments = [folder / "sample_000.npz", "--scene", "figure-5", "--draws", 5, "--warmup", 0, "-o", tmp_path / "o"]
     assert infer(*arguments, "--strict").return_value == 3
-    assert infer(*arguments).return_value is None
+    quiet = infer(*arguments, "-q")
+    assert quiet.return_value is None
+    assert quiet.stderr.startswith("not to be trusted: ")  # whoever asks for silence is not to be misled
+    assert " s\nwrote" in infer(*arguments, "-v").stderr
 
 
 def test_without_a_camera_it_says_what_it_takes(tmp_path):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from derender.errors import DerenderError
 from derender.vision.camera import Camera
 from derender.vision.camera_file import camera_from_tree, read_camera
+from derender.vision.depth_file import read_depth, write_depth
 
 BOP = '{"cx": 325.2611, "cy": 242.04899, "depth_scale": 0.1,'
 BOP += ' "fx": 572.4114, "fy": 573.57043, "height": 480, "width": 640}'
@@ -152,7 +153,8 @@ def test_what_is_written_is_read_back_exactly(tmp_path):
         ("[1, 2]", "not a camera"),
         ("{}", "not a camera"),
         ("a: [1", "neither JSON nor YAML"),
-        ('{"fx": 1}', "no camera in the keys fx"),
+        ('{"fx": 1}', "not a whole camera; add fy and cx and cy"),
+        ('{"focal": 1}', "no camera in the keys focal"),
         (BOP.replace("640", "0"), "width is 0"),
         (BOP.replace("640", "640.5"), "width is 640.5"),
         (BOP.replace("572.4114", "-572"), "fx is -572"),
@@ -219,6 +221,19 @@ def test_a_block_of_pixels_has_its_ray_at_their_middle():
     small = camera.downscaled(4)
     middle = camera.rays().reshape(12, 4, 16, 4, 3).mean(axis=(1, 3))
     assert np.allclose(small.rays(), middle, atol=1e-12)
+
+
+def test_the_camera_of_a_larger_image_is_told_at_the_size_of_this_one(tmp_path):
+    """As of a phone, whose intrinsics are those of its colour image: what the message says is the camera."""
+    large = Camera(150, 150, 95.5, 71.5, 192, 144)
+    write_depth(tmp_path / "small.npy", np.full((24, 32), 0.8), large)
+    with pytest.raises(DerenderError, match="32 x 24 pixels, its camera 192 x 144") as caught:
+        read_depth(tmp_path / "small.npy", large)
+    told = camera_from_tree(json.loads(str(caught.value)[str(caught.value).index("{") :]))
+    assert told == large.downscaled(6)
+    with pytest.raises(DerenderError) as caught:  # another aspect: not the same camera
+        read_depth(tmp_path / "small.npy", Camera(150, 150, 95.5, 71.5, 192, 108))
+    assert "{" not in str(caught.value)
 
 
 def test_the_fallback_sees_sixty_degrees():

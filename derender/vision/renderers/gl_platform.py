@@ -68,7 +68,8 @@ def load_pyrender() -> types.ModuleType:
         import pyrender
         import pyrender.renderer
     except (ImportError, AttributeError, OSError) as error:
-        raise DerenderError(f"OpenGL cannot draw here: {error}", f"pyrender on {platform}", REMEDY) from error
+        why = ": ".join(str(part) for part in error.args[:2])  # PyOpenGL gives several
+        raise DerenderError(f"OpenGL cannot draw here: {why}", f"pyrender on {platform}", REMEDY) from error
     # A multisample buffer is resolved to one off-centre sample: depth wrong by millimetres.
     pyrender.renderer.glRenderbufferStorageMultisample = _single_sample(pyrender.renderer.glRenderbufferStorage)
     return pyrender
