@@ -45,7 +45,7 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     place("root", 0)
     deepest = max(row.values())
     lying = leaves > MOST_ABREAST
-    width, height, gap, apart = (196, 62, 44, 10) if lying else (196, 46, 44, 18)
+    width, height, gap, apart = (196, 62, 44, 10) if lying else (196, 62, 34, 18)
     if lying:
         total_width = (deepest + 1) * (width + gap) - gap + 12
         total_height = leaves * (height + apart) + 10
@@ -69,17 +69,12 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
             f'fill="none" stroke="#9aa0a8" stroke-width="1.6"{dashes}/>'
         )
 
-    parts, labels = [], []
+    parts = []
     for name, item in objects.items():
         parts.append(line(name, item["parent"] if item.get("parent") in objects else "root", 0.5 * gap))
         parts += [
             line(name, other, 0.0, ' stroke-dasharray="5 4"') for other in item.get("supports", ()) if other in column
         ]
-        x, y = middle(name)
-        labels.append(_text(x, y + 0.5 * height - 9 if lying else y + 0.5 * height + 14, _edge_words(item), size=10.5,
-                            colour="#6a7078", halo=not lying))  # fmt: skip
-    if not lying:
-        parts += labels  # after all lines, which would strike them through
     for name in column:
         x, y = middle(name)
         shown = objects.get(name)
@@ -88,11 +83,11 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
             f'<rect x="{x - 0.5 * width:.1f}" y="{y - 0.5 * height:.1f}" width="{width}" height="{height}" rx="6" '
             f'fill="{fill}" fill-opacity="0.35" stroke="{fill if shown else "#9aa0a8"}" stroke-width="1.6"/>'
         )
-        top = y - 0.5 * height + 19
+        top = y - 0.5 * height + (19 if shown else 27)  # the root has one line less: it rests on nothing
         parts.append(_text(x, top, name, size=13, weight=600))
         parts.append(_text(x, top + 17, _node_words(shown), size=11, colour="#4a4f57"))
-    if lying:
-        parts += labels
+        if shown:
+            parts.append(_text(x, top + 34, _edge_words(shown), size=10.5, colour="#6a7078"))
     scale = min(1.0, 720 / total_width)
     picture = _svg(total_width, total_height, parts, "The scene graph", scale)
     # in a narrow window it is scrolled before its words get too small to read
@@ -175,11 +170,10 @@ def _chain_colour(chain: int) -> str:
     return CHAIN_COLOURS[chain % len(CHAIN_COLOURS)]
 
 
-def _text(x: float, y: float, words: str, size: float, colour: str = "#22252a", weight: int = 400, halo: bool = False):
-    behind = ' stroke="#fff" stroke-width="4" paint-order="stroke"' if halo else ""
+def _text(x: float, y: float, words: str, size: float, colour: str = "#22252a", weight: int = 400) -> str:
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size}" font-weight="{weight}" '
-        f'fill="{colour}"{behind}>{escape(words)}</text>'
+        f'fill="{colour}">{escape(words)}</text>'
     )
 
 

@@ -1,5 +1,7 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
+import math
+
 import numpy as np
 
 from derender.inference.structure.draws.chart import KIND, camera_poses, place_rows
@@ -51,7 +53,7 @@ def numbers_of_draws(chart, draws, graph, names):
     """Return (addresses, values (n, P), periods (P,), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
 
     names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out, and
-        how a cylinder that stands is turned about itself: nothing tells.
+        how a cylinder that stands or a sphere is turned about itself: nothing tells.
     """
     count = len(names)
     parents, codes = np.empty(count, np.int64), np.empty((count, 3), np.int64)
@@ -73,7 +75,7 @@ def numbers_of_draws(chart, draws, graph, names):
         on = graph.body(vertex.parent).shape
         slots = contacts[contact.type].parameters(on, shapes[vertex.shape], contact.parent_face, contact.child_face)
         for slot, parameter in enumerate(slots):
-            spin = vertex.shape == "cylinder" and contact.type == "face-to-face" and parameter.name == "theta"
+            spin = parameter.name == "theta" and math.isinf(shapes[vertex.shape].face_order(contact.child_face))
             if parameter.name in contact.values and not spin:
                 address = f"{name}.contact.{parameter.name}"
                 found[address] = phi[:, k, slot]
@@ -81,6 +83,3 @@ def numbers_of_draws(chart, draws, graph, names):
     addresses = tuple(a for a in graph.numbers() if a in found)
     values = np.stack([found[a] for a in addresses], axis=1) if addresses else np.empty((len(draws), 0))
     return addresses, values, tuple(periods.get(a) for a in addresses), root
-
-
-__all__ = ["contact_numbers", "numbers_of_draws"]
