@@ -10,6 +10,13 @@ from pathlib import Path
 
 from derender.errors import DerenderError
 
+try:
+    import fcntl
+except ImportError:  # not on Windows: there what a killed writer leaves stays
+    fcntl = None  # type: ignore[assignment]
+
+UNFINISHED = ".new-"
+
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
@@ -77,26 +84,66 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """Yield a temporary folder inside `folder`; when the block ends well, its files move up, as one set.
 
     Those of `names` that the block did not write are removed then: nothing of an older set stays beside the new one.
-    After an exception the older set is as it was.
+    After an exception the older set is as it was. What a writer that was killed left half done is removed.
     """
     try:
-        temporary = Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
+        with _own_folder(folder) as temporary:
+            yield temporary
+            written = sorted(temporary.iterdir())
+            for name in names:
+                if (folder / name).is_dir():
+                    remedy = "move it away or choose another place with -o"
+                    raise DerenderError("this is a folder", folder / name, remedy)
+            for name in names:
+                (folder / name).unlink(missing_ok=True)
+            for path in written:
+                path.replace(folder / path.name)
     except OSError as error:
         raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another with -o") from None
+
+
+@contextmanager
+def _own_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new hidden folder that is gone afterwards; those of writers that live no more go too.
+
+    A writer holds a lock on its folder, which the system lets go of when the writer dies, however that comes about.
+    """
+    for left in parent.glob(f"{UNFINISHED}*"):
+        with _lock(left, wait=False) as ours:
+            if ours:
+                shutil.rmtree(left, ignore_errors=True)
+    while True:
+        own = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=parent))
+        with _lock(own) as ours:
+            if not ours:  # another writer took it for a dead one's, in the moment before it was locked
+                continue
+            try:
+                yield own
+            finally:
+                shutil.rmtree(own, ignore_errors=True)
+            return
+
+
+@contextmanager
+def _lock(folder: Path, wait: bool = True) -> Iterator[bool]:
+    """Hold a lock on a folder; yields whether it was got and the folder is still there."""
+    if fcntl is None:
+        yield wait
+        return
     try:
-        yield temporary
-        written = sorted(temporary.iterdir())
-        for name in names:
-            if (folder / name).is_dir():
-                raise DerenderError("this is a folder", folder / name, "move it away or choose another place with -o")
-        for name in names:
-            (folder / name).unlink(missing_ok=True)
-        for path in written:
-            path.replace(folder / path.name)
-    except OSError as error:
-        raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another with -o") from None
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        yield False
+        return
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            held = True
+        except OSError:  # another's, or a file system without locks, where nothing is removed
+            held = wait
+        yield held and folder.exists()
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        os.close(handle)
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -1,9 +1,14 @@
 """A reader never meets half a file."""
 
 import os
+import shutil
+import subprocess
+import sys
+import threading
 
 import pytest
 
+from derender import atomic
 from derender.atomic import atomic_path, files_together, make_folder, write_text
 from derender.errors import DerenderError
 
@@ -64,3 +69,72 @@ def test_a_set_of_files_comes_together_or_not_at_all(tmp_path):
     with pytest.raises(DerenderError, match="this is a folder"), files_together(tmp_path, names) as place:
         write_text(place / "a", "4")
     assert (tmp_path / "a").read_text() == "3"
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from derender.atomic import files_together
+with files_together(Path(sys.argv[1]), ("a",)) as place:
+    (place / "a").write_text("half")
+    print("begun", flush=True)
+    sys.stdin.read()
+    (place / "a").write_text(sys.argv[2])
+"""
+
+
+def writer(folder, text):
+    """Return a process that has begun to write, and ends when its stdin is closed."""
+    process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder), text], stdin=subprocess.PIPE,
+                               stdout=subprocess.PIPE)  # fmt: skip
+    assert process.stdout.readline() == b"begun\n"
+    return process
+
+
+def test_what_a_killed_writer_left_goes_and_a_living_ones_stays(tmp_path):
+    killed, living = writer(tmp_path, "killed"), writer(tmp_path, "living")
+    killed.kill()
+    killed.communicate()
+    assert len(os.listdir(tmp_path)) == 2
+    with files_together(tmp_path, ("a",)) as place:
+        write_text(place / "a", "mine")
+        assert len(os.listdir(tmp_path)) == 2  # the living one's and this one
+    assert (tmp_path / "a").read_text() == "mine"
+    living.communicate()
+    assert os.listdir(tmp_path) == ["a"] and (tmp_path / "a").read_text() == "living"
+
+
+def test_writers_that_begin_at_once_do_not_take_each_other_for_dead(tmp_path, monkeypatch):
+    """One looks for what the dead left whenever another has made its folder and not locked it yet."""
+    make, made = atomic.tempfile.mkdtemp, []
+
+    def make_and_look(prefix, dir):
+        made.append(make(prefix=prefix, dir=dir))
+        if len(made) == 1:
+            shutil.rmtree(made[0])
+        return made[-1]
+
+    monkeypatch.setattr(atomic.tempfile, "mkdtemp", make_and_look)
+    with files_together(tmp_path, ("a",)) as place:
+        write_text(place / "a", "whole")
+    assert len(made) == 2 and os.listdir(tmp_path) == ["a"] and (tmp_path / "a").read_text() == "whole"
+
+
+def test_many_writers_at_once_all_end_with_a_whole_set(tmp_path):
+    faults = []
+
+    def write(number):
+        try:
+            for _ in range(20):
+                with files_together(tmp_path, ("a", "b")) as place:
+                    for name in ("a", "b"):
+                        write_text(place / name, str(number))
+        except BaseException as error:  # noqa: BLE001  (a thread's would be lost)
+            faults.append(error)
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not faults and sorted(os.listdir(tmp_path)) == ["a", "b"]
