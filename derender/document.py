@@ -232,10 +232,15 @@ def document_text(
     return to_yaml(data, LINES)
 
 
-def write_document(path: str | Path, graph: SceneGraph, **parts: Any) -> None:
-    """Write a scene file whole or not at all; `parts` are those of `document_text`."""
-    path = Path(path)
-    write_text(path, document_text(graph, folder=path.parent, **parts))
+def write_document(
+    path: str | Path,
+    graph: SceneGraph,
+    camera: Camera | None = None,
+    likelihood: LikelihoodPrior | None = None,
+    made: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a scene file whole or not at all."""
+    write_text(path, document_text(graph, camera, likelihood, made, Path(path).parent))
 
 
 def graph_data(graph: SceneGraph, folder: Path | None = None) -> dict[str, Any]:

@@ -4,12 +4,11 @@ Scenes are the dictionaries that `derender show --json` prints (see `derender.re
 another system can be judged as well as ours.
 """
 
-from derender.evaluation.convex import box_iou, intersection_over_union, intersection_volume
+from derender.evaluation.convex import intersection_over_union, intersection_volume
 from derender.evaluation.matching import f1, match_planes, match_solids
 from derender.evaluation.metrics import compare_scenes, edges_of, mask_f1
 
 __all__ = [
-    "box_iou",
     "compare_scenes",
     "edges_of",
     "f1",

@@ -91,19 +91,6 @@ def intersection_over_union(a: Mapping[str, Any], b: Mapping[str, Any]) -> float
     return min(1.0, shared / union) if union > 0 else 0.0
 
 
-def box_iou(pose_a: np.ndarray, size_a: np.ndarray, pose_b: np.ndarray, size_b: np.ndarray) -> float:
-    """Return the intersection over union of two oriented boxes.
-
-    Parameters
-    ----------
-    pose_a, pose_b : (4, 4) float64, box to a common frame.
-    size_a, size_b : (3,) float64, full extents in metres.
-    """
-    return intersection_over_union(
-        {"type": "box", "pose": pose_a, "size": size_a}, {"type": "box", "pose": pose_b, "size": size_b}
-    )
-
-
 def _reach(solid: Mapping[str, Any]) -> float:
     """Return the radius of a ball about the solid's origin that holds it."""
     if solid.get("vertices") is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.document import Document, LikelihoodPrior, document_text
+from derender.document import Document, LikelihoodPrior, document_text, write_document
 from derender.model.scene import SceneGraph
 from derender.vision.camera import Camera
 
@@ -32,15 +32,13 @@ class Draw:
     made: Mapping[str, Any]
     rng: np.random.Generator
 
-    def text(self, camera: Camera | None = None, folder: Path | None = None) -> str:
-        """Return the scene's YAML; `camera` replaces the document's, mesh files are named relative to `folder`."""
-        return document_text(self.graph, camera or self.camera, self.likelihood, self.made, folder)
+    def text(self, camera: Camera | None = None) -> str:
+        """Return the scene's YAML; `camera` replaces the document's."""
+        return document_text(self.graph, camera or self.camera, self.likelihood, self.made)
 
     def write(self, path: Path, camera: Camera | None = None) -> None:
         """Write the scene's YAML, whole or not at all."""
-        from derender.atomic import write_text
-
-        write_text(path, self.text(camera, path.parent))
+        write_document(path, self.graph, camera or self.camera, self.likelihood, self.made)
 
     def write_image(self, path: Path, renderer: Any, noise: bool, camera: Camera | None = None) -> None:
         """Render and write the depth image, with noise drawn from the likelihood (Eq. 6) if `noise`."""

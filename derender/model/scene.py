@@ -203,6 +203,22 @@ class SceneGraph:
             constraints = tuple(constraint.renamed(name, new.name) for constraint in constraints)
         return replace(self, vertices=tuple(vertices), constraints=constraints)
 
+    def exchange(self, changed: Mapping[str, Vertex]) -> "SceneGraph":
+        """Return the graph with vertices exchanged by name; those whose parent comes late now come after it."""
+        waiting = [changed.get(vertex.name, vertex) for vertex in self.vertices]
+        placed: list[Vertex] = []
+        done = {ROOT}
+        while waiting:
+            late = []
+            for vertex in waiting:
+                if vertex.parent in done:
+                    placed.append(vertex)
+                    done.add(vertex.name)
+                else:
+                    late.append(vertex)
+            waiting = late
+        return replace(self, vertices=tuple(placed))
+
     def add(self, *vertices: Vertex) -> "SceneGraph":
         """Return the graph with vertices appended."""
         return replace(self, vertices=(*self.vertices, *vertices))
@@ -243,36 +259,7 @@ class SceneGraph:
             what = f"no {type} contact with {parent!r} keeps the pose"
             miss = f"it misses by {1e3 * left.outside:.1f} mm and {np.degrees(left.angle):.1f} degrees"
             raise DerenderError(f"{what}: {miss}", f"{name}.contact")
-        changed = replace(self.vertex(name), parent=parent, contact=contact)
-        below = set(self.descendants(name))
-        before = [v for v in self.vertices if v.name != name and v.name not in below]
-        after = [v for v in self.vertices if v.name in below]
-        return replace(self, vertices=tuple(_in_order([*before, changed, *after], list(self.names))))
-
-    def canonical(self) -> "SceneGraph":
-        """Return the same scene with every theta in its period [0, period): a cube turned by a quarter is the cube.
-
-        The solids stay where they are; the axes of one that was folded turn by one of its symmetries, so what rests on
-        it is written down anew, on the face that now bears the name. What floats (`6dof`) is left as it is.
-        """
-        before, after = self._poses, {ROOT: self._poses[ROOT]}
-        vertices: dict[str, Vertex] = {}
-        for vertex in self.vertices:
-            contact, parent = vertex.contact, vertex.parent
-            parent_body, body = self.body(parent), vertex.body
-            if after[parent] is not before[parent]:
-                relative = inverse(after[parent]) @ before[vertex.name]
-                contact, _ = nearest_contact(relative, parent_body, body, contact.type, None, contact.child_face)
-            faces = contact.parent_face, contact.child_face
-            for parameter in contacts[contact.type].free_parameters(parent_body.shape, body.shape, *faces):
-                if parameter.period is not None:
-                    folded = contact.values.get(parameter.name, 0.0) % parameter.period
-                    contact = replace(contact, values={**contact.values, parameter.name: folded})
-            vertices[vertex.name] = new = replace(vertex, contact=contact)
-            placed = after[parent] @ relative_pose(new, parent_body, body)
-            same = np.abs(placed - before[vertex.name]).max() < 1e-9
-            after[vertex.name] = before[vertex.name] if same else placed
-        return replace(self, vertices=tuple(vertices.values()))
+        return self.exchange({name: replace(self.vertex(name), parent=parent, contact=contact)})
 
     def check(self) -> None:
         """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
@@ -297,16 +284,3 @@ class SceneGraph:
                     raise DerenderError(f"no such support: {support!r}", f"{vertex.name}.supports", remedy)
         for constraint in self.constraints:
             self.vertex(constraint.first), self.vertex(constraint.second)
-
-
-def _in_order(vertices: list[Vertex], names: list[str]) -> list[Vertex]:
-    """Return the vertices with parents first, otherwise as near to the order of `names` as can be."""
-    waiting = sorted(vertices, key=lambda vertex: names.index(vertex.name))
-    placed: list[Vertex] = []
-    done = {ROOT}
-    while waiting:
-        following = next(vertex for vertex in waiting if vertex.parent in done)
-        waiting.remove(following)
-        placed.append(following)
-        done.add(following.name)
-    return placed

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from derender.evaluation.convex import (
-    box_iou,
-    intersection_over_union,
-    intersection_volume,
-    volume_of,
-)
+from derender.evaluation.convex import intersection_over_union, intersection_volume, volume_of
 
 
 def random_rotation(rng):
@@ -26,6 +21,10 @@ def pose_of(rotation=None, position=(0, 0, 0)):
 
 def solid(kind, size, pose=None, **more):
     return {"name": kind, "type": kind, "size": size, "pose": np.eye(4) if pose is None else pose, **more}
+
+
+def box_iou(pose_a, size_a, pose_b, size_b):
+    return intersection_over_union(solid("box", size_a, pose_a), solid("box", size_b, pose_b))
 
 
 def inside(item, points):

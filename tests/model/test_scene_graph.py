@@ -161,33 +161,6 @@ def test_reparent_refuses_cycles_and_faces_that_miss():
         far.reparent("cube_2", "cube_1", "face-to-face")
 
 
-def corners(graph, name):
-    """Return a cube's corners in the camera's frame, sorted: the solid itself, whatever its axes are called."""
-    pose, side = graph.poses()[name], graph.vertex(name).parameters["side"]
-    cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.5 * side
-    found = cube @ pose[:3, :3].T + pose[:3, 3]
-    return found[np.lexsort(np.round(found, 9).T)]
-
-
-def test_canonical_form_folds_theta_and_moves_nothing():
-    """Turned by quarters, and with what rests on its sides hung anew, the scene is the same set of solids."""
-    rng = np.random.default_rng(7)
-    for quarter in (1, 2, 3, -1):
-        graph = tower(rng)
-        side = Vertex("side", "cube", {"side": 0.05}, **on("cube_1", parent_face="+x", theta=0.3, u=0.4, v=0.6))
-        graph = graph.add(side)
-        theta = graph.vertex("cube_1").contact.values["theta"]
-        turned = graph.with_numbers({"cube_1.contact.theta": theta + quarter * math.pi / 2})
-        folded = turned.canonical()
-        assert folded.vertex("cube_1").contact.values["theta"] == pytest.approx(theta, abs=1e-12)
-        assert folded.vertex("side").contact.parent_face != "+x"
-        for name in folded.names[1:]:
-            assert 0 <= folded.vertex(name).contact.values["theta"] < math.pi / 2
-            assert np.abs(corners(folded, name) - corners(turned, name)).max() < 1e-9
-        assert folded.degrees_of_freedom() == turned.degrees_of_freedom()
-        assert graph.canonical() == graph
-
-
 def bridge(height_of_second=0.1, span=0.3, tilt=0.0):
     """Return two towers on a floor and a plank on the first that reaches over the second."""
     floor = Vertex("floor", "plane")

@@ -81,7 +81,6 @@ class Shape:
     edge_names: ClassVar[tuple[str, ...]] = ()
     corner_names: ClassVar[tuple[str, ...]] = ()
     bounded: ClassVar[bool] = True
-    touches_box: ClassVar[bool] = True  # False where the named faces are only those of the box around it
 
     def size(self, psi, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
         """Return the (3,) full extents in metres along the object axes, or None without extent."""

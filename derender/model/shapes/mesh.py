@@ -115,7 +115,6 @@ class Mesh(Shape):
     parameters = (Parameter("scale", "", 0.0, np.inf, 1.0),)
     options = ("file", "hull")
     face_names = FACE_NAMES
-    touches_box = False
 
     def load(self, options) -> LoadedMesh:
         """Return the file's mesh at scale 1."""

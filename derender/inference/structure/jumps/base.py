@@ -58,13 +58,11 @@ class Move:
     ----------
     name : in the registry.
     weight : share of the steps, before normalisation.
-    continuous : whether it leaves the structure alone.
     even : whether q(u' | G') = q(u | G) always: then neither is computed.
     """
 
     name: str = ""
     weight: float = 1.0
-    continuous: bool = False
     even: bool = False
 
     def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:

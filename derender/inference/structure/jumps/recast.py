@@ -204,32 +204,13 @@ def renamed(pose: np.ndarray, extents: np.ndarray, rotation: np.ndarray) -> tupl
     return new, np.abs(rotation.T) @ extents
 
 
-def in_place(graph: SceneGraph, changed: dict[str, Vertex]) -> SceneGraph:
-    """Return the graph with vertices exchanged by name and sorted so that parents come first."""
-    from derender.model.vertex import ROOT
-
-    waiting = [changed.get(vertex.name, vertex) for vertex in graph.vertices]
-    placed: list[Vertex] = []
-    seen = {ROOT}
-    while waiting:
-        late = []
-        for vertex in waiting:
-            if vertex.parent in seen:
-                placed.append(vertex)
-                seen.add(vertex.name)
-            else:
-                late.append(vertex)
-        waiting = late
-    return replace(graph, vertices=tuple(placed))
-
-
 def carry(words, graph: SceneGraph, name: str, new: Vertex, rotation: np.ndarray) -> tuple[SceneGraph, float] | None:
     """Return the graph after `name` became `new`, its axes named anew by R, all above it riding along, and log J."""
     changed = {name: new}
     turned = {name: rotation}
     total = 0.0
     if np.array_equal(rotation, np.eye(3)):
-        new_graph = in_place(graph, changed)
+        new_graph = graph.exchange(changed)
         return (new_graph, 0.0) if same_freedom(words, graph, new_graph, graph.children(name)) else None
     for below in graph.descendants(name):
         vertex = graph.vertex(below)
@@ -243,7 +224,7 @@ def carry(words, graph: SceneGraph, name: str, new: Vertex, rotation: np.ndarray
         total += log_jacobian
         if own is not None:
             turned[below] = own
-    return in_place(graph, changed), total
+    return graph.exchange(changed), total
 
 
 def same_freedom(words, old: SceneGraph, new: SceneGraph, names) -> bool:

@@ -25,7 +25,6 @@ class Resimulate(Move):
     """
 
     weight = 1.0
-    continuous = True
 
     def _blocks(self, words, graph):
         return [

@@ -13,7 +13,6 @@ from derender.inference.structure.jumps.recast import (
     Cast,
     Slot,
     allowed,
-    in_place,
     release,
     renamed,
     same_freedom,
@@ -218,7 +217,7 @@ class SplitMerge(Move):
         upper, rest_high, element_high = found
         children = graph.children(choice.name)
         changed = {name: replace(graph.vertex(name), parent=choice.fresh) for name in children}
-        new = in_place(below.add(upper), changed)
+        new = below.add(upper).exchange(changed)
         if not same_freedom(words, graph, new, children):
             return None
         undo = int(np.argmin(np.abs(ROTATIONS - rotation.T).sum(axis=(1, 2))))
@@ -275,7 +274,7 @@ class SplitMerge(Move):
         changed = {name: replace(graph.vertex(name), parent=choice.lower) for name in children}
         changed[choice.lower] = vertex
         kept = tuple(changed.get(v.name, v) for v in graph.vertices if v.name != choice.upper)
-        new = in_place(replace(graph, vertices=kept), {})
+        new = replace(graph, vertices=kept)
         if not same_freedom(words, graph, new, children):
             return None
         undo = int(np.argmin(np.abs(ROTATIONS - rotation.T).sum(axis=(1, 2))))

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from derender.inference.structure.jumps.base import Applied, Move, moves
-from derender.inference.structure.jumps.recast import in_place, same_freedom
+from derender.inference.structure.jumps.recast import same_freedom
 from derender.inference.structure.jumps.vocabulary import log_uniform_choice
 from derender.model.scene import Contact
 
@@ -58,7 +58,7 @@ class Transplant(Move):
 
     def apply(self, words, graph, choice):
         vertex = graph.vertex(choice.name)
-        new = in_place(graph, {choice.name: replace(vertex, parent=choice.parent, contact=choice.contact)})
+        new = graph.exchange({choice.name: replace(vertex, parent=choice.parent, contact=choice.contact)})
         if not same_freedom(words, graph, new, graph.children(choice.name)):
             return None
         return Applied(new, Place(choice.name, vertex.parent, vertex.contact), 0.0)

@@ -38,7 +38,6 @@ class Wiggle(Move):
     """
 
     weight = 12.0
-    continuous = True
     even = True
 
     def objects(self, words, graph):
