@@ -44,17 +44,19 @@ MOST_REDUCED = 2
 MOST_BACKGROUND = 0.1  # share of the pixels that show what the engine does not know: the room behind a table
 
 
-def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False):
+def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False, closer=None):
     """Return the parts of the posterior about the search's best state.
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
+    closer : Observation of more pixels for a real sensor's draws, None: they are of the same.
     """
+    closer = seen if closer is None else closer
     knowable = seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
     if len(state) and seen.correlation < INDEPENDENT and knowable:
         return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
     if only_best:
-        return [part_of(rng, seen.image, state, settings, seen.floor.pose, names_of(state), 1.0, 1, 1)]
-    return posterior_parts(rng, seen.image, state, pool, settings, seen.floor.pose, chains, draws)
+        return [part_of(rng, seen, closer, state, settings, names_of(state), 1.0, 1, 1)]
+    return posterior_parts(rng, seen, closer, state, pool, settings, chains, draws)
 
 
 def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):

@@ -6,7 +6,7 @@ from derender.errors import DerenderError
 from derender.inference.bottom_up.given_floor import read_floor
 from derender.inference.structure.search.bodies import body_hypotheses, find_bodies
 from derender.inference.structure.search.greedy import Settings
-from derender.inference.structure.search.observation import observe, patches_of
+from derender.inference.structure.search.observation import CORRELATED, closer_look, observe, patches_of
 from derender.inference.structure.search.proposals import all_hypotheses
 from derender.inference.structure.search.searches import search
 from derender.inference.structure.search.surface import make_surface
@@ -131,7 +131,9 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     elif plan is not None and len(state):
         parts, told = leap_parts(rng, seen, state, pool, settings, plan, progress)
     else:
-        parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best)
+        real = seen.factor > 1 and seen.correlation > CORRELATED
+        closer = closer_look(seen, depth, camera) if real else None
+        parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
     parts = with_bridges(parts, settings.slack)
     if isinstance(plane, str):
         parts = [without_floor(part) for part in parts]

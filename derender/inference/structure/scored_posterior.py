@@ -33,6 +33,7 @@ NEGLIGIBLE = 8.0
 MOST_PARTS = 12
 # Steps of each solid between two draws, and how many times as many where the chains do not agree; sweeps of warm-up.
 STEPS, MORE, WARMUP = 120, 3, 4
+STEPPING = 0.002, 0.001  # metres of the first steps of two sweeps in a closer look
 
 
 def refresh_bottom(state, index):
@@ -162,8 +163,22 @@ def alternatives(rng, image, state, settings):
         yield new, total_energy(image, new, settings)
 
 
-def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draws):
+def polished_closer(rng, seen, closer, state, settings):
+    """Return (state, settings) for a closer look: the state polished on more pixels, which tell as much as fewer."""
+    times = seen.factor / closer.factor
+    settings = settings.for_pixels(times**2)
+    as_firm = settings._replace(slack=settings.slack / times)  # the search does not temper contacts
+    state = state.copy()
+    for step in STEPPING:
+        sweep(rng, closer.image, state, as_firm, 400, step, 0.0)
+    return state, settings
+
+
+def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
     """Return the StructurePosterior of one structure."""
+    image, floor_pose = closer.image, closer.floor.pose
+    if closer is not seen:
+        state, settings = polished_closer(rng, seen, closer, state, settings)
     graph = scene_graph(state, floor_pose, names, settings.may_float)
     addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names)
     periods = periods_of(graph, addresses)
@@ -189,11 +204,13 @@ def part_of(rng, image, state, settings, floor_pose, names, weight, chains, draw
     )
 
 
-def posterior_parts(rng, image, state, pool, settings, floor_pose, chains=2, draws=100):
+def posterior_parts(rng, seen, closer, state, pool, settings, chains=2, draws=100):
     """Return the parts of the posterior: the best structure with full chains, the others with short ones.
 
+    seen : Observation by which structures are weighed; closer : that under which their numbers are drawn.
     pool : states that the search came by, with their energies.
     """
+    image = seen.image
     names = names_of(state)
     best = total_energy(image, state, settings)
     found: dict[tuple, tuple[State, float]] = {structure_key(state, names): (state, best)}
@@ -219,6 +236,6 @@ def posterior_parts(rng, image, state, pool, settings, floor_pose, chains=2, dra
     for (other, _), weight in zip(polished, weights, strict=True):
         own = names if other is state else matched_names(other, state, names)
         leading = weight == weights.max()
-        parts.append(part_of(rng, image, other, settings, floor_pose, own, float(weight),
+        parts.append(part_of(rng, seen, closer, other, settings, own, float(weight),
                              chains if leading else 1, draws if leading else max(draws // 5, 2)))  # fmt: skip
     return parts

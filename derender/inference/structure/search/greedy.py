@@ -88,10 +88,14 @@ class Settings(NamedTuple):
         if correlation < 0.1:
             return self
         factor = ((1 + correlation) / (1 - correlation)) ** 1.5
-        return self._replace(price=self.price * factor, cube_bonus=self.cube_bonus * factor,
-                             free_price=self.free_price * factor, floating_price=self.floating_price * factor,
-                             clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK, temper=factor,
-                             discrepancy=discrepancy)  # fmt: skip
+        return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
+                                                discrepancy=discrepancy)  # fmt: skip
+
+    def for_pixels(self, many):
+        """Return the settings for an image of which so `many` pixels tell as much as one did."""
+        return self._replace(price=self.price * many, cube_bonus=self.cube_bonus * many,
+                             free_price=self.free_price * many, floating_price=self.floating_price * many,
+                             temper=self.temper * many)  # fmt: skip
 
 
 def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
