@@ -76,7 +76,8 @@ def steps_of_chains() -> None:
 
     from derender.document import read_prior_document
     from derender.inference.adaptation import first_tuning
-    from derender.inference.compiled.program import Addresses, addresses_of, chain_of, kernels_of, model_of
+    from derender.inference.compiled.mixture import Addresses, addresses_of, kernels_of
+    from derender.inference.compiled.model import chain_of, model_of
     from derender.inference.compiled.standing import stand_all
     from derender.inference.compiled.steps import sweep
     from derender.inference.kernels import mixture

@@ -60,7 +60,7 @@ class SceneTarget:
     def backend(self, parts: list[Part], cycle: bool = False):
         """Return the compiled backend, or the readable one where the model or the mixture has no compiled form."""
         from derender.inference.compiled.backend import CompiledBackend
-        from derender.inference.compiled.program import NotCompiled
+        from derender.inference.compiled.model import NotCompiled
         from derender.inference.sampler import ReadableBackend
 
         try:

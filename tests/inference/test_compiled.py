@@ -9,7 +9,7 @@ from small_scenes import SCENES, TOWER, SceneWorld
 
 from derender.inference.adaptation import first_tuning
 from derender.inference.compiled.backend import CompiledBackend
-from derender.inference.compiled.program import NotCompiled
+from derender.inference.compiled.model import NotCompiled
 from derender.inference.kernels.base import Info, kernels, mixture
 from derender.inference.kernels.newton import Newton
 from derender.inference.sampler import ReadableBackend

@@ -10,7 +10,8 @@ from numba import typeof
 
 from derender import kernel_call
 from derender.document import read_prior_document
-from derender.inference.compiled import backend, program
+from derender.inference.compiled import backend
+from derender.inference.compiled import mixture as arrays
 from derender.inference.kernels import mixture
 from derender.inference.precompile import PARTS, steps_of_chains
 from derender.inference.sampler import MixtureSampler
@@ -46,7 +47,7 @@ def test_the_steps_of_chains_are_compiled_for_the_types_that_a_chain_has(monkeyp
         patched.setattr(kernel_call, "address_of", lambda kernel, *given: noted(kernel, asked, lambda *_: 0)(*given))
         steps_of_chains()
     monkeypatch.setattr(backend, "sweep", noted(backend.sweep, used, backend.sweep))
-    monkeypatch.setattr(program, "stand_all", noted(program.stand_all, used, program.stand_all))
+    monkeypatch.setattr(arrays, "stand_all", noted(arrays.stand_all, used, arrays.stand_all))
     document = read_prior_document("figure-4")
     target = targets(document, np.full(document.camera.shape, 0.9), document.camera, 0)[0][0]
     sampler = MixtureSampler(target, mixture(target.space, default_parts()), particles=2)

@@ -8,16 +8,8 @@ import numpy as np
 
 from derender.inference.compiled.evaluate import load
 from derender.inference.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels
-from derender.inference.compiled.program import (
-    addresses_of,
-    chain_of,
-    held,
-    kernels_of,
-    model_of,
-    places_seen,
-    readable_parts,
-    rescaled,
-)
+from derender.inference.compiled.mixture import addresses_of, kernels_of, places_seen, readable_parts, rescaled
+from derender.inference.compiled.model import chain_of, held, model_of
 from derender.inference.compiled.steps import WINDOW, sweep
 from derender.inference.compiled.view import LoadedTarget
 from derender.inference.kernels import kernels
