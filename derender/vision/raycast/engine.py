@@ -24,7 +24,7 @@ from derender.model.solids import MESH
 from derender.vision.raycast.depth import bound_address, rasterise_address
 from derender.vision.raycast.filter import blur_for
 from derender.vision.raycast.lane_names import LANES
-from derender.vision.raycast.region import draw_region, score_region
+from derender.vision.raycast.region import DRAWN, SCORED, add_region, draw_region, score_region, whole_image
 from derender.vision.raycast.score import score_gaussian, score_robust
 from derender.vision.raycast.state import (
     ACCEPTED,
@@ -37,7 +37,6 @@ from derender.vision.raycast.state import (
     GAUSSIAN,
     HEIGHT,
     LIKELIHOOD,
-    MARGIN,
     MESHES,
     OBSERVED,
     PAD,
@@ -59,7 +58,6 @@ from derender.vision.raycast.state import (
 )
 
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
-DRAWN, SCORED = 0, 1
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -95,15 +93,8 @@ def _prepare(state, half, k):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _whole(settings, region):
-    """Make a region the whole image."""
-    region[0], region[1] = 0, (settings[WIDTH] + LANES - 1) // LANES * LANES
-    region[2], region[3] = 0, settings[HEIGHT]
-
-
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def _rescore(settings, parameters, total, taps, images, strip, region):
-    _whole(settings, region)
+    whole_image(settings, region)
     total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
     settings[STALE] = 1
     return _log_likelihood(settings, parameters, total[CURRENT])
@@ -131,7 +122,7 @@ def load_state(state, poses, sizes):
             state.size[CURRENT, k, i] = sizes[k, i]
         _prepare(state, CURRENT, k)
     settings[PENDING], settings[REGIONS] = 0, 0
-    _whole(settings, region)
+    whole_image(settings, region)
     call_for_nothing(settings[DRAW], settings, state.parameters, state.images, state.kind, state.prepared,
                      state.rectangle, CURRENT, region)
     return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
@@ -162,43 +153,6 @@ def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
         _copy_pixels(images, first + source, first + target, r[0], r[1], r[2], r[3])
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _touch(a, b):
-    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
-
-
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _add_region(settings, regions, rectangle):
-    """Add a rectangle to the proposal's regions, swallowing those whose scored regions it touches.
-
-    A drawn region's columns are padded to a multiple of LANES, and so are those of its scored region, which is all that
-    the blur can reach from it.
-    """
-    left, right, top, bottom = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
-    if left >= right:
-        return
-    width, height, margin = settings[WIDTH], settings[HEIGHT], settings[MARGIN]
-    count, k = settings[REGIONS], -1
-    while k < count:
-        if k >= 0:
-            if not _touch(regions[SCORED, k], regions[SCORED, count]):
-                k += 1
-                continue
-            left, right = min(left, regions[DRAWN, k, 0]), min(max(right, regions[DRAWN, k, 1]), width)
-            top, bottom = min(top, regions[DRAWN, k, 2]), max(bottom, regions[DRAWN, k, 3])
-            count -= 1
-            for i in range(4):
-                regions[DRAWN, k, i], regions[SCORED, k, i] = regions[DRAWN, count, i], regions[SCORED, count, i]
-        drawn, scored = regions[DRAWN, count], regions[SCORED, count]
-        drawn[0], drawn[1] = left, left + (right - left + LANES - 1) // LANES * LANES
-        drawn[2], drawn[3] = top, bottom
-        first, end = max(left - margin, 0), min(right + margin, width)
-        scored[0], scored[1] = first, first + (end - first + LANES - 1) // LANES * LANES
-        scored[2], scored[3] = max(top - margin, 0), min(bottom + margin, height)
-        k = 0
-    settings[REGIONS] = count + 1
-
-
 @njit(cache=True, nogil=True)
 def propose_state(state, count, indices, poses, sizes):
     """Return the log likelihood with some solids moved or resized; `settle_state` must follow.
@@ -223,8 +177,8 @@ def propose_state(state, count, indices, poses, sizes):
         for i in range(3):
             size[CANDIDATE, k, i] = sizes[n, i]
         _prepare(state, CANDIDATE, k)
-        _add_region(settings, regions, rectangle[CURRENT, k])
-        _add_region(settings, regions, rectangle[CANDIDATE, k])
+        add_region(settings, regions, rectangle[CURRENT, k])
+        add_region(settings, regions, rectangle[CANDIDATE, k])
     change = 0.0
     for n in range(settings[REGIONS]):
         call_for_nothing(settings[DRAW], settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE,

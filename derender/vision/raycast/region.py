@@ -1,4 +1,7 @@
-"""Draw and score a rectangle of the image: the one piece of work that full and incremental evaluation share."""
+"""Draw and score a rectangle of the image: the one piece of work that full and incremental evaluation share.
+
+A proposal's rectangles are those of what moved, before and after; where they would touch, one that holds both.
+"""
 
 import numpy as np
 
@@ -12,13 +15,16 @@ from derender.vision.raycast.state import (
     BLUR,
     DEPTH,
     HEIGHT,
+    MARGIN,
     MESHES,
     PAD,
     RATE,
+    REGIONS,
     SCORE,
     WIDTH,
 )
 
+DRAWN, SCORED = 0, 1  # of a region: the columns and rows that are drawn, and the wider ones that the blur reaches
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def draw_region(settings, parameters, images, kind, prepared, rectangle, half, region):
@@ -53,3 +59,47 @@ def score_region(settings, parameters, taps, images, strip, half, region):
     call_for_nothing(settings[BLUR], images[DEPTH + half], images[SCORE + half], strip, taps, left, right, top, bottom,
                      height)
     return call_for_two_numbers(settings[RATE], parameters, images, half, left, right, top, bottom, height)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def whole_image(settings, region):
+    """Make a region the whole image."""
+    region[0], region[1] = 0, (settings[WIDTH] + LANES - 1) // LANES * LANES
+    region[2], region[3] = 0, settings[HEIGHT]
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _touch(a, b):
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def add_region(settings, regions, rectangle):
+    """Add a rectangle to the proposal's regions, swallowing those whose scored regions it touches.
+
+    A drawn region's columns are padded to a multiple of LANES, and so are those of its scored region, which is all that
+    the blur can reach from it.
+    """
+    left, right, top, bottom = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
+    if left >= right:
+        return
+    width, height, margin = settings[WIDTH], settings[HEIGHT], settings[MARGIN]
+    count, k = settings[REGIONS], -1
+    while k < count:
+        if k >= 0:
+            if not _touch(regions[SCORED, k], regions[SCORED, count]):
+                k += 1
+                continue
+            left, right = min(left, regions[DRAWN, k, 0]), min(max(right, regions[DRAWN, k, 1]), width)
+            top, bottom = min(top, regions[DRAWN, k, 2]), max(bottom, regions[DRAWN, k, 3])
+            count -= 1
+            for i in range(4):
+                regions[DRAWN, k, i], regions[SCORED, k, i] = regions[DRAWN, count, i], regions[SCORED, count, i]
+        drawn, scored = regions[DRAWN, count], regions[SCORED, count]
+        drawn[0], drawn[1] = left, left + (right - left + LANES - 1) // LANES * LANES
+        drawn[2], drawn[3] = top, bottom
+        first, end = max(left - margin, 0), min(right + margin, width)
+        scored[0], scored[1] = first, first + (end - first + LANES - 1) // LANES * LANES
+        scored[2], scored[3] = max(top - margin, 0), min(bottom + margin, height)
+        k = 0
+    settings[REGIONS] = count + 1
