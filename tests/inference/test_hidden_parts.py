@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from derender.inference.structure.alternatives import all_seen, changes
-from derender.inference.structure.draws.chart import Rules, make_chart
+from derender.inference.structure.alternatives import all_seen, changes, of_one_solid
+from derender.inference.structure.draws.chart import HELD, Rules, make_chart
 from derender.inference.structure.draws.refined import at_mode
 from derender.inference.structure.draws.sensor import Sensor, model_depth
 from derender.inference.structure.search.round_proposals import rim_circle
@@ -57,6 +57,20 @@ def test_a_box_with_a_hidden_side_may_be_a_cube():
     best = weighed(np.random.default_rng(6), state, state)
     sides = [new.rows[0][13] for new in changes(best, 0) if new.cubes[0]]
     assert min(abs(side - 0.063) for side in sides) < 0.002
+
+
+def test_what_bears_another_is_no_cube_that_leaves_it_in_the_air():
+    """The top of the middle one of three hides behind the uppermost, and as a cube it would end 14 mm below it."""
+    lower, middle = solid(BOX, 0.0, 0.0, [0.09, 0.08, 0.08]), solid(BOX, -0.02, 0.0, [0.05, 0.052, 0.072], 0.4)
+    upper = solid(BOX, -0.03, -0.02, [0.09] * 3, 1.0)
+    middle[12] += 0.08
+    upper[12] += 0.152
+    state = State().add(lower, UPRIGHT, False, FLOOR, 0.0).add(middle, UPRIGHT, False, 0, 0.08)
+    state = state.add(upper, UPRIGHT, True, 1, 0.152)
+    rng = np.random.default_rng(3)
+    hanging = [odds for trial, odds in of_one_solid(rng, weighed(rng, state, state), 1, RULES)
+               if not trial.chart.flags[2, HELD]]  # fmt: skip
+    assert hanging and max(hanging) < -8.0
 
 
 def test_a_cube_keeps_the_name_of_the_box_that_it_was_however_far_that_reached():

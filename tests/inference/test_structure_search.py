@@ -18,11 +18,11 @@ from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
 from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
 from derender.inference.structure.search.observation import neighbour_correlation, observe, patches_of  # noqa: E402
 from derender.inference.structure.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
-from derender.inference.structure.solids.interpenetration import highest, lowest, penetration  # noqa: E402
+from derender.inference.structure.solids.interpenetration import gap_between, highest, lowest, penetration  # noqa: E402
 from derender.inference.structure.solids.misfit import added_misfit, misfit_map  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State  # noqa: E402
-from derender.model.pose import random_rotation  # noqa: E402
+from derender.model.pose import random_rotation, rotation_z  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 
 
@@ -68,6 +68,22 @@ def test_penetration_is_how_far_two_boxes_must_move_apart(rng):
         overlap = rng.uniform(0.001, 0.03)
         second[10:13] += first[1:10].reshape(3, 3)[:, axis] * (first[13 + axis] - overlap)
         assert penetration(first, second) == pytest.approx(overlap, abs=1e-9)
+
+
+def test_a_gap_is_never_more_than_the_distance_and_across_faces_all_of_it(rng):
+    """Also where another axis parts the solids first: what stands on nothing is told by how far it is from anything."""
+    low = make_row(BOX, np.eye(3), [0.0, 0.0, 0.05], [0.08, 0.09, 0.1])
+    high = make_row(BOX, rotation_z(0.7)[:3, :3], [-0.05, 0.02, 0.156], [0.07, 0.07, 0.07])
+    assert gap_between(high, low) == pytest.approx(0.156 - 0.035 - 0.1, abs=1e-9)
+    for _ in range(20):
+        first, second = random_row(rng, BOX), random_row(rng, BOX)
+        apart = gap_between(first, second)
+        if apart > 0.0:
+            points = [row[10:13] + (rng.uniform(-0.5, 0.5, (400, 3)) * row[13:16]) @ row[1:10].reshape(3, 3).T
+                      for row in (first, second)]  # fmt: skip
+            assert apart <= np.linalg.norm(points[0][:, None] - points[1], axis=-1).min() + 1e-9
+        else:
+            assert apart == pytest.approx(-penetration(first, second))
 
 
 def test_lowest_and_highest_are_those_of_the_corners(rng):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.solids.image import ROW
-from derender.inference.structure.solids.interpenetration import highest, lowest, penetration, reach
+from derender.inference.structure.solids.interpenetration import gap_between, highest, lowest, penetration, reach
 from derender.inference.structure.solids.polish import FREE
 from derender.inference.structure.solids.sizes import CUBE, NO_SIZES, box_log_density, log_density_at
 from derender.inference.structure.solids.state import FLOOR
@@ -28,6 +28,7 @@ CUBE_SHARE = 0.5  # of boxes
 FLOOR_RATE, STACKED_RATE = 12.0, 0.2  # solids for each square metre of floor; for each top of another
 OVERLAP = 3e-4  # metres by which solids may interpenetrate
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
+HANGING = 30.0  # nats that standing on nothing costs, as in the search
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
@@ -260,9 +261,12 @@ def solid_log_prior(chart, rows, k):
         turns = EIGHT_PI_SQUARED / 24.0 if kind == BOX else 2.0 * np.pi
     total -= np.log(turns)
     if not flag[HELD] and not (chart.floating and parent == FLOOR):
-        # it touches what bears it somewhere; the tails are those of Cauchy's density
-        gap = (lowest(row) if parent == FLOOR else -penetration(row, rows[parent])) / chart.slack
-        total -= np.log(np.pi * chart.slack * (1.0 + gap * gap))
+        # it touches what bears it somewhere; the tails are those of Cauchy's density as far as one can say that it does
+        gap = lowest(row) if parent == FLOOR else gap_between(row, rows[parent])
+        total -= np.log(np.pi * chart.slack * (1.0 + (gap / chart.slack) ** 2))
+        if not chart.floating:
+            apart = (gap / LEVEL_WITHIN) ** 4
+            total -= HANGING * apart / (1.0 + apart)
     return total
 
 

@@ -21,7 +21,7 @@ from derender.inference.structure.draws.chart import (
 )
 from derender.inference.structure.draws.steps import touched_by
 from derender.inference.structure.solids.image import ROW
-from derender.inference.structure.solids.interpenetration import lowest, penetration
+from derender.inference.structure.solids.interpenetration import gap_between, lowest
 from derender.inference.structure.solids.state import FLOOR
 from derender.vision.blur import blur
 from derender.vision.raycast.engine import propose_state, settle_state
@@ -113,7 +113,7 @@ def contact_precision(chart, values, members):
 
     def gap_at(k, parent, values):
         place_rows(chart, values, rows)
-        return lowest(rows[k]) if parent == FLOOR else -penetration(rows[k], rows[parent])
+        return lowest(rows[k]) if parent == FLOOR else gap_between(rows[k], rows[parent])
 
     for k in np.flatnonzero(chart.flags[:, HELD] == 0):
         parent = int(chart.flags[k, PARENT])

@@ -59,13 +59,26 @@ def penetration(p, q):
     far = 0.25 * ((np.sqrt(p[13] ** 2 + p[14] ** 2 + p[15] ** 2) + np.sqrt(q[13] ** 2 + q[14] ** 2 + q[15] ** 2)) ** 2)
     if dx * dx + dy * dy + dz * dz > far:
         return -0.01
+    return least_overlap(p, q, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def gap_between(p, q):
+    """Return the distance in metres between two solids as far as one of their axes tells; negative: they overlap."""
+    return -least_overlap(p, q, -np.inf)
+
+
+@njit(cache=True, nogil=True)
+def least_overlap(p, q, enough):
+    """Return the least overlap of two solids along the directions that may part them, or the first up to `enough`."""
+    dx, dy, dz = q[10] - p[10], q[11] - p[11], q[12] - p[12]
     best = overlap_along(p, q, dx, dy, dz)
     for axis in range(3):
         best = min(best, overlap_along(p, q, p[1 + axis], p[4 + axis], p[7 + axis]))
-        if best <= 0:
+        if best <= enough:
             return best
         best = min(best, overlap_along(p, q, q[1 + axis], q[4 + axis], q[7 + axis]))
-        if best <= 0:
+        if best <= enough:
             return best
     for i in range(3):
         for j in range(3):
@@ -73,7 +86,7 @@ def penetration(p, q):
             y = p[7 + i] * q[1 + j] - p[1 + i] * q[7 + j]
             z = p[1 + i] * q[4 + j] - p[4 + i] * q[1 + j]
             best = min(best, overlap_along(p, q, x, y, z))
-            if best <= 0:
+            if best <= enough:
                 return best
     if int(p[0]) != BOX:
         x, y, z = clamp_direction(q, p[10], p[11], p[12])
