@@ -7,7 +7,7 @@ their posterior probabilities.
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -123,34 +123,26 @@ class Posterior:
 
     def parent_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each parent of an object, given that it is there; the likeliest first."""
-        found: dict[str, float] = {}
-        for part in self.parts:
-            if name in part.graph.names:
-                parent = part.graph.vertex(name).parent
-                found[parent] = found.get(parent, 0.0) + part.weight
-        total = sum(found.values())
-        return {parent: p / total for parent, p in sorted(found.items(), key=lambda item: -item[1])} if total else {}
+        return self._shares(name, lambda vertex: [vertex.parent])
 
     def support_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each second support of an object, given that it is there; the likeliest first."""
+        return self._shares(name, lambda vertex: vertex.supports)
+
+    def shape_probability(self, name: str) -> dict[str, float]:
+        """Return the probability of each shape type of an object, given that it is there; the likeliest first."""
+        return self._shares(name, lambda vertex: [vertex.shape])
+
+    def _shares(self, name: str, said: Callable[[Vertex], Iterable[str]]) -> dict[str, float]:
+        """Return how probable each thing is that is said of an object, given that it is there; the likeliest first."""
         found: dict[str, float] = {}
         present = 0.0
         for part in self.parts:
             if name in part.graph.names:
                 present += part.weight
-                for other in part.graph.vertex(name).supports:
-                    found[other] = found.get(other, 0.0) + part.weight
-        return {other: p / present for other, p in sorted(found.items(), key=lambda item: -item[1])}
-
-    def shape_probability(self, name: str) -> dict[str, float]:
-        """Return the probability of each shape type of an object, given that it is there; the likeliest first."""
-        found: dict[str, float] = {}
-        for part in self.parts:
-            if name in part.graph.names:
-                shape = part.graph.vertex(name).shape
-                found[shape] = found.get(shape, 0.0) + part.weight
-        total = sum(found.values())
-        return {shape: p / total for shape, p in sorted(found.items(), key=lambda item: -item[1])} if total else {}
+                for what in said(part.graph.vertex(name)):
+                    found[what] = found.get(what, 0.0) + part.weight
+        return {what: p / present for what, p in sorted(found.items(), key=lambda item: -item[1])} if present else {}
 
     def _probability(self, holds) -> float:
         return float(sum(part.weight for part in self.parts if holds(part.graph)))

@@ -19,6 +19,15 @@ ROW = 4  # floats in a row
 distributions: Registry["DistributionType"] = Registry("distribution", "derender.distributions")
 
 
+def bisected(cdf: Callable[[float], float], probability: float, low: float, high: float) -> float:
+    """Return where between low and high a distribution function reaches a probability: slow, sure to the last bit."""
+    middle = 0.5 * (low + high)
+    while low < middle < high:
+        low, high = (middle, high) if cdf(middle) < probability else (low, middle)
+        middle = 0.5 * (low + high)
+    return middle
+
+
 class DistributionType:
     """A family of distributions, such as "normal"; calling it with parameters gives a `Distribution`.
 

@@ -6,7 +6,7 @@ ten standard deviations out keeps its relative precision.
 
 import math
 
-from derender.model.distributions.base import DistributionType, distributions
+from derender.model.distributions.base import DistributionType, bisected, distributions
 
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 ROOT_HALF = math.sqrt(0.5)
@@ -79,16 +79,7 @@ class TruncatedNormal(DistributionType):
         return below / (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
 
     def quantile(self, probability, parameters):
-        low, high = parameters[2], parameters[3]
-        for _ in range(200):  # bisection: slow and sure
-            middle = 0.5 * (low + high)
-            if not low < middle < high:
-                break
-            if self.cdf(middle, parameters) < probability:
-                low = middle
-            else:
-                high = middle
-        return 0.5 * (low + high)
+        return bisected(lambda x: self.cdf(x, parameters), probability, parameters[2], parameters[3])
 
     def mean(self, parameters):
         mean, sd, lower, upper = parameters

@@ -2,7 +2,7 @@
 
 import math
 
-from derender.model.distributions.base import DistributionType, distributions
+from derender.model.distributions.base import DistributionType, bisected, distributions
 
 TWO_PI = 2.0 * math.pi
 
@@ -78,14 +78,7 @@ class VonMises(DistributionType):
         return float(x / period + weights @ (np.sin(j * end) - np.sin(j * begin)))
 
     def quantile(self, probability, parameters):
-        low, high = 0.0, parameters[2]
-        for _ in range(100):
-            middle = 0.5 * (low + high)
-            if self.cdf(middle, parameters) < probability:
-                low = middle
-            else:
-                high = middle
-        return 0.5 * (low + high)
+        return bisected(lambda x: self.cdf(x, parameters), probability, 0.0, parameters[2])
 
     def mean(self, parameters):
         return parameters[0] % parameters[2]

@@ -9,7 +9,7 @@ from derender.model.distributions import Distribution, distributions
 from derender.model.priors.base import Prior
 from derender.model.priors.contacts import ContactPrior, top_face
 from derender.model.priors.root import RootPrior
-from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.shapes import ShapePrior, draw_vertex
 from derender.model.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.model.priors.tree import ROOT, seat, vertex_addresses
 from derender.model.priors.values import fault
@@ -77,17 +77,7 @@ class Algorithm1Prior(Prior):
 
     def _add(self, rng, vertices: dict[str, Vertex], name: str, entries: list[ShapePrior], parent: str) -> None:
         entry = entries[int(len(entries) * rng.random())]
-        parameters = entry.sample(rng)
-        shape, top = seat(vertices, parent)
-        contact = self.contacts.sample(rng, shape, entry.type, top)
-        vertices[name] = Vertex(
-            name=name,
-            shape=entry.type,
-            parameters=parameters,
-            parent=parent,
-            contact=contact,
-            options=dict(entry.options),
-        )
+        vertices[name] = draw_vertex(rng, name, entry, self.contacts, parent, *seat(vertices, parent))
 
     def log_density(self, graph: SceneGraph) -> float:
         """Return Eq. 4, plus the log density of the root's pose."""

@@ -18,7 +18,7 @@ from derender.model.distributions import Categorical, Distribution
 from derender.model.priors.base import Prior
 from derender.model.priors.contacts import ContactPrior, top_face
 from derender.model.priors.root import RootPrior
-from derender.model.priors.shapes import ShapePrior
+from derender.model.priors.shapes import ShapePrior, draw_vertex
 from derender.model.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.model.priors.tree import ROOT, TreeObject, TreePrior, seat, vertex_addresses
 from derender.model.priors.values import fault
@@ -145,26 +145,13 @@ class GrammarPrior(Prior):
                 grown = f"{child}_{numbers[child]}"
                 while grown in vertices:
                     grown += "b"
-                self._grow(rng, vertices, grown, child, name, shape, top)
+                vertices[grown] = draw_vertex(rng, grown, self.shapes[child], self.contacts, name, shape, top)
                 waiting.append((grown, child))
             if len(vertices) > MOST_OBJECTS:
                 raise fault(
                     None, f"the prior drew more than {MOST_OBJECTS} objects", "lower the numbers under offspring"
                 )
         return SceneGraph(root_pose=root_pose, vertices=tuple(vertices.values()))
-
-    def _grow(self, rng, vertices, name: str, kind: str, parent: str, shape: str, top: str | None) -> None:
-        entry = self.shapes[kind]
-        parameters = entry.sample(rng)
-        contact = self.contacts.sample(rng, shape, entry.type, top)
-        vertices[name] = Vertex(
-            name=name,
-            shape=entry.type,
-            parameters=parameters,
-            parent=parent,
-            contact=contact,
-            options=dict(entry.options),
-        )
 
     def kind_of(self, vertex: Vertex) -> str | None:
         """Return the kind of a grown vertex, None if no kind is like it."""

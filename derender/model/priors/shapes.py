@@ -72,6 +72,16 @@ class ShapePrior:
         return {name: value for name, value in self._table if isinstance(value, Distribution)}
 
 
+def draw_vertex(rng, name: str, prior: ShapePrior, contacts, parent: str, shape: str, top: str | None) -> Vertex:
+    """Return a new object, its numbers and its contact drawn.
+
+    contacts : the ContactPrior; shape, top : type and upper face of what it hangs on, see `tree.seat`.
+    """
+    parameters = prior.sample(rng)
+    contact = contacts.sample(rng, shape, prior.type, top)
+    return Vertex(name, prior.type, parameters, parent, contact, dict(prior.options))
+
+
 def identity(options: Mapping[str, Any]) -> tuple:
     """Return what tells two meshes apart; masses and colours do not."""
     return (str(options["file"]), bool(options.get("hull", True))) if "file" in options else ()

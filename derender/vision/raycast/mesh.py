@@ -10,7 +10,7 @@ NEAR = 1e-4  # metres: triangles are cut here so that they can be projected
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _fill(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_column, first_row, end_row):
+def fill_triangle(buffer, x0, y0, w0, x1, y1, w1, x2, y2, w2, first_column, end_column, first_row, end_row):
     """Raise `buffer` to the inverse depth of one projected triangle inside the rectangle (either winding)."""
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if area == 0.0 or not math.isfinite(area):
@@ -63,7 +63,7 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
         polygon[k, 1] = camera[1] * polygon[k, 1] * inverse + camera[3]
         polygon[k, 2] = inverse
     for k in range(2, count):
-        _fill(
+        fill_triangle(
             buffer,
             polygon[0, 0],
             polygon[0, 1],
@@ -107,7 +107,7 @@ def draw_mesh(buffer, vertices, triangles, first, end, size, extents, pose, came
         z0, z1, z2 = points[i0, 2], points[i1, 2], points[i2, 2]
         if z0 >= NEAR and z1 >= NEAR and z2 >= NEAR:
             w0, w1, w2 = 1.0 / z0, 1.0 / z1, 1.0 / z2
-            _fill(
+            fill_triangle(
                 buffer,
                 fx * points[i0, 0] * w0 + cx,
                 fy * points[i0, 1] * w0 + cy,

@@ -196,13 +196,13 @@ def draw_rest(rng, kind: str, parent: Shape, child: Shape, faces, table, entry) 
             low = 0.0 if name == "theta" else -math.pi
             numbers[name] = low + period * rng.random()
         else:
-            numbers[name] = centre + _two(rng, unit)
+            numbers[name] = centre + draw_two_scales(rng, unit)
     if ball:
         numbers["theta"] = math.tau * rng.random()
         lean, towards = math.acos(1.0 - 2.0 * rng.random()), math.tau * rng.random()
         numbers["tilt_x"], numbers["tilt_y"] = lean * math.cos(towards), lean * math.sin(towards)
     lacking = 3 - len(entry.free())
-    return Rest(numbers, tuple(_two(rng, "log") for _ in range(lacking)))
+    return Rest(numbers, tuple(draw_two_scales(rng, "log") for _ in range(lacking)))
 
 
 def log_rest(rest: Rest, kind: str, parent: Shape, child: Shape, faces, table, entry) -> float:
@@ -210,7 +210,7 @@ def log_rest(rest: Rest, kind: str, parent: Shape, child: Shape, faces, table, e
     missing = _missing(kind, parent, child, faces, table)
     if {name for name, *_ in missing} != set(rest.contact) or len(rest.shape) != 3 - len(entry.free()):
         return -math.inf
-    total = sum(_log_two(x, "log") for x in rest.shape)
+    total = sum(log_two_scales(x, "log") for x in rest.shape)
     ball = _turns_freely(child, missing)
     for name, centre, unit, period in missing:
         if ball and name in ("theta", "tilt_x", "tilt_y"):
@@ -219,22 +219,21 @@ def log_rest(rest: Rest, kind: str, parent: Shape, child: Shape, faces, table, e
             total -= math.log(period)
             continue
         offset = rest.contact[name] - centre
-        total += _log_two(math.remainder(offset, math.tau) if name == "theta" else offset, unit)
+        total += log_two_scales(math.remainder(offset, math.tau) if name == "theta" else offset, unit)
     if ball:
         a = math.hypot(rest.contact["tilt_x"], rest.contact["tilt_y"])
         total += math.log(math.sin(a) / a) - HAAR if 1e-9 < a < math.pi else (-HAAR if a <= 1e-9 else -math.inf)
     return total
 
 
-def _two(rng, unit: str) -> float:
+def draw_two_scales(rng, unit: str) -> float:
+    """Return a normal draw about 0, its scale NARROW or WIDE with even odds."""
     scale = NARROW[unit] if rng.random() < 0.5 else WIDE[unit]
     return scale * float(rng.standard_normal())
 
 
-def _log_two(x: float, unit: str) -> float:
+def log_two_scales(x: float, unit: str) -> float:
+    """Return the log density of `draw_two_scales`."""
     parts = [math.exp(-0.5 * (x / s) ** 2) / s for s in (NARROW[unit], WIDE[unit])]
     total = 0.5 * (parts[0] + parts[1]) / math.sqrt(2.0 * math.pi)
     return math.log(total) if total > 0.0 else -math.inf
-
-
-__all__ = ["Rest", "draw_rest", "log_rest", "free_names", "QUATERNION"]

@@ -143,7 +143,7 @@ class HypothesisProposal:
                 values[name] = tuple(quaternion(rotation_near(rng, from_quaternion(centre), spread)))
             else:
                 values[name] = _draw(rng, centre, *spread)
-        return _vertex(words, graph, chosen, values)
+        return vertex_of(words, graph, chosen, values)
 
     def log_density(self, words, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex for a graph that lacks it."""
@@ -202,7 +202,8 @@ def _component(words, graph, hypothesis, parent, body, relative, choice) -> list
     return [Component(weight, hypothesis.kind, parent, choice, centres, spreads)]
 
 
-def _vertex(words, graph, component, values) -> Vertex:
+def vertex_of(words, graph, component, values) -> Vertex:
+    """Return a new object of a component with these numbers by name, those of its shape after `shape.`."""
     entry = words.shapes[component.kind]
     parameters = {name: values[f"shape.{name}"] for name, _ in entry._table}
     numbers = {key: x for key, x in values.items() if not key.startswith("shape.")}

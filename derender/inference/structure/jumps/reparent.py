@@ -63,7 +63,7 @@ class Recast(Move):
         if not slots:
             return None
         slot = slots[int(rng.random() * len(slots))]
-        own = _own(words, graph, name)
+        own = own_chart(words, graph, name)
         if own is None:
             return None
         rest = draw_rest(rng, *own)
@@ -87,7 +87,7 @@ class Recast(Move):
     def log_choice(self, words, graph, choice):
         names = words.grown(graph)
         slots = self.slots(words, graph, choice.name)
-        own = _own(words, graph, choice.name)
+        own = own_chart(words, graph, choice.name)
         if own is None or choice.slot not in slots:
             return -np.inf
         _, _, places = self._places(words, graph, choice.name, choice.slot, choice.rest)
@@ -117,7 +117,7 @@ class Recast(Move):
         return Applied(new, back, cast.log_element - element + log_jacobian)
 
 
-def _own(words, graph, name):
+def own_chart(words, graph, name):
     """Return what `draw_rest` asks of a vertex's present chart; None where jumps do not know it."""
     vertex = graph.vertex(name)
     slot = slot_of(words, graph, name)

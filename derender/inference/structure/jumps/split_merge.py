@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.inference.structure.jumps.base import Applied, Move, moves
-from derender.inference.structure.jumps.charts import HAAR, Rest, _log_two, _two, draw_rest, log_rest
+from derender.inference.structure.jumps.charts import HAAR, Rest, draw_rest, draw_two_scales, log_rest, log_two_scales
 from derender.inference.structure.jumps.on_top import on_top, opposite, read_on_top, twist
 from derender.inference.structure.jumps.recast import (
     Cast,
@@ -20,12 +20,13 @@ from derender.inference.structure.jumps.recast import (
     slot_of,
     table_of,
 )
-from derender.inference.structure.jumps.reparent import _own
+from derender.inference.structure.jumps.reparent import own_chart
 from derender.inference.structure.jumps.vocabulary import log_uniform_choice
 from derender.model.pose import inverse
 from derender.model.shapes.base import AXES, FACE_NAMES, box_face
 from derender.model.shapes.cube import ROTATIONS
 
+PLACE_UNITS = ("m", "m", "m", "rad", "rad", "rad")  # of Split.place
 ALIGNED = math.radians(45.0)  # two solids turned more than this against each other do not merge
 
 
@@ -98,13 +99,13 @@ class SplitMerge(Move):
                 return None
             name = names[int(rng.random() * len(names))]
             lower, upper = (kinds[int(rng.random() * len(kinds))] for _ in range(2))
-            own = _own(words, graph, name)
+            own = own_chart(words, graph, name)
             if own is None:
                 return None
             rest = draw_rest(rng, *own)
             share = float(rng.beta(2.0, 2.0))
-            logs = (_two(rng, "log"), _two(rng, "log"))
-            place = tuple(_two(rng, unit) for unit in ("m", "m", "m", "rad", "rad", "rad"))
+            logs = (draw_two_scales(rng, "log"), draw_two_scales(rng, "log"))
+            place = tuple(draw_two_scales(rng, unit) for unit in PLACE_UNITS)
             choice = Split(name, lower, upper, words.fresh_name(graph, upper), rest, share, logs, place, 0)
             places = self._names_of_axes(words, graph, choice)
             return choice._replace(rotation=int(places[int(rng.random() * len(places))])) if len(places) else None
@@ -113,7 +114,7 @@ class SplitMerge(Move):
             return None
         lower, upper = pairs[int(rng.random() * len(pairs))]
         kind = kinds[int(rng.random() * len(kinds))]
-        owns = [_own(words, graph, name) for name in (lower, upper)]
+        owns = [own_chart(words, graph, name) for name in (lower, upper)]
         if None in owns:
             return None
         rests = tuple(draw_rest(rng, *own) for own in owns)
@@ -123,18 +124,16 @@ class SplitMerge(Move):
     def log_choice(self, words, graph, choice):
         count = len(words.shapes)
         if isinstance(choice, Split):
-            names, own = self._splittable(words, graph), _own(words, graph, choice.name)
+            names, own = self._splittable(words, graph), own_chart(words, graph, choice.name)
             places = self._names_of_axes(words, graph, choice)
             if choice.name not in names or own is None or choice.rotation not in places:
                 return -math.inf
             total = math.log(0.5) - 2.0 * math.log(count) + log_uniform_choice(len(names)) + log_rest(choice.rest, *own)
             total += math.log(6.0 * choice.share * (1.0 - choice.share)) + log_uniform_choice(len(places))
-            total += sum(_log_two(x, "log") for x in choice.logs)
-            return total + sum(
-                _log_two(x, unit) for x, unit in zip(choice.place, ("m", "m", "m", "rad", "rad", "rad"), strict=True)
-            )
+            total += sum(log_two_scales(x, "log") for x in choice.logs)
+            return total + sum(log_two_scales(x, unit) for x, unit in zip(choice.place, PLACE_UNITS, strict=True))
         pairs = self._mergeable(words, graph)
-        owns = [_own(words, graph, name) for name in (choice.lower, choice.upper)]
+        owns = [own_chart(words, graph, name) for name in (choice.lower, choice.upper)]
         if (choice.lower, choice.upper) not in pairs or None in owns:
             return -math.inf
         if self._aligning(words, graph, choice.lower, choice.upper, choice.rests) != choice.rotation:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from derender.inference.structure.jumps.proposal import Hypothesis, HypothesisProposal, _vertex
+from derender.inference.structure.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
 from derender.inference.structure.jumps.recast import renamed
 from derender.inference.structure.jumps.vocabulary import Vocabulary
 from derender.model.priors.root import FreeRoot, LookedAtRoot
@@ -103,7 +103,7 @@ def _placed(words, graph, component, total_log_density):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
                   for key, x in component.centres.items()}  # fmt: skip
         values = {key: _inside(x, component.spreads.get(key)) for key, x in values.items()}
-        added = graph.add(_vertex(words, graph, component, values))
+        added = graph.add(vertex_of(words, graph, component, values))
         if total_log_density(words.prior.constraints, added) > -math.inf:
             return added
     return None

@@ -9,7 +9,7 @@ from derender.inference.structure.solids.image import pixels_within
 from derender.inference.structure.solids.misfit import LIMIT, WALL, change_within
 from derender.inference.structure.solids.polish import resting_energy
 from derender.kernel_cache import njit
-from derender.vision.raycast.mesh import _fill
+from derender.vision.raycast.mesh import fill_triangle
 
 STEPS = 6
 
@@ -54,7 +54,7 @@ def rasterise(triangles, points, i0, i1, j0, j1, buffer):
             (points[c, 0] - points[a, 0]) * (points[b, 1] - points[a, 1])
         ):
             continue  # it faces away
-        _fill(buffer, points[a, 0], points[a, 1], points[a, 2], points[b, 0], points[b, 1], points[b, 2],
+        fill_triangle(buffer, points[a, 0], points[a, 1], points[a, 2], points[b, 0], points[b, 1], points[b, 2],
               points[c, 0], points[c, 1], points[c, 2], i0, i1, j0, j1)  # fmt: skip
 
 
