@@ -44,6 +44,9 @@ def read_yaml(path: str | Path) -> Section:
 def parse_yaml(data: bytes | str, file: str = "YAML") -> Section:
     """Parse strict YAML text; see `read_yaml`.  `file` is its name in messages."""
     if isinstance(data, bytes):
+        if b"\0" in data:
+            remedy = "give a scene file; what a depth image shows is found by `derender infer`"
+            raise DerenderError("this is no scene file: it holds no text", file, remedy)
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:

@@ -122,6 +122,13 @@ def test_not_utf8_names_the_line(tmp_path):
         read_yaml(path)
 
 
+def test_a_depth_image_is_told_from_a_scene_file(tmp_path):
+    path = tmp_path / "frame.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")
+    with pytest.raises(DerenderError, match="no scene file.*derender infer"):
+        read_yaml(path)
+
+
 @pytest.mark.parametrize("name", ["missing.yaml", ".", "a\0b"])
 def test_unreadable_files(tmp_path, name):
     with pytest.raises(DerenderError):

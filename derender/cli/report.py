@@ -31,6 +31,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     from derender.report.tables import parameter_table
     from derender.report.trust import verdict
 
+    if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
+        raise DerenderError("a report is HTML", output, "give a name that ends in .html")
     found = [read_scene(folder) for folder in folders]
     first = found[0]
     posterior = first.posterior

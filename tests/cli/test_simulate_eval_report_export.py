@@ -94,6 +94,7 @@ def test_simulate_draws_an_animation(capsys, folder):
         ("simulate", "."),
         ("export", "stands.yaml", "-o", "x.fbx"),
         ("report", "missing"),
+        ("report", "stands.yaml", "-o", "page.txt"),
         ("report", "stands.yaml", "falls.yaml"),
         ("eval", "stands.yaml", "missing.yaml"),
         ("eval", ".", "stands.yaml"),
