@@ -39,7 +39,14 @@ from derender.inference.structure.draws.sensor import (
     model_depth,
     noise_of,
 )
-from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps, touched_by
+from derender.inference.structure.draws.steps import (
+    Step,
+    block_steps,
+    make_proposals,
+    own_members,
+    single_steps,
+    touched_by,
+)
 from derender.inference.structure.graph_posterior import leading
 from derender.inference.structure.solids.graph import scene_graph
 from derender.inference.structure.solids.image import ROW, make_row
@@ -186,6 +193,49 @@ def test_walk_draws_sizes_from_their_prior():
     z = (np.log(draws.values[:, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
     assert kstest(z[::2], "norm").pvalue > 1e-3
     assert kstest(z[::2] - charts.SPREAD, "norm").pvalue < 1e-6  # the broken twin
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5])
+def test_steps_drawn_to_a_normal_leave_the_density_as_it_is(part):
+    """Sizes at temperature 0 again, by steps made from a normal that is neither where nor as wide as their prior."""
+    chart, values = make_chart(cube(), floor_pose(), Rules(0.0015))
+    sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
+    side, spread = int(chart.slots[0, charts.SIZE]), 0.06
+    center, pull = values.copy(), np.zeros((1, len(values)))
+    center[side], pull[0, side] = 0.1, 1.0 / spread
+    step = Step(np.array([side]), np.array([[spread]]), touched_by(chart, [side]), 1.0, part, 0.3, pull, center)
+
+    def drawn(step):
+        rng = np.random.default_rng(3)
+        engine, start = engine_of(chart, sensor), values.copy()
+        draws = run(rng, engine, chart, start, make_proposals([step]), 0.0, 0.0, 1500, 20)
+        return (np.log(draws.values[::2, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
+
+    assert kstest(drawn(step), "norm").pvalue > 1e-3
+    broken = step._replace(pull=4.0 * pull)  # which is not the inverse of the matrix
+    assert kstest(drawn(broken), "norm").pvalue < 1e-6
+
+
+def test_steps_of_one_top_leave_those_above_where_they_are():
+    state = State().add(row(BOX, 0.2, 0.0, 0.0, 0.0, (0.09, 0.07, 0.06)), UPRIGHT, False, FLOOR, 0.0)
+    state = state.add(row(BOX, 0.3, 0.0, 0.0, 0.06, (0.08, 0.06, 0.05)), UPRIGHT, False, 0, 0.06)
+    state = state.add(row(BOX, 0.4, 0.0, 0.0, 0.11, (0.07, 0.05, 0.04)), UPRIGHT, False, 1, 0.11)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    for first in (True, False):
+        only = [m for k in range(3) for m in own_members(chart, k) if first or k]
+        steps = block_steps(chart, 1e-6 * np.eye(len(only)), only)
+        lowest = 0 if first else 1
+        own = next(s for s in steps if chart.slots[lowest, charts.X] in s.members and len(s.matrix[0]) == 6)
+        np.testing.assert_array_equal(own.touched[1:], [first, True, not first])
+        moved = values.copy()
+        moved[own.members] += own.matrix @ np.ones(6)
+        before, after = rows_at(chart, values), rows_at(chart, moved)
+        tops = after[:, 12] + 0.5 * after[:, 15] - before[:, 12] - 0.5 * before[:, 15]
+        assert abs(tops[lowest]) > 1e-4
+        np.testing.assert_allclose(np.delete(tops, lowest), 0.0, atol=1e-12)
+        np.testing.assert_allclose(before[~own.touched[1:]], after[~own.touched[1:]], atol=1e-12)
+    assert list(touched_by(chart, [int(chart.slots[0, charts.SIZE + 2])])) == [False, True, True, True]
+    assert list(touched_by(chart, [int(chart.slots[0, charts.X])])) == [False, True, False, False]
 
 
 def quadrature(engine, chart, start, indices, half, count):

@@ -1,11 +1,16 @@
 """Draws of all free numbers of one structure under the image's likelihood: a compiled adaptive Metropolis walk.
 
-Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix (`steps.py`). All are symmetric, so
-the log acceptance ratio is
+Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix (`steps.py`). These are symmetric,
+so the log acceptance ratio is
 
     log prior(q') - log prior(q) + temperature * (log likelihood(q') - log likelihood(q)).
 
-Scales and factors are learnt in the warm-up and fixed afterwards.
+Others are made from a normal that resembles the posterior (preconditioned Crank-Nicolson): where u = P (q - center) are
+standard normal under it, given the coordinates that stay, u' = sqrt(1 - scale^2) u + scale z and q' = q + F (u' - u).
+They leave that normal as it is, so the ratio has |u'|^2 / 2 - |u|^2 / 2 besides: at scale 1 all of q's block is drawn
+anew, and always taken up were the posterior that normal.
+
+Scales, factors and centers are learnt in the warm-up and fixed afterwards.
 """
 
 from functools import partial
@@ -19,6 +24,7 @@ from derender.inference.structure.draws.curvature import Curvature
 from derender.inference.structure.draws.steps import (
     FACTOR,
     FIRST,
+    PULL,
     RANK,
     block_steps,
     make_proposals,
@@ -35,12 +41,12 @@ from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, P
 # Some steps along one direction are up to exp(WIDEST) times as long: a hidden side is as wide as its prior.
 WIDE_SHARE, WIDEST = 0.15, 4.0
 # The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
-ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40)), 20, 10
+ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40), (1.0, 60)), 20, 10
 SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
-MORE = 2  # times as many steps between draws where those made first do not agree
-MANY = 50  # coordinates from which on that may be done twice
+LONGER = 2  # times that draws may go on for as long again where the chains do not agree
+MANY = 50  # coordinates from which on that may be done once more
 AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
-TRUSTED = 10  # draws for each coordinate that the covariance at the beginning is worth
+TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is worth
 
 
 @njit(cache=True, nogil=True)
@@ -72,10 +78,17 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
         first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
         start, rank = proposals.table[FACTOR, p], proposals.table[RANK, p]
         reach = proposals.scale[p]
-        if rank == 1 and rng.random() < WIDE_SHARE:
+        pull, drawn = proposals.table[PULL, p], 0.0
+        if pull < 0 and rank == 1 and rng.random() < WIDE_SHARE:
             reach *= np.exp(WIDEST * rng.random())
         for r in range(rank):
             normal[r] = reach * rng.standard_normal()
+            if pull >= 0:
+                here = 0.0
+                for i in range(size):
+                    here += proposals.pulls[pull + r, i] * (values[i] - proposals.center[i])
+                normal[r] -= (1.0 - np.sqrt(1.0 - reach * reach)) * here
+                drawn += 0.5 * (here * here - (here + normal[r]) ** 2)
         for i in range(size):
             trial[i] = values[i]
         for i in range(end - first):
@@ -103,7 +116,7 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                         moved_sizes[moved, i] = sizes[k, i]
                     moved += 1
             new = propose_in(engine, moved, indices, moved_poses, moved_sizes)
-            taken_up = threshold < new_prior - prior + temperature * (new - likelihood)
+            taken_up = threshold < new_prior - prior + temperature * (new - likelihood) - drawn
             settle_in(engine, CANDIDATE if taken_up else CURRENT)
             if taken_up:
                 prior, likelihood = new_prior, new
@@ -113,6 +126,8 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                 accepted += 1
         if gain > 0.0:
             proposals.scale[p] *= np.exp(gain * ((1.0 if taken_up else 0.0) - proposals.wanted[p]))
+            if pull >= 0:
+                proposals.scale[p] = min(proposals.scale[p], 1.0)
         if (taken + 1) % thin == 0:
             for i in range(size):
                 kept[taken // thin, i] = values[i]
@@ -181,7 +196,8 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
-    all chains have met; at the beginning, with a likelihood that counts less, they go where they like.
+    all chains have met; at the beginning, with a likelihood that counts less, they go where they like. Draws about what
+    the image does not hold are twice as far apart, and where the chains do not agree they go on for as long again.
 
     only : coordinates that may move, None for all.
     """
@@ -194,22 +210,35 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     walkers = [(engine, chart, values.copy()) for engine in engines]
     singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
     singles += unseen_steps(chart, only)
-    met = np.empty((0, len(members)))
+    met, center = np.empty((0, len(members))), values.copy()
     for temperature, length in ROUNDS:
-        steps = [*singles, *block_steps(chart, spread, only)]
+        steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]
         steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
         singles = steps[: len(singles)]
         if temperature == 1.0:
             met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
-            spread = spread_of(met, factor)
-    for more in (True, len(members) > MANY, False):
-        steps = [*singles, *block_steps(chart, spread, only)]
+            spread, center[members] = spread_of(met, factor), met.mean(axis=0)
+    former: list[Draws] = []
+    for left in reversed(range(LONGER + (len(members) > MANY) + 1)):
+        steps = [*singles, *block_steps(chart, spread, only, center=center.copy())]
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
+        if not former:
+            thin += int(thin * np.mean([step.pull is None for step in steps[len(singles) :]]))
         steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
-        if not more or chains == 1 or agree(np.stack([each.values[:, members] for each in drawn])):
-            return drawn
-        spread = spread_of(np.concatenate([draws.values[:, members] for draws in drawn]), factor)
-        singles, thin = steps[: len(singles)], MORE * thin
+        if former:
+            drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
+        if not left or chains == 1 or agree(np.stack([each.values[:, members] for each in drawn])):
+            break
+        met = np.concatenate([draws.values[:, members] for draws in drawn])
+        spread, center[members] = spread_of(met, factor), met.mean(axis=0)
+        former, singles = drawn, steps[: len(singles)]
+    return drawn
+
+
+def every_other(first, second):
+    """Return every other one of two Draws of a chain, one after the other."""
+    values, densities = (np.concatenate(pair)[1::2] for pair in zip(first[:2], second[:2], strict=True))
+    return Draws(values, densities, 0.5 * (first.accepted + second.accepted))
 
 
 def spread_of(met, factor):

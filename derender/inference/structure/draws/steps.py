@@ -2,7 +2,8 @@
 
 One column for the steps in which a depth image is informative (`directions.py`), and for those that move a side
 which the camera is behind; Cholesky factors of a covariance for one solid, for a support with all that it carries,
-and for the floor, each given the coordinates that stay.
+and for the floor, each given the coordinates that stay. In a stack an image tells where each top is, not how high each
+solid: what moves one top leaves those above where they are (`tops_of`).
 """
 
 from typing import NamedTuple
@@ -11,17 +12,22 @@ import numpy as np
 
 from derender.inference.structure.draws.chart import (
     FLOOR_WAYS,
+    HELD,
     KIND,
     PARENT,
     SIZE,
+    TURN,
     X,
     Z,
 )
 from derender.inference.structure.draws.directions import directions
 from derender.model.solids import SPHERE
 
-FIRST, FACTOR, RANK = range(3)  # rows of Proposals.table
+FIRST, FACTOR, RANK, PULL = range(4)  # rows of Proposals.table
+ROUNDING = 1e-9  # share of a step's longest part that is none
 LATTICE = 1e-3  # metres of the first steps
+WIDER = 1.2  # times as wide as the covariance is the normal that steps are made from: few draws make one too narrow
+LOOSE, LOOSE_TURN = 5e-3, 0.1  # metres and radians of standard deviation of what the image does not hold
 UNSEEN = 3e-3  # metres of the first steps of a side that the camera does not face
 UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all of them at most
 
@@ -31,8 +37,9 @@ class Proposals(NamedTuple):
 
     Attributes
     ----------
-    table : (3, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns.
+    table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns, begin of its pull or -1.
     members : flat int64, coordinates. factors : flat float64, matrices row by row.
+    pulls : (K, D) float64, one below the other. center : (D,) float64.
     touched : (M, 1 + N) bool, whether the floor and each solid move in the camera.
     cumulative : (M,) float64, running sum of the weights.
     scale : (M,) float64; wanted : (M,) float64, the acceptance rate that the warm-up aims at.
@@ -41,6 +48,8 @@ class Proposals(NamedTuple):
     table: np.ndarray
     members: np.ndarray
     factors: np.ndarray
+    pulls: np.ndarray
+    center: np.ndarray
     touched: np.ndarray
     cumulative: np.ndarray
     scale: np.ndarray
@@ -52,17 +61,26 @@ def size_of(chart):
     return 1 + int(chart.slots.max(initial=-1)) + FLOOR_WAYS
 
 
-def touched_by(chart, members):
-    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do."""
+def touched_by(chart, members, matrix=None):
+    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do.
+
+    matrix : (len(members), R), how they move together; None: each by itself.
+    """
     size, touched = size_of(chart), np.zeros(len(chart.flags) + 1, bool)
-    members = set(int(m) for m in members)
-    if any(m >= size - FLOOR_WAYS for m in members):
+    matrix = np.eye(len(members)) if matrix is None else matrix
+    moves = np.zeros((size, matrix.shape[1]))
+    moves[members] = matrix
+    if moves[size - FLOOR_WAYS :].any():
         touched[:] = True
         return touched
+    moves[np.abs(moves) < ROUNDING * np.abs(moves).max()] = 0.0
+    tops = np.zeros((len(touched), moves.shape[1]))  # of the floor, which stays, and of each solid
     for k in chart.order:
-        parent = chart.flags[k, 2]
-        carried = parent >= 0 and touched[parent + 1] and chart.flags[k, 3]
-        touched[k + 1] = carried or bool(members & {int(s) for s in chart.slots[k]})
+        own, held = moves[chart.slots[k][chart.slots[k] >= 0]], chart.flags[k, HELD]
+        lifted = tops[chart.flags[k, PARENT] + 1] * held
+        touched[k + 1] = own.any() or lifted.any()
+        top = lifted + moves[chart.slots[k, SIZE + 2]] if held else np.abs(own).sum(axis=0)
+        tops[k + 1] = np.where(np.abs(top) < ROUNDING * np.abs(moves).max(), 0.0, top)
     return touched
 
 
@@ -83,8 +101,27 @@ def blocks_of(chart):
     return [*blocks, list(range(size - FLOOR_WAYS, size))]
 
 
+def tops_of(chart):
+    """Return the (D, D) matrix that makes of coordinates those with heights of tops in place of heights of solids.
+
+    Of solids whose height is a number of its own and that are held to their support; where that is none itself, its
+    top counts as the height that they stand at.
+    """
+    tops = np.eye(size_of(chart))
+    for slot, flag in zip(chart.slots, chart.flags, strict=True):
+        below = flag[PARENT]
+        while flag[HELD] and below >= 0 and chart.flags[below, HELD] and slot[SIZE + 2] != slot[SIZE]:
+            tops[slot[SIZE + 2], chart.slots[below, SIZE + 2]] += 1.0
+            below = chart.flags[below, PARENT]
+    return tops
+
+
 class Step(NamedTuple):
-    """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there."""
+    """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there.
+
+    pull : (R_p, D) and center (D,), or None: what makes of coordinates the R_p standard normal numbers that the matrix
+        makes steps from, for a walk that is drawn to where these are expected, see `metropolis.walk`.
+    """
 
     members: np.ndarray
     matrix: np.ndarray
@@ -92,6 +129,8 @@ class Step(NamedTuple):
     weight: float
     scale: float
     wanted: float
+    pull: np.ndarray | None = None
+    center: np.ndarray | None = None
 
 
 def single_steps(chart, only=None):
@@ -135,40 +174,61 @@ def unseen_steps(chart, only=None):
     return [step._replace(weight=weight) for step in found]
 
 
-def block_steps(chart, covariance, only=None, shrink=1e-6):
+def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay.
 
     only : the coordinates that may move at all: then the covariance is theirs alone, (len(only), len(only)).
     shrink : metres added to every spread, so that few draws do not make a factor singular.
+    center : (D,) the mean that goes with it: steps are drawn to what both let expect, but for those of what the image
+        does not hold, whose density is far from normal.
     """
     size = size_of(chart)
-    members = list(range(size) if only is None else only)
-    place = {member: index for index, member in enumerate(members)}
-    precision = np.linalg.inv(covariance + shrink**2 * np.eye(len(members)))
+    members = np.arange(size) if only is None else np.asarray(only)
+    place = {int(member): index for index, member in enumerate(members)}
+    tops = tops_of(chart)[np.ix_(members, members)]
+    back = np.linalg.inv(tops)
+    loose = np.full(size, LOOSE)
+    turns = chart.slots[:, TURN:SIZE]
+    loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
+    held = np.sqrt(np.diag(covariance)) < loose[members]
+    precision = back.T @ np.linalg.inv(covariance + shrink**2 * np.eye(len(members))) @ back
     blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
     steps = []
     for block in filter(None, blocks):
         index = [place[m] for m in block]
         factor = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)]))
-        steps.append(Step(np.array(block), factor, touched_by(chart, block), 1.0, 1.5 / np.sqrt(len(block)), 0.25))
+        matrix = back[:, index] @ factor
+        moving = matrix.any(axis=1)
+        step = Step(members[moving], matrix[moving], touched_by(chart, members, matrix), 1.0,
+                    1.5 / np.sqrt(len(block)), 0.25)  # fmt: skip
+        if center is not None and held[moving].all():
+            pull = np.zeros((len(block), size))
+            pull[:, members] = factor.T @ precision[index] @ tops / WIDER
+            step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
+        steps.append(step)
     return [step._replace(weight=2.0 / len(steps)) for step in steps]
 
 
 def make_proposals(steps):
     """Return the Proposals that choose among Steps."""
-    table = np.zeros((3, len(steps) + 1), np.int64)
+    table = np.zeros((4, len(steps) + 1), np.int64)
+    pulls, center = [], np.zeros(0)
     for p, step in enumerate(steps):
         table[FIRST, p + 1] = table[FIRST, p] + len(step.members)
         table[FACTOR, p + 1] = table[FACTOR, p] + step.matrix.size
         table[RANK, p] = step.matrix.shape[1]
+        table[PULL, p] = -1
+        if step.pull is not None:
+            table[PULL, p], center = sum(map(len, pulls)), step.center
+            pulls.append(step.pull)
     return Proposals(
         table=table,
         members=np.concatenate([step.members for step in steps]).astype(np.int64),
         factors=np.concatenate([np.ravel(step.matrix) for step in steps]),
+        pulls=np.concatenate(pulls) if pulls else np.zeros((0, 0)),
+        center=center,
         touched=np.array([step.touched for step in steps]),
         cumulative=np.cumsum([step.weight for step in steps]),
         scale=np.array([step.scale for step in steps]),
         wanted=np.array([step.wanted for step in steps]),
     )
-
-
