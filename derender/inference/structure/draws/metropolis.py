@@ -196,8 +196,9 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
-    all chains have met; at the beginning, with a likelihood that counts less, they go where they like. Draws about what
-    the image does not hold are twice as far apart, and where the chains do not agree they go on for as long again.
+    all chains have met; at the beginning, with a likelihood that counts less, they go where they like, but for a single
+    one, which none would tell that it has left its mode for a worse one. Draws about what the image does not hold are
+    twice as far apart, and where the chains do not agree they go on for as long again.
 
     only : coordinates that may move, None for all.
     """
@@ -211,7 +212,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
     singles += unseen_steps(chart, only)
     met, center = np.empty((0, len(members))), values.copy()
-    for temperature, length in ROUNDS:
+    for temperature, length in ROUNDS[chains == 1 :]:
         steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]
         steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
         singles = steps[: len(singles)]

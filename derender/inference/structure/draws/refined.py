@@ -30,7 +30,7 @@ from derender.vision.camera import Camera
 ANNEALING = 200  # steps of each temperature for each solid
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3, 1.0), 600  # of annealing, and its steps, where outliers are left
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
-LOCAL_DRAWS, LOCAL_STEPS = 150, 8  # of one solid alone
+LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
 
 
 class Refined(NamedTuple):
