@@ -6,6 +6,8 @@ Every function takes `draws` : (chains, draws) float of one parameter and return
 or for values that are not finite.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 
@@ -95,9 +97,15 @@ def _rank_normalise(draws: np.ndarray) -> np.ndarray:
     group = np.cumsum(starts) - 1
     first = np.flatnonzero(starts)
     last = np.append(first[1:], len(flat)) - 1
-    rank = np.empty(len(flat))
-    rank[order] = (0.5 * (first + last) + 1.0)[group]
-    return normal_quantile((rank - 3 / 8) / (len(flat) + 1 / 4)).reshape(draws.shape)
+    score = np.empty(len(flat))
+    score[order] = _normal_scores(len(flat))[(first + last)[group]]
+    return score.reshape(draws.shape)
+
+
+@lru_cache(maxsize=4)
+def _normal_scores(count: int) -> np.ndarray:
+    """Return the normal scores of the ranks 1, 1.5, 2 ... count: the same for each parameter of a posterior."""
+    return normal_quantile((np.arange(2, 2 * count + 1) / 2 - 3 / 8) / (count + 1 / 4))
 
 
 def _r_hat(draws: np.ndarray) -> float:

@@ -102,9 +102,12 @@ def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
     return colours
 
 
-def shade(solids: Solids, camera: Camera, names: Sequence[str] = ()) -> np.ndarray:
-    """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting."""
+def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: int = 2) -> np.ndarray:
+    """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting.
+
+    samples : of each pixel, along either side.
+    """
     from derender.vision.raycast.depth import render_depth
     from derender.vision.renderers.preview import draw_preview
 
-    return draw_preview(render_depth, solids, camera, colours_of(solids, names))
+    return draw_preview(render_depth, solids, camera, colours_of(solids, names), samples)

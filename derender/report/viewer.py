@@ -56,7 +56,7 @@ def viewer_html(report: "Report", colours: np.ndarray) -> str:
         }
     text = json.dumps(data).replace("</", "<\\/")
     still = (
-        pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names))
+        pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names, samples=1))  # seldom seen
         if report.camera is not None
         else "data:,"
     )

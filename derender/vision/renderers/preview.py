@@ -17,7 +17,7 @@ PALETTE = np.array(
 PLANE_COLOUR = np.array([205, 203, 198])
 LEAN = 0.4  # of the line that meets solids from left to right: upright, it would meet those of a stack at once
 SUN = np.array([-0.45, -0.8, -0.4])  # from the scene to the sun, camera axes: above, left, and behind the camera
-SUN_PIXELS = 1024  # a side of the shadow map
+SUN_PIXELS, MOST_SUN_PIXELS = 2, 1024  # a side of the shadow map: for each pixel of the picture's, and at most
 
 
 def default_colours(solids: Solids) -> np.ndarray:
@@ -37,20 +37,21 @@ def draw_preview(
     solids: Solids,
     camera: Camera,
     colours: np.ndarray | None = None,
+    samples: int = SUPERSAMPLING,
 ) -> np.ndarray:
     """Draw a shaded picture on white.
 
     Parameters
     ----------
     render_depth : a renderer's.
-    colours : (N, 3) uint8, one for each solid.
+    colours : (N, 3) uint8, one for each solid. samples : of each pixel, along either side.
 
     Returns
     -------
     (height, width, 3) uint8.
     """
     colours = default_colours(solids) if colours is None else colours
-    large = enlarged(camera, SUPERSAMPLING)
+    large = enlarged(camera, samples)
     depth, label = render_depth(solids, large)
     points = large.points(depth)
     normals = _normals(points, label)
@@ -66,7 +67,7 @@ def draw_preview(
     picture = np.full((*label.shape, 3), 255.0)
     hit = label >= 0
     picture[hit] = colours[label[hit]] * np.clip(shade[hit], 0, 1.15)[:, None]
-    blocks = np.clip(picture, 0, 255).reshape(camera.height, SUPERSAMPLING, camera.width, SUPERSAMPLING, 3)
+    blocks = np.clip(picture, 0, 255).reshape(camera.height, samples, camera.width, samples, 3)
     return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
 
 
@@ -132,13 +133,14 @@ def _lit(render_depth, solids: Solids, points, normals, label: np.ndarray, sun: 
     to_sun = np.eye(4)
     to_sun[:3, :3] = rotation
     to_sun[:3, 3] = rotation @ (-centre) + [0, 0, distance]
-    focal = SUN_PIXELS / 2 * (distance - radius) / (radius * 1.3)
-    eye = Camera(focal, focal, (SUN_PIXELS - 1) / 2, (SUN_PIXELS - 1) / 2, SUN_PIXELS, SUN_PIXELS)
+    pixels = min(SUN_PIXELS * max(label.shape), MOST_SUN_PIXELS)
+    focal = pixels / 2 * (distance - radius) / (radius * 1.3)
+    eye = Camera(focal, focal, (pixels - 1) / 2, (pixels - 1) / 2, pixels, pixels)
     casting = solids._replace(
         kind=solids.kind[things], pose=to_sun @ solids.pose[things], size=solids.size[things], mesh=solids.mesh[things]
     )
     shadow, _ = render_depth(casting, eye, background=np.inf)
-    pixel_size = 2.6 * radius / SUN_PIXELS
+    pixel_size = 2.6 * radius / pixels
     above = points + 3 * pixel_size * normals  # a face along the sunlight would else cast shadow on itself in stripes
     seen = np.nan_to_num(above, nan=0.0, posinf=0.0) @ rotation.T + to_sun[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -148,7 +150,7 @@ def _lit(render_depth, solids: Solids, points, normals, label: np.ndarray, sun: 
     offsets = np.array([(-1.5, -0.5), (-0.5, 1.5), (0.5, -1.5), (1.5, 0.5), (0, 0)])
     for offset in offsets:  # a soft edge
         pixel = np.round(np.nan_to_num(image + offset, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(np.int64)
-        inside = ((pixel >= 0) & (pixel < SUN_PIXELS)).all(axis=-1)
+        inside = ((pixel >= 0) & (pixel < pixels)).all(axis=-1)
         pixel = np.where(inside[..., None], pixel, 0)
         lit += ~inside | (seen[..., 2] <= shadow[pixel[..., 1], pixel[..., 0]] + slack)
     return lit / len(offsets)
