@@ -15,19 +15,18 @@ from derender.inference.chains import Plan
 from derender.inference.checkpoint import Record, fingerprint
 from derender.inference.images import ObservedImage
 from derender.inference.kernels import mixture
+from derender.inference.open_structures import structure_weights, structures
 from derender.inference.posterior import Posterior, StructurePosterior
 from derender.inference.sampler import MixtureSampler
 from derender.inference.settings import Settings
 from derender.inference.smc import tempered
 from derender.inference.symmetry import representative
 from derender.inference.target import SceneTarget, default_parts
-from derender.model.priors.base import Prior
+from derender.model.priors.terms import total_log_density
 from derender.model.priors.tree import TreePrior
 from derender.model.scene import SceneGraph
 from derender.vision.likelihoods import likelihoods
 
-STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
-DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
 MOST_STRUCTURES = 64
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
@@ -69,36 +68,23 @@ def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tu
     likelihood = document.likelihood or LikelihoodPrior()
     images = observed_image(image, camera, likelihood)
     unknown = {a.removeprefix("likelihood."): law for a, law in likelihood.free_addresses().items()}
-    rng = np.random.default_rng([seed, 1])
-    found: dict[tuple, SceneGraph] = {}
-    wanted, drawn = STRUCTURE_DRAWS if _is_open(document.prior) else 1, 0
-    while drawn < wanted:
-        graph = document.prior.sample(rng)
-        found.setdefault(graph.structure(), graph)
-        drawn += 1
-        if len(found) > 1:
-            wanted = min(max(STRUCTURE_DRAWS, DRAWS_EACH * len(found)), MOST_DRAWS)
+    prior = cast(TreePrior, document.prior)
+    found = structures(prior, np.random.default_rng([seed, 1]))
     shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
-    for graph in found.values():
-        free = document.prior.free_addresses(graph)
-        numbers = {**graph.numbers(), **_root_values(cast(TreePrior, document.prior), graph)}
-        density = document.prior.log_density(graph)
+    for graph in found:
+        free = prior.free_addresses(graph)
+        numbers = {**graph.numbers(), **_root_values(prior, graph)}
+        density = prior.log_density(graph) - total_log_density(prior.constraints, graph)
         for address, law in free.items():
             value = numbers.get(address)
             density -= law.log_density(value) if value is not None and law.size == 1 else 0.0
-        same = representative(cast(TreePrior, document.prior), graph) if len(found) > 1 else graph
+        same = representative(prior, graph) if len(found) > 1 else graph
         shared.setdefault(same.structure(), (same, []))[1].append(density)
     if len(shared) > MOST_STRUCTURES:
         what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
         raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
-    return [(SceneTarget(document.prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
+    return [(SceneTarget(prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
             for graph, densities in shared.values()]  # fmt: skip
-
-
-def _is_open(prior: Prior) -> bool:
-    """Return whether parents or faces are left open."""
-    rng = np.random.default_rng(0)
-    return len({prior.sample(rng).structure() for _ in range(8)}) > 1
 
 
 def _root_values(prior: TreePrior, graph: SceneGraph) -> dict:
@@ -142,7 +128,7 @@ def infer_scene(
         raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
     found = targets(document, image, camera, seed)
     tell = progress or (lambda fraction, words: None)
-    weights = _structure_weights(found, settings, seed, tell) if len(found) > 1 else [1.0]
+    weights = structure_weights(found, settings, seed, tell) if len(found) > 1 else [1.0]
     parts, lost, interrupted = [], {}, False
     for number, ((target, _), weight) in enumerate(zip(found, weights, strict=True)):
         if weight < LEAST_WEIGHT or interrupted:
@@ -270,20 +256,6 @@ def _particles(target, mixed, settings: Settings, seed: int, number: int, weight
     extras = {"log_evidence": [population.log_evidence for population in populations]}
     values = np.stack([population.values for population in populations])
     return _part(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
-
-
-def _structure_weights(found, settings: Settings, seed: int, tell) -> list[float]:
-    """Return the posterior probability of each structure: its prior's times its evidence, estimated by tempering."""
-    logs = []
-    for number, (target, log_prior) in enumerate(found):
-        tell(number / len(found), "weighing structures")
-        rng = np.random.default_rng([seed, 2, number])
-        entries = settings.kernels if settings.kernels is not None else default_parts()
-        mixed = mixture(target.space, entries, settings.where)
-        population = tempered(rng, target.space, target.backend(mixed), mixed, 50, 60, settings.particles)
-        logs.append(log_prior + population.log_evidence)
-    weights = np.exp(np.array(logs) - max(logs))
-    return list(weights / weights.sum())
 
 
 __all__ = ["Result", "has_fixed_objects", "infer_scene", "targets"]

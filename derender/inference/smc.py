@@ -10,10 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.errors import DerenderError
 from derender.inference.adaptation import first_tuning, rescale
 from derender.inference.kernels.base import Part, Tuning
 from derender.inference.space import Space
+from derender.model.priors.terms import MOST_TRIES
 
+FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
+ROUNDING = 1e-6  # of log densities
 LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
 
 
@@ -71,6 +75,32 @@ def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None 
     return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
 
 
+def from_prior(rng: np.random.Generator, space: Space, backend, count: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return values (count, P) from the prior with its terms, their densities (count, 2), and the log of what the terms
+    leave of the unknowns' own prior: draws of that one weighed by the terms and resampled, more where few count.
+
+    Raises DerenderError where no draw meets the terms.
+    """
+    values, densities, terms = (np.empty((0, *shape)) for shape in ((space.offsets[-1],), (2,), ()))
+    while True:
+        drawn = np.array([space.sample(rng) for _ in range(count)])
+        found = np.array([backend.evaluate(value) for value in drawn])
+        own = np.array([space.log_prior(value) for value in drawn])
+        values, densities = np.concatenate([values, drawn]), np.concatenate([densities, found])
+        terms = np.concatenate([terms, found[:, 0] - own])
+        if np.abs(terms).max() < ROUNDING:
+            return values, densities, 0.0
+        most = terms.max()
+        weights = np.exp(terms - most) if most > -np.inf else np.zeros(len(terms))
+        if np.sum(weights) ** 2 >= FEW * np.sum(weights**2) > 0.0 or len(values) >= MOST_TRIES:
+            break
+    if most == -np.inf:
+        remedy = "spread the objects out or ask for fewer"
+        raise DerenderError(f"none of {len(values)} scenes drawn meets the constraints", remedy=remedy)
+    chosen = systematic(rng, weights, count)[rng.permutation(count)]
+    return values[chosen], densities[chosen], float(most + np.log(np.mean(weights)))
+
+
 def tempered(
     rng: np.random.Generator,
     space: Space,
@@ -93,11 +123,9 @@ def tempered(
     stops : exponents, rising, at which to keep the population.
     share : of the particles, the weights' effective number that a stage leaves: the smaller, the fewer stages.
     """
-    count = max(particles, drawn or particles)
-    values = np.array([space.sample(rng) for _ in range(count)])
-    densities = np.array([backend.evaluate(value) for value in values])
+    values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning = first_tuning(space, values[0])
-    present, log_evidence = 0.0, 0.0
+    present = 0.0
     temperatures, kept = [0.0], list[Stop]()
     while present < 1.0:
         following = next_temperature(densities[:, 1], present, share * particles / len(values))

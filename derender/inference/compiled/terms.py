@@ -37,7 +37,7 @@ def table_of(constraints, graph) -> np.ndarray | None:
         elif isinstance(term, DoesNotTouch):
             first, second = term.relation.first, term.relation.second
             if first in graph.solid_names and second in graph.solid_names:
-                rows.append((APART, names.index(first), names.index(second), term.relation.margin, 0, 0, 0, 0, 0))
+                rows.append((APART, names.index(first), names.index(second), term.least, 0, 0, 0, 0, 0))
         elif isinstance(term, RestsOn):
             parent, axis = term.bearing(graph)
             rows.append((RESTS, names.index(term.child), names.index(term.support), 0, term.slack, names.index(parent),

@@ -19,6 +19,7 @@ from derender.registry import Registry
 from derender.yaml_tree import Node, Section
 
 MOST_TRIES = 10_000
+ROUNDING = 1e-9  # metres to which an exact contact holds
 
 term_types: Registry["TermType"] = Registry("constraint", "derender.constraints")
 
@@ -58,16 +59,26 @@ def total_log_density(terms: tuple[Term, ...], graph: SceneGraph) -> float:
     return total
 
 
+def with_relations(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph:
+    """Return the scene with what the terms say of named objects, which scenes record."""
+    relations = tuple(term.relation for term in terms if isinstance(term, DoesNotTouch))
+    return replace(graph, constraints=relations) if relations else graph
+
+
+def bound_by(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph | None:
+    """Return the scene with its relations, None where the terms rule it out."""
+    return with_relations(terms, graph) if total_log_density(terms, graph) > -math.inf else None
+
+
 def sample_until_allowed(rng, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
     """Draw whole scenes until one is accepted with the probability that its terms give: exact rejection sampling."""
     if not terms:
         return sample(rng)
-    relations = tuple(term.relation for term in terms if isinstance(term, DoesNotTouch))
     for _ in range(MOST_TRIES):
         graph = sample(rng)
         log_probability = total_log_density(terms, graph)
         if log_probability >= 0.0 or rng.random() < math.exp(log_probability):
-            return replace(graph, constraints=relations) if relations else graph
+            return with_relations(terms, graph)
     raise DerenderError(
         f"none of {MOST_TRIES} scenes drawn meets the constraints", remedy="spread the objects out or ask for fewer"
     )
@@ -112,6 +123,11 @@ class DoesNotTouch:
     def __init__(self, relation: Constraint) -> None:
         self.relation = relation
 
+    @property
+    def least(self) -> float:
+        """Metres that two objects which rest on each other never are apart, and those that keep the margin are."""
+        return max(self.relation.margin, ROUNDING)
+
     def log_density(self, graph):
         from derender.model.overlap import separation
 
@@ -120,7 +136,7 @@ class DoesNotTouch:
             return 0.0
         first, second = names.index(self.relation.first), names.index(self.relation.second)
         apart = separation(graph.solids(), first, second)
-        return 0.0 if apart > self.relation.margin else -math.inf
+        return 0.0 if apart > self.least else -math.inf
 
 
 class RestsOn:

@@ -133,9 +133,10 @@ class TreePrior(Prior):
         return graph_free and not self.root.free_addresses()
 
     def sample(self, rng) -> SceneGraph:
-        return sample_until_allowed(rng, self._sample, self.constraints)
+        return sample_until_allowed(rng, self.sample_unconstrained, self.constraints)
 
-    def _sample(self, rng) -> SceneGraph:
+    def sample_unconstrained(self, rng) -> SceneGraph:
+        """Draw a scene by what its objects say alone, whatever the terms say of it."""
         root_pose = self.root.sample(rng)
         return SceneGraph(root_pose=root_pose, vertices=tuple(self.sample_vertices(rng).values()))
 
