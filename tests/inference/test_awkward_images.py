@@ -1,6 +1,7 @@
 """Images that are hard to like: each is explained, or answered in one line."""
 
 import sys
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 from scene_makers import camera_of, kinect_noise  # noqa: E402
 
+from derender.document import read_prior_document  # noqa: E402
 from derender.errors import DerenderError  # noqa: E402
 from derender.inference.bottom_up.given_floor import read_floor  # noqa: E402
 from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
+from derender.inference.forward import draw_documents  # noqa: E402
 from derender.inference.structure.infer import infer_structure  # noqa: E402
+from derender.inference.structure.search import observation  # noqa: E402
 from derender.inference.structure.solids.image import render_floor_scene  # noqa: E402
 from derender.model.pose import rotation_x, rotation_y, rotation_z, translation  # noqa: E402
 from derender.vision.camera import Camera  # noqa: E402
+from derender.vision.raycast.depth import render_depth  # noqa: E402
 
 SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
 POSES = np.stack([translation(-0.06, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])
@@ -54,6 +59,17 @@ def assert_both_boxes(graph, tolerance=0.008):
     assert len(found) == 2
     truth = sorted((np.sort(s) for s in SIZES), key=lambda size: -np.prod(size))
     assert np.abs(np.array(found) - np.array(truth)).max() < tolerance
+
+
+@pytest.mark.parametrize("rounding", [None, 3], ids=["floats", "whole millimetres"])
+def test_a_rendering_without_noise_hides_no_solid(rounding, monkeypatch):
+    """Where its rounding passes for a sensor's bends, a cube of 5 cm is not worth what it explains."""
+    scene = next(islice(draw_documents(read_prior_document("tabletop"), 8, 100, {}), 7, None))
+    depth, _ = render_depth(scene.graph.solids(), scene.camera)
+    depth = depth if rounding is None else np.round(depth, rounding)
+    assert answer(depth, scene.camera).names == ("floor", "cube_1")
+    monkeypatch.setattr(observation, "drawn", lambda *_: False)
+    assert answer(depth, scene.camera).names == ("floor",)
 
 
 def test_an_empty_table_is_a_floor_alone():

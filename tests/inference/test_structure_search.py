@@ -16,7 +16,13 @@ from derender.evaluation.convex import intersection_volume  # noqa: E402
 from derender.inference.bottom_up.floor import find_floor  # noqa: E402
 from derender.inference.bottom_up.pyramid import reduce  # noqa: E402
 from derender.inference.structure.infer import infer_structure, point_estimate  # noqa: E402
-from derender.inference.structure.search.observation import neighbour_correlation, observe, patches_of  # noqa: E402
+from derender.inference.structure.search.observation import (  # noqa: E402
+    drawn,
+    neighbour_correlation,
+    observe,
+    patches_of,
+    rounding_of,
+)
 from derender.inference.structure.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
 from derender.inference.structure.solids.interpenetration import gap_between, highest, lowest, penetration  # noqa: E402
 from derender.inference.structure.solids.misfit import added_misfit, misfit_map  # noqa: E402
@@ -174,6 +180,20 @@ def test_how_much_neighbours_share_their_noise_is_told_from_straight_above_too(r
     found = neighbour_correlation(depth, find_floor(rng, depth, camera), camera)
     # of some 10,000 pairs: 0.01 is one standard error, and as much again for the plane that is fitted to them
     assert found == pytest.approx(expected, abs=0.05)
+
+
+def test_a_rendering_is_told_from_what_a_sensor_saw(rng):
+    """By its floor, which is where it should be to within rounding; the best sensors here are off by .4 mm."""
+    scene = make_scene(rng, "cubes")
+    clean, camera = scene["clean"], scene["camera"]
+    bent = 4e-4 * np.sin(np.arange(clean.shape[1]) / 9.0)
+    for depth, expected in (
+        (clean, True), (np.round(clean, 3), True), (np.float32(clean).astype(float), True),
+        (clean + 4e-4 * rng.normal(size=clean.shape), False), (np.round(clean + 2 * bent, 3), False),
+        (clean + bent, False),
+    ):  # fmt: skip
+        floor = find_floor(rng, depth, camera)
+        assert drawn(depth, floor, camera, rounding_of(depth)) is expected
 
 
 def upright(yaw, centre, size, kind=BOX):

@@ -22,6 +22,7 @@ REAL_DISCREPANCY = 0.003
 CLOSER = 2  # times as many columns and rows as the search looks at
 AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
+LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
 
 
 class Observation(NamedTuple):
@@ -56,24 +57,25 @@ def observe(rng, depth, camera, widest=160, plane=None):
 
     plane : the floor as it is given, see given_floor.read_floor; None: find it.
     """
+    rounding = rounding_of(depth)
     depth, camera, factor = reduce(depth, camera, widest)
     floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
-    seen = tell_apart(depth, camera, factor, floor, backdrop)
+    seen = tell_apart(depth, camera, factor, floor, backdrop, rounding)
     if plane is None and seen.correlation > CORRELATED and seen.mask.any():
-        seen = tell_apart(depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None)
+        seen = tell_apart(depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding)
     return seen
 
 
-def tell_apart(depth, camera, factor, floor, backdrop):
+def tell_apart(depth, camera, factor, floor, backdrop, rounding):
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
-    backdrop : what find_backdrop says, None for nothing.
+    backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
-    correlation = neighbour_correlation(depth, even, camera)
+    correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, REAL_DISCREPANCY)
     blur = estimate_blur(depth, sigma)
@@ -184,7 +186,28 @@ def noise_map(depth, floor, camera):
     close, distant = np.median(z[thirds[0]]), np.median(z[thirds[2]])
     power = np.clip(np.log(far / near) / np.log(distant / close), 0.0, 2.0) if distant > 1.05 * close else 0.0
     ratio = np.clip(np.nan_to_num(depth, nan=close) / close, 0.3, 4.0)
-    return np.maximum(near, 5e-4) * ratio**power
+    return np.maximum(near, LEAST_SIGMA) * ratio**power
+
+
+def rounding_of(depth):
+    """Return the metres to which a depth image (H, W) was rounded: the smallest step between some of its values."""
+    seen = depth[depth > 0]
+    steps = np.diff(np.sort(seen[:: max(1, len(seen) // 4000)]))
+    return float(min(steps[steps > 1e-9], default=0.0))
+
+
+def drawn(depth, floor, camera, rounding):
+    """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
+
+    Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
+    """
+    if not floor.inliers.any():
+        return False
+    normal = floor.pose[:3, 2]
+    plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
+    met = np.abs(depth - plane)[near] <= max(0.6 * rounding, LEAST_SIGMA / 5)  # half a step, and the fit's own fault
+    return bool(met.mean() > 0.99)
 
 
 def neighbour_correlation(depth, floor, camera):
