@@ -130,14 +130,14 @@ def report_sizes(folder, options):
         seconds = time.perf_counter() - start
         print(f"\n{kind} {name}: {seconds:.2f} s")
         items = [item for item in scene_json(posterior.best_graph())["objects"] if item["size"] is not None]
-        truths = [np.sort(GRASPNET[name])] if kind == "graspnet" else ycbv_truths(folder / kind, name, items)
-        for item, truth in zip(items, truths, strict=False):
+        truths = [(np.sort(GRASPNET[name]), "")] if kind == "graspnet" else ycbv_truths(folder / kind, name, items)
+        for item, (truth, note) in zip(items, truths, strict=False):
             size = np.array(item["size"])
             draws = sizes_drawn(posterior, item["name"], size)
             low, high = (1000 * q for q in np.quantile(draws, (0.05, 0.95), axis=0))
             order = np.argsort(size)
             said = ", ".join(f"{1000 * size[k]:.0f} ({low[k]:.0f} to {high[k]:.0f})" for k in order)
-            print(f"  {item['type']:9s}{said} mm on {item['parent']}; true {np.round(1000 * truth)}")
+            print(f"  {item['type']:9s}{said} mm on {item['parent']}; true {np.round(1000 * truth)}{note}")
 
 
 def sizes_drawn(posterior, name, size):
@@ -155,15 +155,19 @@ def sizes_drawn(posterior, name, size):
 
 
 def ycbv_truths(folder, frame, items):
-    """Return the extents, in order, of the box about the hull of the model whose centre is nearest each solid."""
+    """Return for each solid the nearest model's (extents, in order, of the box about its hull; a note on its height).
+
+    The poses of this data set put the models some millimetres into the table that the image shows.
+    """
     import trimesh
 
-    extents, centres = [], []
+    extents, centres, notes = [], [], []
     for each in json.loads((folder / f"{frame}_gt.json").read_text())["objects"]:
         mesh = trimesh.load(folder / "meshes" / f"{each['name']}.obj")
         _, box = trimesh.bounds.oriented_bounds(mesh)
         pose = np.array(each["pose_obj_to_cam_3x4"])
         extents.append(np.sort(box))
+        notes.append(f", its top {1000 * each['z_above_table'][1]:.0f} over the table in the image")
         centres.append(pose[:, :3] @ mesh.centroid + pose[:, 3])
     nearest = [np.argmin(np.linalg.norm(np.array(centres) - np.array(i["pose"])[:3, 3], axis=1)) for i in items]
-    return [extents[k] for k in nearest]
+    return [(extents[k], notes[k]) for k in nearest]
