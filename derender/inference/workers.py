@@ -4,12 +4,13 @@ Threads start at no cost but die together; spawned processes cost about a second
 cache) and one that dies takes only the chain with it that it was on.
 """
 
+import contextlib
 import multiprocessing
 import multiprocessing.connection
-import queue
 import signal
 import threading
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -48,7 +49,7 @@ def run(plan: Plan, jobs: int = 1, processes: bool = True, progress: Progress = 
     jobs = min(jobs, plan.chains)
     with interruptible() as stop:
         if jobs > 1 and processes:
-            records, lost = _run_processes(plan, jobs, stop, progress)
+            records, lost = _Processes(plan, stop, progress).run(jobs)
         else:
             records, lost = _run_threads(plan, jobs, stop, progress)
     if lost and not records:
@@ -101,74 +102,85 @@ def _run_threads(plan, jobs, stop, progress):
     return records, lost
 
 
-def _run_processes(plan, jobs, stop, progress):
-    context = multiprocessing.get_context("spawn")
-    waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for number in range(plan.chains):
-        waiting.put(number)
-    records: dict[int, Record] = {}
-    lost: dict[int, str] = {}
-    workers: dict = {}
+class _Processes:
+    """Chains over processes, a process for each of `jobs` at a time.
 
-    def hire() -> None:
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_work, args=(theirs, plan), daemon=True)
+    Attributes
+    ----------
+    workers : by our end of a process's pipe: the process, and the number of its chain or None.
+    records, lost : by chain, see `Outcome`. fault : of the user's, which ends all.
+    """
+
+    def __init__(self, plan: Plan, stop, progress) -> None:
+        self.plan, self.stop, self.progress = plan, stop, progress
+        self.context = multiprocessing.get_context("spawn")
+        self.waiting = deque(range(plan.chains))
+        self.workers: dict[Any, tuple[Any, int | None]] = {}
+        self.records: dict[int, Record] = {}
+        self.lost: dict[int, str] = {}
+        self.fault: BaseException | None = None
+
+    def run(self, jobs: int):
+        """Return (records, lost)."""
+        told = False
+        try:
+            for _ in range(jobs):
+                self._hire()
+            while self.workers:
+                if self.stop.is_set() and not told:
+                    told = True
+                    for connection in self.workers:
+                        self._tell(connection, ("stop", None))
+                for connection in multiprocessing.connection.wait(list(self.workers), timeout=0.1):
+                    self._hear(connection)
+        finally:
+            for process, _ in self.workers.values():
+                process.terminate()
+        if self.fault is not None:
+            raise self.fault
+        return self.records, self.lost
+
+    def _hire(self) -> None:
+        ours, theirs = self.context.Pipe()
+        process = self.context.Process(target=_work, args=(theirs, self.plan), daemon=True)
         process.start()
         theirs.close()
-        workers[ours] = (process, None)
-        assign(ours)
+        self.workers[ours] = (process, None)
+        self._assign(ours)
 
-    def assign(connection) -> None:
-        process, _ = workers[connection]
-        number = None if waiting.empty() or stop.is_set() else waiting.get()
-        workers[connection] = (process, number)
-        tell(connection, ("leave", None) if number is None else ("run", number))
+    def _assign(self, connection) -> None:
+        process, _ = self.workers[connection]
+        number = None if not self.waiting or self.stop.is_set() else self.waiting.popleft()
+        self.workers[connection] = (process, number)
+        self._tell(connection, ("leave", None) if number is None else ("run", number))
 
-    def tell(connection, message) -> None:
-        try:
+    def _tell(self, connection, message) -> None:
+        with contextlib.suppress(OSError):  # the process has died: reading from the connection will tell
             connection.send(message)
-        except OSError:
-            pass  # the process has died: reading from the connection will tell
 
-    told = False
-    fault: BaseException | None = None
-    try:
-        for _ in range(jobs):
-            hire()
-        while workers:
-            if stop.is_set() and not told:
-                told = True
-                for connection in workers:
-                    tell(connection, ("stop", None))
-            for connection in multiprocessing.connection.wait(list(workers), timeout=0.1):
-                process, number = workers[connection]
-                try:
-                    kind, content = connection.recv()
-                except (EOFError, OSError):
-                    del workers[connection]
-                    process.join()
-                    if number is not None:
-                        lost[number] = f"the process of chain {number} died with exit status {process.exitcode}"
-                        if not waiting.empty() and not stop.is_set():
-                            hire()
-                    continue
-                if kind == "progress":
-                    progress(*content)
-                    continue
-                if kind == "done":
-                    records[number] = content
-                elif kind == "fault":
-                    fault = content
-                    stop.set()
-                else:
-                    lost[number] = content
-                assign(connection)
-    finally:
-        for process, _ in workers.values():
-            process.terminate()
-    if fault is not None:
-        raise fault
-    return records, lost
+    def _hear(self, connection) -> None:
+        process, number = self.workers[connection]
+        try:
+            kind, content = connection.recv()
+        except (EOFError, OSError):
+            del self.workers[connection]
+            process.join()
+            if number is not None:
+                self.lost[number] = f"the process of chain {number} died with exit status {process.exitcode}"
+                if self.waiting and not self.stop.is_set():
+                    self._hire()
+            return
+        if kind == "progress":
+            self.progress(*content)
+            return
+        if kind == "done":
+            self.records[number] = content
+        elif kind == "fault":
+            self.fault = content
+            self.stop.set()
+        else:
+            self.lost[number] = content
+        self._assign(connection)
 
 
 def _work(connection, plan: Plan) -> None:

@@ -17,6 +17,7 @@ from derender.kernel_cache import njit
 from derender.model.solids import CYLINDER, PLANE, SPHERE, Solids
 
 PROJECTIONS = 300  # of alternating projection, at most; polyhedra need a handful
+FLAT_AXES = 15  # that may part two boxes: three faces of either, and nine products of their edges
 STARTS = 5  # of the search over directions with a cylinder: gaps have several local maxima
 CONVERGED = 1e-10  # metres between the upper and the lower bound of a distance
 
@@ -136,6 +137,40 @@ def _refined(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z, best):
 
 
 @njit(cache=True, nogil=True)
+def flat_axis(k, pose_a, pose_b):
+    """Return the axis number k of FLAT_AXES that may part two boxes: normals of either's faces, products of edges."""
+    if k < 3:
+        return pose_a[0, k], pose_a[1, k], pose_a[2, k]
+    if k < 6:
+        return pose_b[0, k - 3], pose_b[1, k - 3], pose_b[2, k - 3]
+    i, j = (k - 6) // 3, (k - 6) % 3
+    return (pose_a[1, i] * pose_b[2, j] - pose_a[2, i] * pose_b[1, j],
+            pose_a[2, i] * pose_b[0, j] - pose_a[0, i] * pose_b[2, j],
+            pose_a[0, i] * pose_b[1, j] - pose_a[1, i] * pose_b[0, j])  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def round_axis(k, kind_a, pose_a, size_a, kind_b, pose_b, size_b):
+    """Return the direction number k of nine that may free a round side, of any length.
+
+    Between the centres, and from either's to the other's nearest point, each as it is and square to either's axis.
+    """
+    if k < 3:
+        x, y, z = pose_b[0, 3] - pose_a[0, 3], pose_b[1, 3] - pose_a[1, 3], pose_b[2, 3] - pose_a[2, 3]
+    elif k < 6:
+        p, q, r = nearest_point(kind_b, pose_b, size_b, pose_a[0, 3], pose_a[1, 3], pose_a[2, 3])
+        x, y, z = p - pose_a[0, 3], q - pose_a[1, 3], r - pose_a[2, 3]
+    else:
+        p, q, r = nearest_point(kind_a, pose_a, size_a, pose_b[0, 3], pose_b[1, 3], pose_b[2, 3])
+        x, y, z = p - pose_b[0, 3], q - pose_b[1, 3], r - pose_b[2, 3]
+    if k % 3 > 0:
+        axis = pose_a if k % 3 == 1 else pose_b
+        along = x * axis[0, 2] + y * axis[1, 2] + z * axis[2, 2]
+        x, y, z = x - along * axis[0, 2], y - along * axis[1, 2], z - along * axis[2, 2]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
 def separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     """Return the separation in metres of two solids: kinds, poses (4, 4), full extents (3,). Two planes: inf."""
     if kind_a == PLANE:
@@ -157,33 +192,11 @@ def separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
     best = -math.inf
     round_side = kind_a == CYLINDER or kind_b == CYLINDER
     gaps, axes = np.empty(24), np.empty((24, 3))
-    for k in range(24):
-        if k < 3:
-            x, y, z = pose_a[0, k], pose_a[1, k], pose_a[2, k]
-        elif k < 6:
-            x, y, z = pose_b[0, k - 3], pose_b[1, k - 3], pose_b[2, k - 3]
-        elif k < 15:
-            i, j = (k - 6) // 3, (k - 6) % 3
-            x = pose_a[1, i] * pose_b[2, j] - pose_a[2, i] * pose_b[1, j]
-            y = pose_a[2, i] * pose_b[0, j] - pose_a[0, i] * pose_b[2, j]
-            z = pose_a[0, i] * pose_b[1, j] - pose_a[1, i] * pose_b[0, j]
-        elif not round_side:
-            break
+    for k in range(24 if round_side else FLAT_AXES):
+        if k < FLAT_AXES:
+            x, y, z = flat_axis(k, pose_a, pose_b)
         else:
-            # Directions that free a round side: between the centres, and towards the other's nearest point, each as
-            # it is and taken square to either axis.
-            if k < 18:
-                x, y, z = pose_b[0, 3] - pose_a[0, 3], pose_b[1, 3] - pose_a[1, 3], pose_b[2, 3] - pose_a[2, 3]
-            elif k < 21:
-                p, q, r = nearest_point(kind_b, pose_b, size_b, pose_a[0, 3], pose_a[1, 3], pose_a[2, 3])
-                x, y, z = p - pose_a[0, 3], q - pose_a[1, 3], r - pose_a[2, 3]
-            else:
-                p, q, r = nearest_point(kind_a, pose_a, size_a, pose_b[0, 3], pose_b[1, 3], pose_b[2, 3])
-                x, y, z = p - pose_b[0, 3], q - pose_b[1, 3], r - pose_b[2, 3]
-            if k % 3 > 0:
-                axis = pose_a if k % 3 == 1 else pose_b
-                along = x * axis[0, 2] + y * axis[1, 2] + z * axis[2, 2]
-                x, y, z = x - along * axis[0, 2], y - along * axis[1, 2], z - along * axis[2, 2]
+            x, y, z = round_axis(k - FLAT_AXES, kind_a, pose_a, size_a, kind_b, pose_b, size_b)
         gaps[k] = gap_along(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z)
         axes[k, 0], axes[k, 1], axes[k, 2] = x, y, z
         best = max(best, gaps[k])
