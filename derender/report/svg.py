@@ -22,27 +22,7 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     """
     colours = colours or {}
     objects = {item["name"]: item for item in scene["objects"]}
-    children: dict[str, list[str]] = {"root": []}
-    for name, item in objects.items():
-        parent = item.get("parent") or "root"
-        children.setdefault(parent if parent in objects else "root", []).append(name)
-    column: dict[str, float] = {}
-    row: dict[str, int] = {}
-    leaves = 0
-
-    def place(name: str, level: int) -> None:
-        nonlocal leaves
-        row[name] = level
-        below = children.get(name, [])
-        for child in below:
-            place(child, level + 1)
-        if below:
-            column[name] = float(np.mean([column[child] for child in below]))
-        else:
-            column[name] = leaves
-            leaves += 1
-
-    place("root", 0)
+    column, row, leaves = tree_places(objects)
     deepest = max(row.values())
     lying = leaves > MOST_ABREAST
     width, height, gap, apart = (196, 62, 44, 10) if lying else (196, 62, 34, 18)
@@ -93,6 +73,32 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     # in a narrow window it is scrolled before its words get too small to read
     narrowest = f'<svg style="min-width:{0.6 * total_width:.0f}px" '
     return f'<div class="scroll">{picture.replace("<svg ", narrowest, 1)}</div>'
+
+
+def tree_places(objects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, float], dict[str, int], int]:
+    """Return where the objects and their root stand in a tree: column by name, row by name, and how many columns."""
+    children: dict[str, list[str]] = {"root": []}
+    for name, item in objects.items():
+        parent = item.get("parent") or "root"
+        children.setdefault(parent if parent in objects else "root", []).append(name)
+    column: dict[str, float] = {}
+    row: dict[str, int] = {}
+    leaves = 0
+
+    def place(name: str, level: int) -> None:
+        nonlocal leaves
+        row[name] = level
+        below = children.get(name, [])
+        for child in below:
+            place(child, level + 1)
+        if below:
+            column[name] = float(np.mean([column[child] for child in below]))
+        else:
+            column[name] = leaves
+            leaves += 1
+
+    place("root", 0)
+    return column, row, leaves
 
 
 def trace_svg(draws: np.ndarray, width: int = 200, height: int = 34) -> str:
