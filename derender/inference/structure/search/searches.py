@@ -17,6 +17,7 @@ from derender.threads import THREADS, in_threads
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
+IN_VAIN = 3  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
@@ -73,14 +74,15 @@ def one_search(rng, image, hypotheses, settings):
 def repair(rng, image, state, hypotheses, settings, pool):
     """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
-    Ends after settings.repairs rounds, or after settings.quiet rounds without success when hardly any misfit is left
-    that noise would not leave. (state, energy) of all that were tried are appended to `pool`.
+    Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
+    when hardly any misfit is left that noise would not leave, or after IN_VAIN times as many whatever is left. (state, energy) of all that were tried are appended to `pool`.
     """
     best = total_energy(image, state, settings)
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
-        if quiet >= settings.quiet + 3 * len(state) and places.none_left(settings):
+        enough = settings.quiet + 3 * len(state)
+        if quiet >= (enough if places.none_left(settings) else IN_VAIN * enough):
             break
         quiet += 1
         proposed = propose(rng, image, state, hypotheses, settings, places)
