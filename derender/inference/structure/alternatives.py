@@ -38,7 +38,7 @@ WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
-QUICK = 100  # steps of each temperature for one changed solid
+QUICK = 50  # steps of each temperature for one changed solid
 
 
 def supports_within(state, i):

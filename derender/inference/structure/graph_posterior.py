@@ -20,6 +20,7 @@ from derender.inference.structure.alternatives import (
 )
 from derender.inference.structure.draws.metropolis import log_evidence
 from derender.inference.structure.draws.refined import (
+    WARM,
     at_mode,
     chains_of,
     floor_pose_of,
@@ -82,8 +83,7 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
         if place == 0:
             drawn = made["draws"] if made.get("of") is trial else chains_of(rng, trial, chains, draws)
         elif weight > WORTH_DRAWING and len(trial.state):
-            trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, 100,
-                            temperatures=(0.3, 1.0))  # fmt: skip
+            trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:
             drawn = [only_draw(trial)]

@@ -42,6 +42,7 @@ from derender.vision.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, P
 WIDE_SHARE, WIDEST = 0.15, 4.0
 # The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
 ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40), (1.0, 60)), 20, 10
+COLD = (1.0, 3.0, 10.0)  # what the likelihood is raised to on the way to a mode, at the end
 SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
 LONGER = 2  # times that draws may go on for as long again where the chains do not agree
 MANY = 50  # coordinates from which on that may be done once more
@@ -184,12 +185,30 @@ def run(rng, engine, chart, values, proposals, temperature, gain, count, thin):
     return Draws(kept, densities, accepted / max(count * thin, 1))
 
 
-def anneal(rng, engine, chart, values, proposals, steps, temperatures=(0.03, 0.1, 0.3, 1.0)):
-    """Walk with the likelihood let in by and by; `values` and scales change in place. Returns the last Draws."""
-    draws = None
-    for temperature in temperatures:
-        draws = run(rng, engine, chart, values, proposals, temperature, 0.1, max(steps // 10, 1), 10)
-    return draws
+def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
+    """Return the best place (D,) found from `values`, which is changed, and its log prior and log likelihood.
+
+    The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode: there
+    solids move together as a normal about the place says that has been reached (`curvature.py`).
+
+    only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
+    """
+    members = list(range(len(values)) if only is None else only)
+    found = [(values.copy(), *load(engine, chart, values))]
+    moves, count = single_steps(chart, only), max(steps // APART, 1)
+    singles, spread = len(moves), np.zeros(0)
+    for temperature in (*temperatures, *COLD):
+        if temperature >= 1.0:
+            if not len(spread):
+                load(engine, chart, values)
+                spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
+            moves = [*moves[:singles], *block_steps(chart, spread / temperature, only)]
+        moves, (draws,) = stretch(rng, [(engine, chart, values)], moves, temperature, 0.1, count, APART)
+        if temperature >= 1.0:
+            best = int(np.argmax(draws.densities.sum(axis=1)))
+            values[:] = draws.values[best]
+            found.append((draws.values[best], *map(float, draws.densities[best])))
+    return max(found, key=lambda each: each[1] + each[2])
 
 
 def sample(rng, chart, sensor, values, chains, count, thin, only=None):

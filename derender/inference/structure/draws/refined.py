@@ -13,7 +13,7 @@ from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.inference.structure.draws.metropolis import (
     Draws,
-    anneal,
+    ascend,
     engine_of,
     load,
     log_evidence,
@@ -21,14 +21,15 @@ from derender.inference.structure.draws.metropolis import (
 )
 from derender.inference.structure.draws.numbers import numbers_of_draws
 from derender.inference.structure.draws.sensor import Sensor, final_sensor, first_sensor, model_image
-from derender.inference.structure.draws.steps import make_proposals, own_members, single_steps
+from derender.inference.structure.draws.steps import own_members
 from derender.inference.structure.solids.graph import scene_graph
 from derender.inference.structure.solids.image import ROW
 from derender.threads import THREADS, in_threads
 from derender.vision.camera import Camera
 
-ANNEALING = 200  # steps of each temperature for each solid
-HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3, 1.0), 600  # of annealing, and its steps, where outliers are left
+ANNEALING = 100  # steps of each temperature for each solid
+TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
+HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
 
@@ -50,7 +51,7 @@ class Refined(NamedTuple):
     log_likelihood: float
 
 
-def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
+def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=TEMPERATURES):
     """Return the Refined of a state, annealed under a sensor model.
 
     only : index of the one solid that may move (and the coordinates given by its own), None for all.
@@ -60,15 +61,11 @@ def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, t
                  temperatures)  # fmt: skip
 
 
-def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=(0.03, 0.1, 0.3, 1.0)):
+def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=TEMPERATURES):
     """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
-    engine = engine_of(chart, sensor)
-    proposals = make_proposals(single_steps(chart, members))
-    count = len(state) if members is None else 1
-    draws = anneal(rng, engine, chart, values, proposals, steps * max(count, 1), temperatures)
-    best = int(np.argmax(draws.densities.sum(axis=1)))
-    values[:] = draws.values[best]
-    return refined_at(state, chart, values, sensor, *draws.densities[best])
+    count = max(len(state) if members is None else 1, 1)
+    found = ascend(rng, engine_of(chart, sensor), chart, sensor, values, members, temperatures, steps * count)
+    return refined_at(state, chart, found[0], sensor, *found[1:])
 
 
 def best_climb(rng, state, chart, values, sensor, **options):
@@ -144,7 +141,7 @@ def robust_offset(sensor):
 def with_sensor_refitted(rng, refined):
     """Return the Refined at its mode under the sensor model that its present state suggests."""
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
-    return best_climb(rng, refined.state, refined.chart, refined.values, sensor, temperatures=(0.2, 1.0))
+    return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
 
 
 def chains_of(rng, refined, chains, draws, only=None):

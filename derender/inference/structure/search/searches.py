@@ -75,7 +75,8 @@ def repair(rng, image, state, hypotheses, settings, pool):
     """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
-    when hardly any misfit is left that noise would not leave, or after IN_VAIN times as many whatever is left. (state, energy) of all that were tried are appended to `pool`.
+    when hardly any misfit is left that noise would not leave, or after IN_VAIN times as many whatever is left.
+    (state, energy) of all that were tried are appended to `pool`.
     """
     best = total_energy(image, state, settings)
     places = find_places(image, state)
