@@ -17,6 +17,7 @@ from derender.inference.structure.draws.refined import (
     at_mode,
     floor_pose_of,
     local_evidence,
+    near_evidence,
     refined_at,
     without_unseen,
 )
@@ -38,6 +39,9 @@ WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
+# Nats below the best at which `near_evidence` has to do, of a change of one solid and of a structure: a weight of less
+# than a hundredth even if it is as wrong as it ever was.
+IMPROBABLE, VERY_IMPROBABLE = 9.0, 15.0
 QUICK = 50  # steps of each temperature for one changed solid
 
 
@@ -128,8 +132,13 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
     if not found and not keep_removed:
         return []
+    near = near_evidence(best, [i])
+    weighed = [(trial, near_evidence(trial, [i]) - near) for trial in found]
+    if not keep_removed and all(odds < -IMPROBABLE for _, odds in weighed):
+        return best_of_each(weighed)
     own = local_evidence(rng, best, [i])
-    weighed = [(trial, local_evidence(rng, trial, [i]) - own) for trial in found]
+    weighed = [(trial, odds if odds < -IMPROBABLE else local_evidence(rng, trial, [i]) - own)
+               for trial, odds in weighed]  # fmt: skip
     weighed = best_of_each(weighed)
     if keep_removed:
         weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
@@ -198,7 +207,9 @@ def merges(rng, best, rules):
             place = i - (j < i)
             trial = at_mode(rng, new, floor, best.sensor, rules, QUICK, place)
             if trial.log_prior + trial.log_likelihood > height - HOPELESS:
-                odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
+                odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
+                if odds > -IMPROBABLE:
+                    odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
                 found.append((trial, odds))
     return found
 
@@ -244,6 +255,11 @@ def from_search(rng, best, pool, energy, rules, evidence):
     trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS and all_seen(t)]
     if not trials:
         return []
-    tasks = [partial(evidence, refined=best), *(partial(whole_evidence, refined=each) for each in trials)]
-    own, *weights = in_threads(rng, tasks)
-    return [(trial, weight - own) for trial, weight in zip(trials, weights, strict=True)]
+    near = [near_evidence(each) for each in (best, *trials)]
+    first = int(np.argmax(near))  # the best of all, as it seems: `evidence` is to be of that
+    likely = [k for k in range(len(near)) if near[k] > near[first] - VERY_IMPROBABLE]
+    tasks = [partial(evidence if k == first else whole_evidence, refined=(best, *trials)[k]) for k in likely]
+    if len(likely) > 1:
+        for k, weight in zip(likely, in_threads(rng, tasks), strict=True):
+            near[k] = weight
+    return [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]

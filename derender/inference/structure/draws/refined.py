@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
+from derender.inference.structure.draws.curvature import Curvature
 from derender.inference.structure.draws.metropolis import (
     Draws,
     ascend,
@@ -192,6 +193,21 @@ def local_evidence(rng, refined, solids):
     steps = LOCAL_STEPS * len(solids)
     drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
     return log_evidence(drawn, members)
+
+
+def near_evidence(refined, solids=None):
+    """Return about the same as `local_evidence` at a tenth of the cost, of all coordinates where `solids` is None.
+
+    The normal stands for the density that has its height at the mode and the image's curvature there: right to two
+    nats where all sides are seen, to five or so where some are not.
+    """
+    chart = refined.chart
+    members = sorted({m for k in solids for m in own_members(chart, k)}) if solids else range(len(refined.values))
+    engine = engine_of(chart, refined.sensor)
+    load(engine, chart, refined.values)
+    precision = Curvature(engine, chart, refined.sensor, refined.values).precision(list(members))
+    height = refined.log_prior + refined.log_likelihood
+    return height - 0.5 * float(np.linalg.slogdet(precision / (2.0 * np.pi))[1])
 
 
 __all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
