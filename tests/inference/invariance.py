@@ -27,7 +27,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(
-    world, make_kernel: Callable, replicates: int, steps: int, seed: int = 1, temperature: float = 1.0
+    world, make_kernel: Callable, replicates: int, steps: int, seed: int = 1, until_caught: bool = False
 ) -> Verdict:
     """Run the test.
 
@@ -36,11 +36,16 @@ def verdict(
     world : has `space` and `target(rng, values)`, which draws data given the values and returns the posterior's target;
         and `sample(rng)` where the prior is more than that of the space.
     make_kernel : from a target to a kernel.
+    until_caught : of a broken twin an eighth, a quarter or half of the replicates may be proof enough.
     """
     draw = getattr(world, "sample", world.space.sample)
-    differences = []
+    differences: list[np.ndarray] = []
     moved = 0
     for child in np.random.SeedSequence(seed).spawn(replicates):
+        if until_caught and len(differences) in (replicates // 8, replicates // 4, replicates // 2):
+            found = scores(differences, moved, steps)
+            if found.worst > bound(len(found.z)):
+                return found
         rng = np.random.default_rng(child)
         values = draw(rng)
         target = world.target(rng, values)
@@ -50,11 +55,15 @@ def verdict(
             state, info = kernel(rng, state)
             moved += info.accepted
         differences.append(features(world, state, target) - features(world, before, target))
-    differences = np.array(differences)
+    return scores(differences, moved, steps)
+
+
+def scores(differences: list[np.ndarray], moved: int, steps: int) -> Verdict:
+    """Return the Verdict of the differences of so many replicates, in whose steps the state changed `moved` times."""
     spread = np.std(differences, axis=0, ddof=1)
     alive = spread > 0
-    z = np.mean(differences, axis=0)[alive] / (spread[alive] / np.sqrt(replicates))
-    return Verdict(z, moved / (replicates * steps))
+    z = np.mean(differences, axis=0)[alive] / (spread[alive] / np.sqrt(len(differences)))
+    return Verdict(z, moved / (len(differences) * steps))
 
 
 def features(world, state, target) -> np.ndarray:

@@ -85,6 +85,6 @@ def test_contacts_made_anew_keep_the_prior(name, replicates, twin):
 
         return kernel
 
-    result = verdict(world, make, replicates, steps=6)
+    result = verdict(world, make, replicates, steps=6, until_caught=bool(twin))
     assert result.moved > 0.02
     assert (result.worst > bound(len(result.z))) == bool(twin), result

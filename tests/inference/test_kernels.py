@@ -275,7 +275,8 @@ def test_kernel_is_invariant(name):
 @pytest.mark.parametrize("name", CASES)
 def test_broken_twin_is_caught(name):
     world, twin = CASES[name]
-    result = verdict(WORLDS[world](), maker(name, twin, **OPTIONS.get(name, {})), MORE.get(name, 1) * REPLICATES, 4)
+    make = maker(name, twin, **OPTIONS.get(name, {}))
+    result = verdict(WORLDS[world](), make, MORE.get(name, 1) * REPLICATES, steps=4, until_caught=True)
     assert result.worst > bound(len(result.z)), f"{twin.__doc__} passed with {result.worst:.1f}"
 
 
@@ -325,7 +326,7 @@ def test_kernel_is_invariant_on_rotations(name):
 
 @pytest.mark.parametrize("name", ["relocate", "relocate-stack"])
 def test_relocation_without_proposal_ratio_is_caught(name):
-    result = verdict(WORLDS["angle"](), maker(name, RelocateWithoutRatio), REPLICATES, steps=4)
+    result = verdict(WORLDS["angle"](), maker(name, RelocateWithoutRatio), REPLICATES, steps=4, until_caught=True)
     assert result.worst > bound(len(result.z)), result.worst
 
 
@@ -342,7 +343,8 @@ class WithoutHaar(independence.Independence):
 
 @pytest.mark.parametrize("twin", [None, WithoutHaar])
 def test_independence_knows_the_measure_of_rotations(twin):
-    result = verdict(WORLDS["floating"](), maker("independence", twin, inflation=2.0), 4 * REPLICATES, steps=6)
+    make = maker("independence", twin, inflation=2.0)
+    result = verdict(WORLDS["floating"](), make, 4 * REPLICATES, steps=6, until_caught=bool(twin))
     assert result.moved > 0.02
     assert (result.worst > bound(len(result.z))) == bool(twin), result
 
