@@ -1,9 +1,10 @@
 """Scenes of a plank that rests on two boxes of equal height: settled by MuJoCo, which also says who bears weight."""
 
 import numpy as np
+from settling import DENSITY, come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
-DENSITY, GRAVITY = 500.0, 9.81
+GRAVITY = 9.81
 
 
 def turned(yaw, x, y, z):
@@ -29,49 +30,15 @@ def place_bridge(rng):
 
 
 def let_rest(sizes, poses, seconds=2.0):
-    """Let boxes come to rest where they stand.
-
-    Returns
-    -------
-    poses : (N, 4, 4); lift : (N, N + 1) newtons that each bears of each (column 0: the floor); None where they move on.
-    """
-    import mujoco
-
+    """Let upright boxes come to rest where they stand; see `come_to_rest`."""
     bodies = []
     for size, pose in zip(sizes, poses, strict=True):
         yaw = np.arctan2(pose[1, 0], pose[0, 0])
         bodies.append(
             f'<body pos="{" ".join(map(str, pose[:3, 3]))}" quat="{np.cos(yaw / 2)} 0 0 {np.sin(yaw / 2)}"><freejoint/>'
-            f'<geom type="box" size="{" ".join(str(s / 2) for s in size)}" density="{DENSITY}"/></body>'
+            f'<geom type="box" size="{" ".join(str(s / 2) for s in size)}"/></body>'
         )
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><option timestep="0.002" integrator="implicitfast"/><default><geom friction="0.8 0.005 0.002" '
-        'condim="6"/></default><worldbody><geom type="plane" size="3 3 .1"/>'
-        + "".join(bodies)
-        + "</worldbody></mujoco>"
-    )
-    data = mujoco.MjData(model)
-    quiet = 0
-    for _ in range(int(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-        quiet = quiet + 1 if np.abs(data.qvel).max() < 0.005 else 0
-        if quiet > 100:
-            break
-    if quiet <= 100:
-        return None
-    settled = np.tile(np.eye(4), (len(sizes), 1, 1))
-    settled[:, :3, 3], settled[:, :3, :3] = data.xpos[1:], data.xmat[1:].reshape(-1, 3, 3)
-    lift, force = np.zeros((len(sizes), len(sizes) + 1)), np.zeros(6)
-    for index in range(data.ncon):
-        contact = data.contact[index]
-        first, second = model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2]
-        mujoco.mj_contactForce(model, data, index, force)
-        upward = (contact.frame.reshape(3, 3).T @ force[:3])[2]  # on the second body
-        if second > 0:
-            lift[second - 1, first] += upward
-        if first > 0:
-            lift[first - 1, second] -= upward
-    return settled, lift
+    return come_to_rest(bodies, seconds)
 
 
 def settled_bridge(rng):

@@ -8,6 +8,7 @@ supports (indices of what else carries it).
 
 import numpy as np
 from bridge_scenes import settled_bridge
+from settling import come_to_rest
 
 SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes", "bridge")
 
@@ -59,8 +60,6 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
     poses : (N, 4, 4) object to world (z up, floor at 0); parents : list of "floor" or index: the body that bears
         most of the object's weight (upward part of the contact force); None where the scene does not come to rest.
     """
-    import mujoco
-
     geoms, height = [], 0.02
     for index, (kind, size) in enumerate(zip(kinds, sizes, strict=True)):
         shape, half = {
@@ -76,39 +75,13 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
         x, y = rng.uniform(-spread, spread, 2)
         geoms.append(
             f'<body name="b{index}" pos="{x} {y} {height}" quat="{" ".join(map(str, quaternion))}"><freejoint/>'
-            f'<geom type="{shape}" size="{half}" density="500" friction="0.8 0.005 0.002" condim="6"/></body>'
+            f'<geom type="{shape}" size="{half}"/></body>'
         )
         height += np.linalg.norm(size) / 2 + 0.005
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>'
-        '<geom type="plane" size="3 3 .1" friction="0.8 0.005 0.002" condim="6"/>'
-        + "".join(geoms)
-        + "</worldbody></mujoco>"
-    )
-    data = mujoco.MjData(model)
-    quiet = 0
-    for _ in range(int(seconds / 0.002)):
-        mujoco.mj_step(model, data)
-        quiet = quiet + 1 if np.abs(data.qvel).max() < 0.005 else 0
-        if quiet > 100:
-            break
-    if quiet <= 100:
+    rest = come_to_rest(geoms, seconds)
+    if rest is None:
         return None
-    count = len(kinds)
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, :3, 3] = data.xpos[1:]
-    poses[:, :3, :3] = data.xmat[1:].reshape(-1, 3, 3)
-    lift = np.zeros((count, count + 1))
-    force = np.zeros(6)
-    for index in range(data.ncon):
-        contact = data.contact[index]
-        first, second = model.geom_bodyid[contact.geom1], model.geom_bodyid[contact.geom2]
-        mujoco.mj_contactForce(model, data, index, force)
-        upward = (contact.frame.reshape(3, 3).T @ force[:3])[2]  # the force on the second body
-        if second > 0:
-            lift[second - 1, first] += upward
-        if first > 0:
-            lift[first - 1, second] -= upward
+    poses, lift = rest
     parents = ["floor" if j == 0 else int(j - 1) for j in lift.argmax(axis=1)]
     return poses, parents
 

@@ -69,10 +69,10 @@ def command(talk: Talk, **arguments) -> int | None:
 
     IMAGE holds depth along the optical axis, not range: 16 bits a pixel (.png, .tiff) in millimetres unless
     --depth-scale or the camera says otherwise; metres in .npy, float .tiff and .exr; or an .npz that derender wrote.
-    0, NaN, inf and 65535 mean no return; the more background is left in the better, for the floor is found from it,
-    so nobody need say which way is up. The camera is that of the depth image, in its pixels and without lens
+    0, NaN, inf and 65535 mean no return. The camera is that of the depth image, in its pixels and without lens
     distortion; a file {"fx": 615, "fy": 615, "cx": 320, "cy": 240} is enough. Without one, a field of view of 60
-    degrees is assumed.
+    degrees is assumed. Which way is up need not be said: it is found from the floor, so leave the table around the
+    things in the image.
 
     Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
     DIR/report.html, DIR/summary.json and DIR/observation.npz, and prints a table. Ctrl-C writes what there is.
