@@ -40,7 +40,10 @@ class State(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What diagnostics need. accepted : whether the state changed; log_ratio : of the step; name : of the kernel."""
+    """What diagnostics need of a step.
+
+    accepted : whether the state changed; log_ratio : -inf where it was impossible; name : of the kernel.
+    """
 
     accepted: bool
     log_ratio: float

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.inference.kernels.base import Info
 from derender.inference.structure.jumps.vocabulary import Vocabulary
 from derender.model.scene import SceneGraph
 from derender.registry import Registry
@@ -33,14 +34,6 @@ class State(NamedTuple):
     graph: SceneGraph
     log_prior: float
     log_likelihood: float
-
-
-class Info(NamedTuple):
-    """accepted : whether the scene changed; log_ratio : of the step, -inf for one that was impossible; name : of it."""
-
-    accepted: bool
-    log_ratio: float
-    name: str
 
 
 class Applied(NamedTuple):
