@@ -34,18 +34,20 @@ def contact_numbers(chart, draws, parents, codes):
     phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
     """
     count, total = len(chart.flags), len(draws)
-    rows, camera, extents = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
-    phi, sizes, root = np.zeros((total, count, SLOTS)), np.empty((total, count, 3)), np.empty((total, 4, 4))
+    rows, extents = np.empty((count, ROW)), np.empty((count + 1, 3))
+    phi, sizes, poses = np.zeros((total, count, SLOTS)), np.empty((total, count, 3)), np.empty((total, count + 1, 4, 4))
     nothing = np.zeros(3)
     kinds = [int(kind) for kind in chart.flags[:, KIND]]
     for n in range(total):
         place_rows(chart, draws[n], rows)
-        camera_poses(chart, draws[n], rows, camera, extents)
-        root[n], sizes[n] = camera[0], extents[1:]
-        relative = np.linalg.inv(camera)[np.maximum(parents, FLOOR) + 1] @ camera[1:]
+        camera_poses(chart, draws[n], rows, poses[n], extents)
+        sizes[n] = extents[1:]
+    relative = np.linalg.inv(poses)[:, np.maximum(parents, FLOOR) + 1] @ poses[:, 1:]
+    for n in range(total):
         for k, parent in enumerate(parents):
             kind, size = (kinds[parent], sizes[n, parent]) if parent >= 0 else (PLANE, nothing)
-            invert(codes[k, 0], kind, size, kinds[k], sizes[n, k], codes[k, 1], codes[k, 2], relative[k], phi[n, k])
+            invert(codes[k, 0], kind, size, kinds[k], sizes[n, k], codes[k, 1], codes[k, 2], relative[n, k], phi[n, k])
+    root = poses[:, 0]
     return phi, sizes, root
 
 
