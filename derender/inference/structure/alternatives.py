@@ -186,9 +186,7 @@ def merged_row(row, other):
 def merges(rng, best, rules):
     """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
     state = best.state
-    floor = floor_pose_of(best)
-    height = best.log_prior + best.log_likelihood
-    found = []
+    tasks = []
     for i in range(len(state)):
         for j in range(len(state)):
             if i == j or int(state.rows[i][0]) != BOX or int(state.rows[j][0]) != BOX:
@@ -197,21 +195,27 @@ def merges(rng, best, rules):
                 continue
             grown = state.rows[i].copy()
             grown[13:16] += 2.0 * NEIGHBOURS
-            if penetration(grown, state.rows[j]) <= 0.0:
-                continue
-            new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
-            lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
-            new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
-            new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
-            new = new.without(j)
-            place = i - (j < i)
-            trial = at_mode(rng, new, floor, best.sensor, rules, QUICK, place)
-            if trial.log_prior + trial.log_likelihood > height - HOPELESS:
-                odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
-                if odds > -IMPROBABLE:
-                    odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
-                found.append((trial, odds))
-    return found
+            if penetration(grown, state.rows[j]) > 0.0:
+                tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
+    return [found for found in in_threads(rng, tasks) if found is not None]
+
+
+def merged(rng, best, i, j, rules):
+    """Return (Refined, log odds against the best) of solid `j` being part of `i`; None where that is hopeless."""
+    state = best.state
+    new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
+    lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
+    new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
+    new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
+    new = new.without(j)
+    place = i - (j < i)
+    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, place)
+    if trial.log_prior + trial.log_likelihood <= best.log_prior + best.log_likelihood - HOPELESS:
+        return None
+    odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
+    if odds > -IMPROBABLE:
+        odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
+    return trial, odds
 
 
 def one_step_away(best, names):
