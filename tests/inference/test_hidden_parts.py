@@ -1,14 +1,21 @@
 """What hides of a solid: a side of a box, a part of a disc, all of it; and the names of solids whose sides hide."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from calibration import make_scene as make_prior_scene
 
 from derender.inference.structure.alternatives import all_seen, changes, of_one_solid
 from derender.inference.structure.draws.chart import HELD, Rules, make_chart
 from derender.inference.structure.draws.refined import at_mode
 from derender.inference.structure.draws.sensor import Sensor, model_depth
+from derender.inference.structure.infer import point_estimate
 from derender.inference.structure.search.round_proposals import rim_circle
 from derender.inference.structure.solids.image import make_row
 from derender.inference.structure.solids.naming import matched_names
@@ -100,3 +107,12 @@ def test_the_rim_of_a_disc_is_found_where_a_part_is_hidden():
     # a broken twin: the spread of what is left
     assert np.sqrt(2 * left.var(axis=0).mean()) < 0.05 - 2 * step
     assert rim_circle(disc[:2], step) == []
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_pieces_on_both_sides_of_what_hides_it_are_one_box(seed):
+    """Of a box 67 pixels show, beside and above another: three small solids explained them, each of them well."""
+    _, image, _, camera = make_prior_scene(9016, "tabletop")
+    state, _ = point_estimate(np.random.default_rng(seed), image, camera)
+    assert len(state) == 3
+    assert sorted(state.parents).count(FLOOR) == 2

@@ -10,9 +10,10 @@ from derender.inference.bottom_up.local_planes import separation
 from derender.inference.structure.search.proposals import smallest_rectangle
 from derender.inference.structure.search.round_proposals import fit_sphere, lying_circle
 from derender.inference.structure.search.surface import THINNEST, UP, Hypothesis
-from derender.inference.structure.solids.image import make_row
+from derender.inference.structure.solids.image import make_row, rotation_of
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.kernel_cache import njit
+from derender.model.pose import rotation_z
 from derender.model.solids import BOX, CYLINDER, SPHERE
 
 FEWEST = 5  # pixels of a body
@@ -62,22 +63,25 @@ def find_bodies(points, wanted, footprint):
     return [points[label == k] for k in np.flatnonzero(pixels >= FEWEST)]
 
 
+def box_about(points, yaw, bottom):
+    """Return the row of the upright box, turned so far, that holds points (N, 3) and stands on a height."""
+    top = max(np.quantile(points[:, 2], 0.95), bottom + THINNEST)
+    upright = rotation_z(yaw)[:3, :3]
+    along = points @ upright
+    low, high = along.min(axis=0), along.max(axis=0)
+    low[2], high[2] = bottom, top
+    return make_row(BOX, upright, upright @ (0.5 * (low + high)), np.maximum(high - low, THINNEST))
+
+
 def body_hypotheses(points, origin, shapes, bottom=0.0):
     """Yield a solid of each shape allowed that shows these points (N, 3) and stands on a height.
 
     origin : (3,) the camera's centre, floor frame.
     """
-    top = max(np.quantile(points[:, 2], 0.95), bottom + THINNEST)
-    yaw = smallest_rectangle(points[:, :2])
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    along = points[:, :2] @ turn
-    low, high = along.min(axis=0), along.max(axis=0)
-    wide = np.maximum(high - low, THINNEST)
-    upright = np.eye(3)
-    upright[:2, :2] = turn
-    middle = np.array([*(turn @ (0.5 * (low + high))), 0.5 * (bottom + top)])
+    box = box_about(points, smallest_rectangle(points[:, :2]), bottom)
+    turn, middle, wide, height = rotation_of(box)[:2, :2], box[10:13], box[13:15], box[15]
     if "box" in shapes or "cube" in shapes:
-        yield Hypothesis(make_row(BOX, upright, middle, [*wide, top - bottom]), UPRIGHT, False, ())
+        yield Hypothesis(box, UPRIGHT, False, ())
     # a round solid shows its near half: as wide as it seems from the camera, and as deep
     away = middle[:2] - origin[:2]
     away = away / max(np.linalg.norm(away), 1e-9)
@@ -86,7 +90,7 @@ def body_hypotheses(points, origin, shapes, bottom=0.0):
     near = np.quantile(points[:, :2] @ away, 0.05) + 0.5 * diameter
     centre = near * away + 0.5 * (across.min() + across.max()) * np.array([-away[1], away[0]])
     if "cylinder" in shapes:
-        row = make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, top - bottom])
+        row = make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, height])
         yield Hypothesis(row, UPRIGHT, False, ())
         if bottom == 0.0:
             yield lying_cylinder(points, turn, wide)

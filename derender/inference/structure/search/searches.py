@@ -5,19 +5,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.inference.structure.search.bodies import box_about
 from derender.inference.structure.search.focus import refocused
 from derender.inference.structure.search.greedy import greedy, prune, settle, sweep, total_energy
 from derender.inference.structure.search.moves import aligned_pairs, merge_pair, propose
 from derender.inference.structure.search.places import find_places
 from derender.inference.structure.search.support_moves import put_under, raise_support, stand
 from derender.inference.structure.solids.image import Image
-from derender.inference.structure.solids.state import State
+from derender.inference.structure.solids.interpenetration import lowest
+from derender.inference.structure.solids.polish import UPRIGHT
+from derender.inference.structure.solids.state import FLOOR, State, held_out, run_polish
 from derender.threads import THREADS, in_threads
 
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 3  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
+FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
@@ -63,6 +67,7 @@ def one_search(rng, image, hypotheses, settings):
     state = repair(rng, image, state, hypotheses, settings, pool)
     state = support_all(rng, image, state, settings)
     state = merge_all(rng, image, state, settings)
+    state = unite_few(rng, image, state, settings)
     again = settle(rng, image, state, settings, 300)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
@@ -121,6 +126,56 @@ def support_all(rng, image, state, settings):
 def floats(state):
     """Whether nothing bears some solid of the state."""
     return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
+
+
+def unite_few(rng, image, state, settings):
+    """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
+    lowers the energy: pieces of what shows on both sides of another. Each is well explained, so no move looks at them;
+    and so few points do not tell which way the box is turned."""
+    best = total_energy(image, state, settings)
+    united = "box" in settings.shapes
+    while united:
+        united = False
+        places = find_places(image, state)
+        shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
+        for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
+            points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
+            bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
+            fewer = state
+            for k in reversed(out):
+                fewer = fewer.without(k)
+            view, tries = held_out(image, fewer, -1), []
+            for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
+                row = box_about(points, yaw, bottom)
+                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings, 300, 0.006,
+                                        4.0))  # fmt: skip
+            row, _, _ = min(tries, key=lambda tried: tried[1])
+            new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
+            if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+                continue
+            new = settle(rng, image, new, settings, 200, {len(fewer)})
+            value = total_energy(image, new, settings)
+            if value < best:
+                state, best, united = new, value, True
+                break
+    return state
+
+
+def groups(members, beside):
+    """Return sorted lists of two members and more: all that hang together by showing beside each other, then pairs."""
+    found, pairs = [], []
+    left = [int(k) for k in members]
+    while left:
+        group, ahead = [], [left[0]]
+        while ahead:
+            k = ahead.pop()
+            if k in left:
+                left.remove(k)
+                group.append(k)
+                ahead += [j for j in left if beside[k, j] > 0]
+        found.append(sorted(group))
+        pairs += [[j, k] for j in sorted(group) for k in group if j < k and beside[j, k] > 0 and len(group) > 2]
+    return [group for group in found if len(group) > 1] + pairs
 
 
 def merge_all(rng, image, state, settings):
