@@ -109,7 +109,7 @@ def verdict(move, words, graph, count, seed=1):
         numbers = {path: leaf for path, leaf in leaves if isinstance(leaf, float)}
         if not any(path[-1] in ROTATION for path in numbers):
             found[tuple((path, leaf) for path, leaf in leaves if path not in numbers)].append((choice, numbers))
-    shares, seen, said = defaultdict(list), 0, 0.0
+    shares, rates = defaultdict(list), []
     for drawn in found.values():
         if len(drawn) < LEAST:
             continue
@@ -123,10 +123,16 @@ def verdict(move, words, graph, count, seed=1):
             masses = 0.5 * (density[1:] + density[:-1]) * np.diff(grid)
             left += math.log(masses.sum())
             shares[path].extend(np.interp(values, grid, np.concatenate([[0.0], np.cumsum(masses)]) / masses.sum()))
-        seen, said = seen + len(drawn), said + math.exp(left)
-    assert seen > 0.1 * count
-    error = math.hypot(math.sqrt(seen * (1.0 - 0.9 * seen / count)) / count, COARSE * seen / count)
-    return max(map(unevenness, shares.values()), default=0.0), abs(seen / count - said) / error
+        rates.append((len(drawn) / count, math.exp(left)))
+    seen, said = np.array(rates).T
+    assert seen.sum() > 0.1
+    off = max(np.abs(errors_off(seen, said, count)).max(), abs(errors_off(seen.sum(), said.sum(), count)))
+    return max(map(unevenness, shares.values()), default=0.0), off
+
+
+def errors_off(seen, said, count):
+    """Return by how many standard errors shares of `count` draws are off their probability, as that is integrated."""
+    return (seen - said) / np.hypot(np.sqrt(seen * (1.0 - 0.9 * seen) / count), COARSE * seen)
 
 
 def unevenness(shares):
@@ -136,12 +142,14 @@ def unevenness(shares):
 
 
 def scene(words, seed, solids=2):
-    """Return a draw from the prior with some solids of which none floats or is a ball: their angles hang together."""
+    """Return a draw from the prior with some solids, three as a pile; none floats or is a ball: their angles hang
+    together."""
     rng = generator(seed)
     while True:
         graph = words.prior.sample(rng)
         grown = [graph.vertex(name) for name in words.grown(graph)]
-        if len(grown) == solids and all(v.shape != "sphere" and v.parent != ROOT for v in grown):
+        piled = solids < 3 or len({v.parent for v in grown}) == solids
+        if len(grown) == solids and piled and all(v.shape != "sphere" and v.parent != ROOT for v in grown):
             return graph
 
 
@@ -205,6 +213,45 @@ def test_a_density_of_wrong_shape_is_seen():
     assert verdict(Evenly(moves["split-merge"]), words, scene(words, 3, 3), 400)[0] > 1.2 * SEVERE
 
 
+# ---- moves whose choices are as likely back as forth ----
+
+
+def evenness(move, count=3000):
+    """Return (standard errors of the mean step from zero, largest difference between log q forth and back)."""
+    words, steps, worst, rng = words_of("rims"), [], 0.0, generator(9)
+    graphs = [scene(words, seed) for seed in range(20)]
+    for number in range(count):
+        graph = graphs[number % len(graphs)]
+        choice = move.draw(rng, words, graph)
+        if choice is None:
+            continue
+        steps += [float(step) / choice.scale for step in choice.steps.values() if not isinstance(step, np.ndarray)]
+        applied = move.apply(words, graph, choice)
+        if applied is not None and number < 200:
+            forth = move.log_choice(words, graph, choice)
+            worst = max(worst, abs(forth - move.log_choice(words, applied.graph, applied.back)))
+    signs = np.sign(steps)
+    return abs(signs.mean()) * math.sqrt(len(signs)), worst
+
+
+class Drifting(Twin):
+    """Steps up a little more often than down."""
+
+    def draw(self, rng, words, graph):
+        choice = super().draw(rng, words, graph)
+        if choice is None or rng.random() < 0.8:
+            return choice
+        return choice._replace(steps={key: abs(step) for key, step in choice.steps.items()})
+
+
+@pytest.mark.parametrize("name", [name for name in moves.names() if moves[name].even])
+def test_even_moves_step_either_way_alike(name):
+    apart, worst = evenness(moves[name])
+    assert apart < SEVERE
+    assert worst < 1e-9
+    assert evenness(Drifting(moves[name]))[0] > SEVERE
+
+
 # ---- births about hypotheses ----
 
 
@@ -226,6 +273,13 @@ def test_births_about_hypotheses_are_drawn_as_their_density_says():
     uneven, apart = verdict(moves["birth-death"], words, graph, 1500)
     assert uneven < SEVERE
     assert apart < SEVERE
+
+
+def test_without_hypotheses_births_are_those_of_the_prior():
+    words, graph = birthplace(0.5)
+    vertex = PriorProposal().sample(generator(8), words, graph)
+    density = HypothesisProposal([], 0.5).log_density(words, graph, vertex)
+    assert density == PriorProposal().log_density(words, graph, vertex)
 
 
 def prior_mass(words, graph, factor=1.0, count=2500):
