@@ -17,7 +17,7 @@ from derender.inference.settings import read_settings
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate, verdicts
 from derender.report.animation import frames
-from derender.report.html import likelihood_numbers
+from derender.report.contents import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
 from derender.vision.blur import blur, blur_taps
 from derender.vision.raycast.depth import render_depth

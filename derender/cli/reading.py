@@ -54,7 +54,7 @@ def read_scene(path: str) -> Found:
     ------
     DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
-    from derender.report.html import likelihood_numbers
+    from derender.report.contents import likelihood_numbers
 
     folder = Path(path)
     posterior = None

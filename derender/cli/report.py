@@ -27,7 +27,8 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     """
     from derender.cli.reading import read_observation, read_scene
     from derender.errors import DerenderError
-    from derender.report.html import report_of, write_report
+    from derender.report.contents import report_of
+    from derender.report.html import write_report
     from derender.report.tables import parameter_table
     from derender.report.trust import verdict
 

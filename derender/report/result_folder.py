@@ -88,7 +88,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
     """
     from derender.inference.netcdf import write_netcdf
-    from derender.report.html import likelihood_numbers, report_of, sensor_words, write_report
+    from derender.report.contents import likelihood_numbers, report_of, sensor_words
+    from derender.report.html import write_report
     from derender.report.scene_json import scene_json
 
     graph = posterior.best_graph()

@@ -3,23 +3,21 @@
 import base64
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from derender.model import solids as kinds
 from derender.model.solids import Solids
 from derender.report import pictures
+from derender.report.contents import Report
 from derender.report.geometry import plane_patch, solid_mesh
-
-if TYPE_CHECKING:
-    from derender.report.html import Report
 
 HERE = Path(__file__).parent
 SHOWN_POINTS = 12_000
 
 
-def viewer_html(report: "Report", colours: np.ndarray) -> str:
+def viewer_html(report: Report, colours: np.ndarray) -> str:
     """Return the viewer of a report's scene: canvas, switches, data and script."""
     points, point_colours = _observed_points(report, colours)
     shown = []
@@ -76,7 +74,7 @@ def viewer_html(report: "Report", colours: np.ndarray) -> str:
 }})();</script>"""
 
 
-def _observed_points(report: "Report", colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _observed_points(report: Report, colours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return some observed points, (P, 3) in the camera's frame, and their colours: that of what explains them."""
     if report.camera is None or report.observed is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)

@@ -15,7 +15,8 @@ from derender.model.pose import rotation_x, rotation_z, translation
 from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.report import pictures, svg, tables, trust
-from derender.report.html import Report, page
+from derender.report.contents import Report
+from derender.report.html import page
 from derender.report.structure_words import structure_words
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines

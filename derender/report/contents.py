@@ -1,0 +1,124 @@
+"""What a report shows: gathered from a scene, its image and its posterior, before any of it is drawn."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from derender.model.solids import Solids
+from derender.report import tables, trust
+from derender.vision.camera import Camera
+
+if TYPE_CHECKING:
+    from derender.document import LikelihoodPrior
+    from derender.inference.posterior import Posterior
+    from derender.model.scene import SceneGraph
+
+SHOWN_DRAWS = 12
+
+
+class Report(NamedTuple):
+    """What a report shows.
+
+    Attributes
+    ----------
+    title : the name of the image or scene.
+    scene : the most probable scene, as `derender show --json` prints it.
+    solids : the solids of that scene; solid_names : their names.
+    camera : of the image, or None.
+    observed : (height, width) float64, metres, NaN without return, or None.
+    draws : solids of some posterior draws, to show the spread.
+    parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
+    structures : (weight, words) of each structure found, most probable first.
+    facts : what else is known, shown in the head: seed, version, command, the sensor, times.
+    doubts : why the posterior is not to be trusted, a line each.
+    likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
+        what Eq. 6 compares with the observed one.
+    """
+
+    title: str
+    scene: Mapping[str, Any]
+    solids: Solids
+    solid_names: Sequence[str]
+    camera: Camera | None = None
+    observed: np.ndarray | None = None
+    draws: Sequence[Solids] = ()
+    parameters: Sequence[Mapping[str, Any]] = ()
+    structures: Sequence[tuple[float, str]] = ()
+    facts: Mapping[str, Any] = {}
+    likelihood: Mapping[str, Any] = {}
+    doubts: tuple[str, ...] = ()
+
+
+def report_of(
+    graph: "SceneGraph",
+    camera: Camera | None = None,
+    observed: np.ndarray | None = None,
+    posterior: "Posterior | None" = None,
+    title: str = "derender",
+    facts: Mapping[str, Any] | None = None,
+    likelihood: Mapping[str, Any] | None = None,
+    lost: int = 0,
+) -> Report:
+    """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
+
+    Parameters
+    ----------
+    observed : (height, width) float64, metres, NaN without return.
+    facts : further entries for the head, such as seconds.
+    likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
+    lost : how many chains died.
+    """
+    from derender.report.scene_json import scene_json
+    from derender.report.structure_words import told_structures
+
+    known: dict[str, Any] = {**sensor_words(likelihood or {}), **dict(facts or {})}
+    draws, rows, structures = [], [], []
+    if posterior is not None:
+        known = {"seed": posterior.seed, "version": posterior.version, "command": posterior.command, **known}
+        # Which draws are shown must not change what `infer` wrote with a seed: the picture has its own.
+        draws = [drawn.solids() for drawn in posterior.graphs(np.random.default_rng(0), SHOWN_DRAWS)]
+        best = posterior.best_part
+        periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
+        rows = tables.parameter_rows(best.addresses, best.values, periods)
+        structures = told_structures(posterior)
+    return Report(
+        title,
+        scene_json(graph, posterior),
+        graph.solids(),
+        graph.solid_names,
+        camera,
+        observed,
+        draws,
+        rows,
+        structures,
+        {key: value for key, value in known.items() if value not in (None, "")},
+        dict(likelihood or {}),
+        trust.doubts_of(posterior, rows, lost) if posterior is not None else (),
+    )
+
+
+def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]:
+    """Return the numbers of a file's likelihood by name, with defaults for what it leaves out or open; {} for none."""
+    from derender.vision.likelihoods import likelihoods
+
+    if likelihood is None:
+        return {}
+    given = {key: value for key, value in likelihood.values.items() if isinstance(value, int | float)}
+    return likelihoods[likelihood.type].complete(given)
+
+
+def sensor_words(numbers: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a likelihood's numbers say of the sensor, for a page's head."""
+    words = {}
+    if "sigma" in numbers:
+        growth = numbers.get("sigma_growth", 0.0)
+        more = f" + {1000 * growth:.2g} mm/m² z²" if growth else ""
+        words["noise"] = f"{1000 * numbers['sigma']:.2g} mm{more}"
+    if numbers.get("blur"):
+        words["blur"] = f"{numbers['blur']:.2g} pixels"
+    if "outlier" in numbers:
+        words["outliers"] = f"{numbers['outlier']:.2g} of the pixels"
+    if np.isfinite(numbers.get("effective_pixels", np.inf)):
+        words["independent pixels"] = f"{numbers['effective_pixels']:.0f}"
+    return words
