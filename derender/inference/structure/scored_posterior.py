@@ -12,8 +12,8 @@ import numpy as np
 from derender.inference.diagnostics import unwrap
 from derender.inference.posterior import StructurePosterior
 from derender.inference.structure.alternatives import supports_within
+from derender.inference.structure.draws.agreement import agree
 from derender.inference.structure.draws.discrepancy import with_offsets
-from derender.inference.structure.draws.metropolis import agree
 from derender.inference.structure.search.greedy import sweep, total_energy, try_cube
 from derender.inference.structure.solids.graph import names_of, periods_of, pose_of, scene_graph
 from derender.inference.structure.solids.image import CENTRE, ROTATION, rotation_of

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.inference.diagnostics import bulk_ess, r_hat
+from derender.inference.structure.draws.agreement import agree, far_apart
 from derender.inference.structure.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
 from derender.inference.structure.draws.curvature import Curvature
 from derender.inference.structure.draws.steps import (
@@ -46,7 +46,6 @@ COLD = (1.0, 3.0, 10.0)  # what the likelihood is raised to on the way to a mode
 SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
 LONGER = 2  # times that draws may go on for as long again where the chains do not agree
 MANY = 50  # coordinates from which on that may be done once more
-AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
 TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is worth
 
 
@@ -217,7 +216,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
     all chains have met; at the beginning, with a likelihood that counts less, they go where they like, but for a single
     one, which none would tell that it has left its mode for a worse one. Draws about what the image does not hold are
-    twice as far apart, and where the chains do not agree they go on for as long again.
+    twice as far apart, and where the chains do not agree they go on for as long again, unless they are far from it.
 
     only : coordinates that may move, None for all.
     """
@@ -247,7 +246,8 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
         steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
-        if not left or chains == 1 or agree(np.stack([each.values[:, members] for each in drawn])):
+        told = np.stack([each.values[:, members] for each in drawn])
+        if not left or chains == 1 or agree(told) or (former and far_apart(told)):
             break
         met = np.concatenate([draws.values[:, members] for draws in drawn])
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)
@@ -266,14 +266,6 @@ def spread_of(met, factor):
     seen = np.linalg.solve(factor, (met - met.mean(axis=0)).T)
     share = len(met) / (len(met) + TRUSTED * len(factor))
     return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
-
-
-def agree(values):
-    """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
-    if values.shape[1] < FEW:
-        return True
-    columns = np.moveaxis(values, -1, 0)
-    return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
 
 
 def stretch(rng, walkers, steps, temperature, gain, count, thin):
