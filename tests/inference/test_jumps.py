@@ -122,8 +122,9 @@ STEPS = 3
 def features(words, graph, log_prior):
     """Return functions of a scene as a set: counts of objects and edges, sums of sizes, offsets, angles and slack."""
     found = dict.fromkeys(
-        ("cube", "box", "cylinder", "sphere", "edges", "floating", "first", "last", "square", "volume", "u", "v", "uu",
-         "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt", "face", "side"), 0.0)  # fmt: skip
+        ("cube", "box", "cylinder", "sphere", "edges", "floating", "first", "carried", "last", "square", "volume", "u",
+         "v", "uu", "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt", "face", "side"),
+        0.0)  # fmt: skip
     for name in words.grown(graph):
         vertex = graph.vertex(name)
         sizes, numbers = list(vertex.parameters.values()), vertex.contact.values
@@ -131,6 +132,7 @@ def features(words, graph, log_prior):
         found["edges"] += vertex.parent not in words.base and vertex.parent != "root"
         found["floating"] += vertex.parent == "root"
         found["first"] += sizes[0]
+        found["carried"] += sizes[0] * (vertex.parent not in words.base and vertex.parent != "root")
         found["last"] += sizes[-1]
         found["square"] += sizes[-1] ** 2
         found["volume"] += sizes[0] * sizes[len(sizes) // 2] * sizes[-1]
@@ -331,6 +333,17 @@ class Growing(Twin):
         return Applied(applied.graph.replace(name, parameters=grown), applied.back, applied.log_jacobian)
 
 
+class LargeBelow(Twin):
+    """Likes an exchange that brings the larger solid down, and dislikes the way back as much."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        if applied is None:
+            return None
+        gain = 10.0 * (graph.vertex(choice.upper).psi.sum() - graph.vertex(choice.lower).psi.sum())
+        return applied._replace(log_jacobian=gain)
+
+
 TWINS = [
     ("birth-death", WrongCount),
     ("birth-death", WithoutChoices),
@@ -338,6 +351,7 @@ TWINS = [
     ("change-shape", WithoutJacobian),
     ("change-shape", WithoutChoices),
     ("exchange", Growing),
+    ("exchange", LargeBelow),
     ("reparent", WithoutJacobian),
     ("resimulate", WithoutChoices),
     ("slide", Growing),
