@@ -50,6 +50,8 @@ def test_identities_and_ways_of_lying(tmp_path):
     # the brick stands on its end: its length is upright
     assert abs(found["brick"][:3, 0] @ floor[:3, 2]) > 0.999
     assert not any(a.startswith("brick.") and "contact" not in a for a in posterior.best_part.addresses)
+    assert "brick.contact.theta" in posterior.best_part.addresses
+    assert "tin.contact.theta" not in posterior.best_part.addresses  # nothing tells how it is turned about itself
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -1,10 +1,10 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
-import math
 
 import numpy as np
 
 from derender.inference.structure.draws.chart import KIND, camera_poses, place_rows
+from derender.inference.structure.solids.graph import turns_freely
 from derender.inference.structure.solids.image import ROW
 from derender.inference.structure.solids.state import FLOOR
 from derender.model.contacts import contacts
@@ -77,8 +77,7 @@ def numbers_of_draws(chart, draws, graph, names):
         on = graph.body(vertex.parent).shape
         slots = contacts[contact.type].parameters(on, shapes[vertex.shape], contact.parent_face, contact.child_face)
         for slot, parameter in enumerate(slots):
-            spin = parameter.name == "theta" and math.isinf(shapes[vertex.shape].face_order(contact.child_face))
-            if parameter.name in contact.values and not spin:
+            if parameter.name in contact.values and not (parameter.name == "theta" and turns_freely(vertex)):
                 address = f"{name}.contact.{parameter.name}"
                 found[address] = phi[:, k, slot]
                 periods[address] = parameter.period

@@ -15,6 +15,7 @@ from derender.inference.structure.solids.graph import (
     order_of,
     periods_of,
     pose_of,
+    turns_freely,
     vertex_of,
     without,
 )
@@ -122,6 +123,9 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
     graph = graph_of(placed, parents, floor_pose, names)
     fixed = {f"{name}.{key}" for name, item in zip(names, placed, strict=True) if item.known
              for key in item.known.parameters}  # fmt: skip
+    # how a can that carries nothing is turned about itself nothing tells
+    fixed |= {f"{vertex.name}.contact.theta" for vertex in graph.vertices
+              if turns_freely(vertex) and not graph.children(vertex.name)}  # fmt: skip
     addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names and a not in fixed)
     values = np.empty((chains, draws, len(addresses)))
     density = np.empty((chains, draws))

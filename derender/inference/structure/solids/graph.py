@@ -1,5 +1,6 @@
 """From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -162,6 +163,12 @@ def without(contact: Contact, *names: str) -> Contact:
 def upright(row: np.ndarray) -> bool:
     """Whether a solid with ends stands on one of them: then that is the face by which it touches what is below."""
     return int(row[0]) != SPHERE and row[9] > 1.0 - 1e-12
+
+
+def turns_freely(vertex) -> bool:
+    """Whether a round face touches what bears an object: then all angles of the contact are as good."""
+    face = vertex.contact.child_face
+    return face is not None and math.isinf(vertex.body.shape.face_order(face))
 
 
 def periods_of(graph, addresses):
