@@ -20,7 +20,7 @@ from derender.threads import THREADS, in_threads
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
-IN_VAIN = 3  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
+IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
@@ -80,15 +80,16 @@ def repair(rng, image, state, hypotheses, settings, pool):
     """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
-    when hardly any misfit is left that noise would not leave, or after IN_VAIN times as many whatever is left.
-    (state, energy) of all that were tried are appended to `pool`.
+    when hardly any misfit is left that noise would not leave, or, but on a real sensor's images, after IN_VAIN times as
+    many whatever is left. (state, energy) of all that were tried are appended to `pool`.
     """
     best = total_energy(image, state, settings)
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
         enough = settings.quiet + 3 * len(state)
-        if quiet >= (enough if places.none_left(settings) else IN_VAIN * enough):
+        in_vain = IN_VAIN if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
+        if quiet >= (enough if places.none_left(settings) else in_vain * enough):
             break
         quiet += 1
         proposed = propose(rng, image, state, hypotheses, settings, places)
