@@ -15,9 +15,11 @@ import pytest
 from jump_worlds import BLOCKS, document_of, generator, prior_of
 from test_jumps import Twin
 
-from derender.inference.structure.jumps.base import moves
+from derender.inference.structure.jumps.base import Target, evaluate, log_proposal_ratio, moves
+from derender.inference.structure.jumps.birth_death import Birth
 from derender.inference.structure.jumps.charts import HAAR, rotation_density, rotation_near
 from derender.inference.structure.jumps.proposal import Hypothesis, HypothesisProposal, PriorProposal
+from derender.inference.structure.jumps.smc import STAY, Particle, log_increment
 from derender.inference.structure.jumps.vocabulary import Vocabulary
 from derender.model.pose import (
     from_quaternion,
@@ -250,6 +252,23 @@ def test_even_moves_step_either_way_alike(name):
     assert apart < SEVERE
     assert worst < 1e-9
     assert evenness(Drifting(moves[name]))[0] > SEVERE
+
+
+def test_a_particle_gains_the_weight_of_a_birth():
+    """The increment of SMC is the ratio of a birth whose way back is a death, which the tests above hold to account."""
+    words, move = words_of("blocks"), moves["birth-death"]
+    target, rng, leaves = Target(words.prior), generator(10), set()
+    for seed in range(12):
+        before = evaluate(target, scene(words, seed))
+        vertex = words.proposal.sample(rng, words, before.graph)
+        after = evaluate(target, before.graph.add(vertex))
+        if after.log_prior == -math.inf:
+            continue
+        _, ratio = log_proposal_ratio(move, words, before.graph, Birth(vertex))
+        gained = log_increment(words, Particle(after, vertex.name, before), len(words.grown(after.graph)))
+        assert gained == pytest.approx(after.log_prior - before.log_prior + ratio - math.log(1.0 - STAY), abs=1e-9)
+        leaves.add(len(words.leaves(after.graph)))
+    assert len(leaves) > 1
 
 
 # ---- births about hypotheses ----
