@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.inference.noise import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.inference.structure.draws.chart import camera_poses, place_rows
 from derender.inference.structure.solids.image import ROW
 from derender.model.solids import PLANE, Solids
@@ -13,11 +14,9 @@ from derender.vision.likelihoods import likelihoods
 from derender.vision.raycast.depth import render_depth
 
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
-LEAST_SIGMA = 1e-4
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
 LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
-MOST_SIGMA, MOST_GROWTH = 1.0, 1.0  # as a likelihood allows them
 BACKGROUND = 10.0
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
@@ -65,30 +64,6 @@ def model_image(chart, values, camera):
 def model_depth(chart, values, camera):
     """Return the clean depth (H, W) of a chart's solids, with the wall behind."""
     return model_image(chart, values, camera)[0]
-
-
-def noise_of(residual, model):
-    """Return (sigma, growth) of noise sigma + growth depth^2 in metres, from medians over a near and a far half.
-
-    A constant one where the difference is not clear. Both lie in the ranges that a likelihood allows.
-    """
-    seen = np.isfinite(residual)
-    r, z = np.abs(residual[seen]), model[seen]
-    if len(r) == 0:
-        return LEAST_SIGMA, 0.0
-    near = z <= np.median(z)
-    constant = np.clip(1.4826 * np.median(r), LEAST_SIGMA, MOST_SIGMA), 0.0
-    if near.all():
-        return float(constant[0]), 0.0
-    spreads = [1.4826 * np.median(r[half]) + 1e-9 for half in (near, ~near)]
-    squares = [np.mean(z[half] ** 2) for half in (near, ~near)]
-    if spreads[1] < 1.08 * spreads[0]:
-        return float(constant[0]), 0.0
-    growth = (spreads[1] - spreads[0]) / (squares[1] - squares[0])
-    sigma = spreads[0] - growth * squares[0]
-    if sigma < LEAST_SIGMA:
-        sigma, growth = LEAST_SIGMA, (spreads[1] - LEAST_SIGMA) / squares[1]
-    return float(np.clip(sigma, LEAST_SIGMA, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
 
 
 def too_far(observed):

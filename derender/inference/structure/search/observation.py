@@ -12,6 +12,7 @@ from derender.inference.bottom_up.patches import Patches, find_patches
 from derender.inference.bottom_up.pyramid import reduce, sampled
 from derender.inference.bottom_up.sharpness import estimate_blur
 from derender.inference.bottom_up.wall import walls_behind
+from derender.inference.noise import noise_of
 from derender.inference.structure.solids.image import FAR, Image, make_image
 from derender.inference.structure.solids.misfit import AS_SEEN
 
@@ -166,7 +167,7 @@ def raise_wall(image):
 
 
 def noise_map(depth, floor, camera):
-    """Return the standard deviation of the noise (H, W): a power of the depth between 0 and 2, fitted on the floor.
+    """Return the standard deviation of the noise (H, W), fitted on the floor.
 
     Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
     """
@@ -180,13 +181,10 @@ def noise_map(depth, floor, camera):
         return np.full(depth.shape, floor.sigma)
     points, slope = points[steep], slope[steep]
     z = points[:, 2]
-    residual = np.abs((points - floor.pose[:3, 3]) @ normal / slope)
-    thirds = np.array_split(np.argsort(z), 3)
-    near, far = (1.4826 * np.median(residual[k]) + 5e-5 for k in (thirds[0], thirds[2]))
-    close, distant = np.median(z[thirds[0]]), np.median(z[thirds[2]])
-    power = np.clip(np.log(far / near) / np.log(distant / close), 0.0, 2.0) if distant > 1.05 * close else 0.0
-    ratio = np.clip(np.nan_to_num(depth, nan=close) / close, 0.3, 4.0)
-    return np.maximum(near, LEAST_SIGMA) * ratio**power
+    sigma, growth = noise_of((points - floor.pose[:3, 3]) @ normal / slope, z)
+    close = np.median(z)
+    deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
+    return np.maximum(sigma + growth * deep**2, LEAST_SIGMA)
 
 
 def rounding_of(depth):
