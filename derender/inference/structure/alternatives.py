@@ -25,7 +25,7 @@ from derender.inference.structure.draws.sensor import model_image
 from derender.inference.structure.search.greedy import cube_of, spaced
 from derender.inference.structure.solids.graph import names_of
 from derender.inference.structure.solids.image import make_row, rotation_of
-from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
+from derender.inference.structure.solids.interpenetration import highest, lowest
 from derender.inference.structure.solids.naming import matched_names, structure_key
 from derender.inference.structure.solids.polish import FREE, UPRIGHT
 from derender.inference.structure.solids.state import FLOOR
@@ -36,7 +36,6 @@ from derender.threads import in_threads
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
-NEIGHBOURS = 0.004  # metres between boxes that may be one
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
 # Nats below the best at which `near_evidence` has to do, of a change of one solid and of a structure: a weight of less
@@ -125,7 +124,7 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     height = best.log_prior + best.log_likelihood
     found: list[Refined] = []
     for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
-        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, i)
+        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
         if trial.log_prior + trial.log_likelihood > height - HOPELESS and all_seen(trial):
             found.append(trial)
     removed = without(best, i, floor, rules)
@@ -168,56 +167,6 @@ def without(best, i, floor, rules):
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
 
-def merged_row(row, other):
-    """Return the row of the upright box about two upright boxes, along the axes of the first."""
-    rotation = row[1:10].reshape(3, 3)
-    corners = []
-    for r in (row, other):
-        turn = r[1:10].reshape(3, 3)
-        corners += [r[10:13] + turn @ (0.5 * r[13:16] * (2.0 * np.array(s) - 1.0)) for s in np.ndindex(2, 2, 2)]
-    along = np.array(corners) @ rotation
-    low, high = along.min(axis=0), along.max(axis=0)
-    new = row.copy()
-    new[10:13] = rotation @ (0.5 * (low + high))
-    new[13:16] = high - low
-    return new
-
-
-def merges(rng, best, rules):
-    """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
-    state = best.state
-    tasks = []
-    for i in range(len(state)):
-        for j in range(len(state)):
-            if i == j or int(state.rows[i][0]) != BOX or int(state.rows[j][0]) != BOX:
-                continue
-            if FREE in (state.forms[i], state.forms[j]) or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
-                continue
-            grown = state.rows[i].copy()
-            grown[13:16] += 2.0 * NEIGHBOURS
-            if penetration(grown, state.rows[j]) > 0.0:
-                tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
-    return [found for found in in_threads(rng, tasks) if found is not None]
-
-
-def merged(rng, best, i, j, rules):
-    """Return (Refined, log odds against the best) of solid `j` being part of `i`; None where that is hopeless."""
-    state = best.state
-    new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
-    lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
-    new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
-    new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
-    new = new.without(j)
-    place = i - (j < i)
-    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, place)
-    if trial.log_prior + trial.log_likelihood <= best.log_prior + best.log_likelihood - HOPELESS:
-        return None
-    odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
-    if odds > -IMPROBABLE:
-        odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
-    return trial, odds
-
-
 def one_step_away(best, names):
     """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
     for i in range(len(best.state)):
@@ -249,14 +198,15 @@ def from_search(rng, best, pool, energy, rules, evidence):
         if key not in seen:
             seen.add(key)
             near.append(state)
-    if not near:
-        return []
-    height = best.log_prior + best.log_likelihood
-    floor = floor_pose_of(best)
-    trials = in_threads(rng, [
-        partial(at_mode, state=state, floor_pose=floor, sensor=best.sensor, rules=rules, steps=QUICK) for state in near
-    ])  # fmt: skip
-    trials = [t for t in trials if t.log_prior + t.log_likelihood > height - HOPELESS and all_seen(t)]
+    return weighed_whole(rng, best, near, rules, QUICK, evidence)
+
+
+def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
+    """Return (Refined, log odds against the best) of those states that are not hopeless, by integrals over everything.
+
+    steps : of each temperature for each solid. evidence : as `whole_evidence`, for the best.
+    """
+    trials = [trial for trial in climbed(rng, best, states, rules, steps, HOPELESS) if all_seen(trial)]
     if not trials:
         return []
     near = [near_evidence(each) for each in (best, *trials)]
@@ -267,3 +217,12 @@ def from_search(rng, best, pool, energy, rules, evidence):
         for k, weight in zip(likely, in_threads(rng, tasks), strict=True):
             near[k] = weight
     return [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]
+
+
+def climbed(rng, best, states, rules, steps, within):
+    """Return the Refined of those states whose modes are within so many nats of the best's."""
+    height, floor = best.log_prior + best.log_likelihood, floor_pose_of(best)
+    trials = in_threads(rng, [
+        partial(at_mode, state=new, floor_pose=floor, sensor=best.sensor, rules=rules, steps=steps) for new in states
+    ])  # fmt: skip
+    return [trial for trial in trials if trial.log_prior + trial.log_likelihood > height - within]

@@ -19,13 +19,13 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.inference.posterior import StructurePosterior
+from derender.inference.structure.solids.statics import CERTAIN
 from derender.model.scene import ROOT, SceneGraph
 from derender.model.second_support import support_residual
 from derender.model.shapes import shapes
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
 REACH = 0.06
-CERTAIN = 100.0
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
 RESTING = ("face-to-face", "side-on-face")
 EXTENTS = {"x": "length", "y": "width", "z": "height"}

@@ -14,7 +14,6 @@ import numpy as np
 from derender.inference.structure.alternatives import (
     WHOLE_DRAWS,
     from_search,
-    merges,
     of_one_solid,
     whole_evidence,
 )
@@ -33,9 +32,10 @@ from derender.inference.structure.scored_posterior import MOST_PARTS, NEGLIGIBLE
 from derender.inference.structure.search.greedy import total_energy
 from derender.inference.structure.solids.graph import names_of
 from derender.inference.structure.solids.naming import matched_names, structure_key
+from derender.inference.structure.unions import merges, recuts
 from derender.threads import in_threads
 
-MOST_MERGES = 4
+MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
@@ -103,6 +103,11 @@ def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence,
     for _ in range(MOST_MERGES):
         former = best
         best, others = leading(best, [*others, *merges(rng, best, rules)])
+        if best is former:
+            break
+    for _ in range(MOST_CUTS):
+        former = best
+        best, others = leading(best, [*others, *recuts(rng, best, rules)])
         if best is former:
             break
     for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that

@@ -55,10 +55,12 @@ class Refined(NamedTuple):
 def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=TEMPERATURES):
     """Return the Refined of a state, annealed under a sensor model.
 
-    only : index of the one solid that may move (and the coordinates given by its own), None for all.
+    only : indices of the solids that may move (and the coordinates given by their own), None for all.
     """
     chart, values = make_chart(state, floor_pose, rules)
-    return climb(rng, state, chart, values, sensor, steps, None if only is None else own_members(chart, only),
+    if only is not None:
+        steps *= len(only)
+    return climb(rng, state, chart, values, sensor, steps, None if only is None else members_of(chart, only),
                  temperatures)  # fmt: skip
 
 
@@ -187,9 +189,14 @@ def only_draw(refined):
     return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
 
 
+def members_of(chart, solids):
+    """Return the indices of the coordinates of some solids, in order."""
+    return sorted({m for k in solids for m in own_members(chart, k)})
+
+
 def local_evidence(rng, refined, solids):
     """Return the log of the density's integral over the coordinates of some solids, all others held at the mode."""
-    members = sorted({m for k in solids for m in own_members(refined.chart, k)})
+    members = members_of(refined.chart, solids)
     steps = LOCAL_STEPS * len(solids)
     drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
     return log_evidence(drawn, members)
@@ -202,7 +209,7 @@ def near_evidence(refined, solids=None):
     nats where all sides are seen, to five or so where some are not.
     """
     chart = refined.chart
-    members = sorted({m for k in solids for m in own_members(chart, k)}) if solids else range(len(refined.values))
+    members = members_of(chart, solids) if solids else range(len(refined.values))
     engine = engine_of(chart, refined.sensor)
     load(engine, chart, refined.values)
     precision = Curvature(engine, chart, refined.sensor, refined.values).precision(list(members))

@@ -149,24 +149,49 @@ def merge_pair(rng, image, state, settings, i, j, spread):
 
 def recut(rng, image, state, hypotheses, settings, places):
     """Cut the union of two aligned boxes that touch in another way."""
-    near = [
-        (i, j) for i, j in aligned_pairs(state)
-        if int(state.rows[i][0]) == BOX and penetration(grown(state.rows[i], TOUCH), state.rows[j]) > 0
-    ]  # fmt: skip
+    near = touching_pairs(state)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
     return recut_pair(rng, image, state, settings, i, j, 1.0 if rng.random() < 0.5 else rng.random())
 
 
+def touching_pairs(state):
+    """Return the ordered pairs of aligned boxes that touch."""
+    return [
+        (i, j) for i, j in aligned_pairs(state)
+        if int(state.rows[i][0]) == BOX and penetration(grown(state.rows[i], TOUCH), state.rows[j]) > 0
+    ]  # fmt: skip
+
+
 def recut_pair(rng, image, state, settings, i, j, share):
     """Return (state, changed) with box j grown into box i, which is cut back, and both polished; None: nothing is left.
 
-    share : of i's extent across the faces where they touch. By a share below 1 the cut between them moves; of a whole
-        one j runs on through i to its far side, as an L is two boxes in two ways, and i keeps what is beside j.
+    share : see cut_anew.
     """
-    row, other = state.rows[i].copy(), state.rows[j].copy()
+    pieces = cut_anew(state.rows[i], state.rows[j], share)
+    if pieces is None:
+        return None
+    new = state.copy()
+    (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
+    for k in (i, j) if rng.random() < 0.5 else (j, i):
+        view = held_out(image, new, k)
+        row, form = new.rows[k], new.forms[k]
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+    return new, {i, j}
+
+
+def cut_anew(row, other, share=1.0):
+    """Return the two rows when `other`, a box, is turned as the box `row` and grown into it, which is cut back; None:
+    nothing is left.
+
+    share : of the row's extent across the faces where they touch. By a share below 1 the cut between them moves; of a
+        whole one `other` runs on through it to its far side, as an L is two boxes in two ways, and the row keeps what
+        is beside it.
+    """
+    row, other = row.copy(), other.copy()
     half, turned = 0.5 * row[13:16], rotation_of(row)
+    other[1:10] = (turned @ np.round(turned.T @ rotation_of(other))).ravel()
     low, high = extents_along(row, other)
     axis = int(np.argmax(np.maximum(low - half, -half - high)))
     sign = 1.0 if low[axis] + high[axis] > 0 else -1.0
@@ -175,6 +200,7 @@ def recut_pair(rng, image, state, settings, i, j, share):
     if share < 1.0:
         begin[axis], end[axis] = (begin[axis], end[axis] - into) if sign > 0 else (begin[axis] + into, end[axis])
     else:
+        into = half[axis] + (low[axis] if sign > 0 else -high[axis])
         left = [(end[k] - high[k], k, True) for k in range(3) if k != axis]
         left += [(low[k] - begin[k], k, False) for k in range(3) if k != axis]
         _, k, above = max(left)
@@ -186,13 +212,7 @@ def recut_pair(rng, image, state, settings, i, j, share):
     own = int(np.argmax(np.abs(rotation_of(other).T @ turned[:, axis])))
     other[13 + own] += into
     other[10:13] -= 0.5 * sign * into * turned[:, axis]
-    new = state.copy()
-    new.rows[i], new.rows[j], new.cubes[i], new.cubes[j] = row, other, False, False
-    for k in (i, j) if rng.random() < 0.5 else (j, i):
-        view = held_out(image, new, k)
-        row, form = new.rows[k], new.forms[k]
-        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
-    return new, {i, j}
+    return row, other
 
 
 def alignment(row, other):

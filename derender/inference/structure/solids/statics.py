@@ -16,6 +16,7 @@ FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8
 MOST_POINTS = 24  # of each pair
 ALONG, AROUND = 17, 48  # points along an edge of a box and around a rim of a cylinder
 RIDGE = 1e-2
+CERTAIN = 100.0  # prior odds of solids that stay where they are against one that nothing holds there
 UNBALANCED = 0.2  # of the weight that no force holds: then the contacts that were seen do not explain why it rests
 
 
@@ -85,12 +86,12 @@ def touching_points(row, other, reach):
     return points
 
 
-def shares_of_load(rows, k, reach):
+def shares_of_load(rows, k, reach, friction=FRICTION):
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
     Parameters
     ----------
-    rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
+    rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching. friction : see the head.
     """
     from scipy.optimize import nnls
 
@@ -108,7 +109,7 @@ def shares_of_load(rows, k, reach):
         ways = (across, -across, np.cross(normal, across), -np.cross(normal, across))
         for point in points:
             for way in ways:
-                force = normal + FRICTION * way
+                force = normal + friction * way
                 columns.append([*force, *(np.cross(point - row[10:13], force) / row[13:16].max())])
                 carriers.append(other)
     if not columns:
