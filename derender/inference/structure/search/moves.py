@@ -9,6 +9,7 @@ import numpy as np
 
 from derender.inference.structure.search.bodies import FEWEST, body_hypotheses
 from derender.inference.structure.search.greedy import greedy
+from derender.inference.structure.search.guesses import guesses
 from derender.inference.structure.search.places import pick
 from derender.inference.structure.search.shape_moves import appear, shake, stretch, tilt
 from derender.inference.structure.search.support_moves import lift, put_under, raise_support, stand
@@ -27,7 +28,8 @@ FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
     """Take out one solid with some of those that share its badly explained pixels, or that show beside it, and explain
-    what they showed: by the hypotheses, or all of it, or what shows beside the first, as one solid."""
+    what they showed: by the hypotheses, or all of it, or what shows beside the first, as one solid, which may be any
+    that is guessed."""
     seed = pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
     shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
@@ -36,11 +38,13 @@ def explain_anew(rng, image, state, hypotheses, settings, places):
     for k in sorted(out, reverse=True):
         new = new.without(k)
     kept = len(new)
+    depth, _, misfit, _ = held_out(image, new, -1)
     for one in (out, out - {seed}):
         points = places.seen[np.isin(places.shown, list(one)) & (image.depth > 0)]
         if len(points) >= FEWEST:
             bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
-            hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom)]
+            hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom),
+                          *guesses(rng, image, points, settings.shapes, bottom, depth, misfit)]  # fmt: skip
     new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
     return new, set(range(kept, len(new)))
 
