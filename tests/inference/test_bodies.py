@@ -13,7 +13,7 @@ from scene_makers import photograph  # noqa: E402
 from derender.inference.structure.graph_posterior import parts_of  # noqa: E402
 from derender.inference.structure.infer import point_estimate  # noqa: E402
 from derender.inference.structure.search.bodies import body_hypotheses, find_bodies  # noqa: E402
-from derender.inference.structure.search.greedy import Settings, complexity, settle, total_energy  # noqa: E402
+from derender.inference.structure.search.greedy import Settings, complexity, settle, sweep, total_energy  # noqa: E402
 from derender.inference.structure.search.moves import explain_anew  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
 from derender.inference.structure.search.shape_moves import appear  # noqa: E402
@@ -113,7 +113,8 @@ def test_what_shows_in_few_pixels_may_have_another_shape():
         row = state.rows[k]
         wrong.rows[k] = make_row(BOX, np.eye(3), row[10:13], row[13:16])
         wrong.forms[k], wrong.cubes[k], wrong.bottoms[k] = UPRIGHT, False, 0.0
-        wrong = settle(np.random.default_rng(k), seen.image, wrong, Settings(), 200, {k})
+        wrong = assign_supports(seen.image, wrong, Settings(), {k})
+        wrong = sweep(np.random.default_rng(k), seen.image, wrong, Settings(), 200, only={k})  # and not pruned
         parts = parts_of(np.random.default_rng(k), seen, wrong, [], Settings(), 1, 4)
         likeliest = max(parts, key=lambda part: part.weight)
         assert likeliest.weight > 0.9

@@ -17,10 +17,10 @@ from derender.inference.structure.search.observation import observe  # noqa: E40
 from derender.inference.structure.search.searches import repair  # noqa: E402
 from derender.inference.structure.solids.graph import pose_of  # noqa: E402
 from derender.inference.structure.solids.image import ROW, make_row, render_floor_scene  # noqa: E402
+from derender.inference.structure.solids.interpenetration import lowest, reach  # noqa: E402
 from derender.inference.structure.solids.misfit import added_misfit  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT  # noqa: E402
 from derender.inference.structure.solids.state import FLOOR, State, held_out  # noqa: E402
-from derender.inference.structure.solids.touch import lowest, reach  # noqa: E402
 from derender.model.pose import rotation_x  # noqa: E402
 from derender.model.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 

@@ -12,10 +12,11 @@ from scene_makers import SETS, make_scene, photograph  # noqa: E402
 
 from derender.inference.structure.infer import point_estimate  # noqa: E402
 from derender.inference.structure.search.greedy import Settings, settle, total_energy  # noqa: E402
-from derender.inference.structure.search.moves import MOVES, recut  # noqa: E402
+from derender.inference.structure.search.moves import MOVES, as_cube, as_high, recut  # noqa: E402
 from derender.inference.structure.search.places import find_places  # noqa: E402
 from derender.inference.structure.search.shape_moves import shake, stretch, tilt  # noqa: E402
 from derender.inference.structure.search.support_moves import lift, stand  # noqa: E402
+from derender.inference.structure.search.surface import Hypothesis  # noqa: E402
 from derender.inference.structure.solids.graph import pose_of, scene_graph  # noqa: E402
 from derender.inference.structure.solids.image import make_row  # noqa: E402
 from derender.inference.structure.solids.polish import FREE, UPRIGHT  # noqa: E402
@@ -215,3 +216,31 @@ def test_over_a_gap_a_solid_floats():
     for gap, parent in ((0.003, "floor"), (0.05, ROOT)):
         state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.05 + gap], np.full(3, 0.1)), UPRIGHT, True, FLOOR)
         assert scene_graph(state, np.eye(4)).vertex("cube_1").parent == parent
+
+
+def test_what_is_nearly_a_cube_is_tried_as_one():
+    origin = np.array([0.0, -0.6, 0.5])
+    nearly = make_row(BOX, rotation_z(0.3)[:3, :3], [0.0, 0.0, 0.035], [0.068, 0.072, 0.07])
+    cube = as_cube(Hypothesis(nearly, UPRIGHT, False, ()), origin)
+    assert cube.cube and cube.row[13:16] == pytest.approx([0.07] * 3)
+    assert cube.row[12] == pytest.approx(0.035) and nearly[13] == 0.068  # on the floor still; the other is as it was
+    long = Hypothesis(make_row(BOX, np.eye(3), [0.0, 0.0, 0.035], [0.068, 0.09, 0.07]), UPRIGHT, False, ())
+    assert as_cube(long, origin) is long
+
+
+def test_pieces_that_something_hides_the_middle_of_are_as_high():
+    state = State()
+    for x, height in ((0.0, 0.05), (0.2, 0.052), (0.1, 0.09), (0.9, 0.05)):
+        row = make_row(BOX, np.eye(3), [x, 0.0, height / 2], [0.06, 0.06, height])
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    assert as_high(state, 0) == {1} and as_high(state, 2) == set()
+
+
+def test_only_bodies_of_pixels_are_to_blame_on_nothing(explained):
+    """What is further than the floor, or alone, no solid could explain."""
+    image, state = explained
+    depth = image.depth.copy()
+    depth[100:104, 4:7] += 0.05
+    assert find_places(image._replace(depth=depth), state).blame[-1] == 0.0
+    depth[100:104, 4:7] -= 0.1
+    assert find_places(image._replace(depth=depth), state).blame[-1] > 5.0

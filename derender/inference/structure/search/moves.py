@@ -8,14 +8,14 @@ energy.
 import numpy as np
 
 from derender.inference.structure.search.bodies import FEWEST, body_hypotheses
-from derender.inference.structure.search.greedy import greedy
+from derender.inference.structure.search.greedy import cube_of, greedy
 from derender.inference.structure.search.guesses import guesses
 from derender.inference.structure.search.places import pick
 from derender.inference.structure.search.shape_moves import appear, shake, stretch, tilt
 from derender.inference.structure.search.support_moves import lift, put_under, raise_support, stand
 from derender.inference.structure.search.surface import THINNEST
 from derender.inference.structure.solids.image import rotation_of
-from derender.inference.structure.solids.interpenetration import lowest, penetration
+from derender.inference.structure.solids.interpenetration import highest, lowest, penetration
 from derender.inference.structure.solids.state import held_out, run_polish
 from derender.model.solids import BOX, CYLINDER
 
@@ -23,17 +23,22 @@ NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden
 HIDDEN = 0.4  # metres between pieces of one cross-section that may be one: as wide as what hides the gap
 ALIGNED = 0.98  # cosine
 TOUCH = 0.004  # metres between boxes whose union may be cut in another way
+NEARLY = 0.1  # of the mean side, by which those of what may be a cube differ from it
+LEVEL = 0.004  # metres between tops that may be of one solid
 FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
 def explain_anew(rng, image, state, hypotheses, settings, places):
-    """Take out one solid with some of those that share its badly explained pixels, or that show beside it, and explain
-    what they showed: by the hypotheses, or all of it, or what shows beside the first, as one solid, which may be any
-    that is guessed."""
+    """Take out one solid with some of those that share its badly explained pixels, or that show beside it, or with all
+    that are as high (another may hide what joins them), and explain what they showed: by the hypotheses, or all of it,
+    or what shows beside the first, as one solid, which may be any that is guessed."""
     seed = pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
     shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
-    out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
+    if seed < len(state) and rng.random() < 0.2:
+        out |= as_high(state, seed)
+    else:
+        out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
     new = state.copy()
     for k in sorted(out, reverse=True):
         new = new.without(k)
@@ -45,8 +50,25 @@ def explain_anew(rng, image, state, hypotheses, settings, places):
             bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
             hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom),
                           *guesses(rng, image, points, settings.shapes, bottom, depth, misfit)]  # fmt: skip
+    if rng.random() < 0.5:
+        hypotheses = [as_cube(each, image.origin) for each in hypotheses]
     new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
     return new, set(range(kept, len(new)))
+
+
+def as_cube(hypothesis, origin):
+    """Return a hypothesis that is nearly a cube as one: it keeps to its place where others show beside it."""
+    row, side = hypothesis.row, hypothesis.row[13:16].mean()
+    if int(row[0]) != BOX or np.abs(row[13:16] - side).max() > NEARLY * side:
+        return hypothesis
+    return hypothesis._replace(row=cube_of(row, side, origin, hypothesis.form), cube=True)
+
+
+def as_high(state, i):
+    """Return the solids near another whose tops are as high."""
+    row = state.rows[i]
+    near = [j for j in range(len(state)) if np.hypot(*(state.rows[j][10:12] - row[10:12])) < HIDDEN]
+    return {j for j in near if j != i and abs(highest(state.rows[j]) - highest(row)) < LEVEL}
 
 
 def split(rng, image, state, hypotheses, settings, places):

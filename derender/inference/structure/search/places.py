@@ -13,7 +13,7 @@ class Places(NamedTuple):
 
     Attributes
     ----------
-    blame : (N + 1,) bad pixels about each solid (last: about none).
+    blame : (N + 1,) bad pixels about each solid (last: about none, as many as bodies have).
     pairs : (N + 1, N + 1) how many bad pixels two solids share.
     beside : (N + 1, N + 1) how many neighbouring pixels show two solids.
     points : (B, 3) float64, the observed points of the bad pixels, floor frame.
@@ -57,6 +57,7 @@ def find_places(image, state, limit=4.5):
     seen = image.origin + image.depth[..., None] * image.direction
     footprint = image.depth * np.linalg.norm(image.direction[0, 1] - image.direction[0, 0])
     bodies = find_bodies(seen, bad & (image.depth < depth), footprint)
+    blame[count] = min(blame[count], sum(map(len, bodies)))  # a new solid could not explain the others
     return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen)
 
 
