@@ -136,10 +136,7 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
 
 
 def _sensor(name: str):
-    """Return the function (rng, clean depth) -> observed depth of a sensor's name, a scene file or a folder.
-
-    What an image is worth in independent pixels is left out: it is no property of the pixels that a camera makes.
-    """
+    """Return the function (rng, clean depth) -> observed depth of a sensor's name, a scene file or a folder."""
     from derender.inference.forward import observe
     from derender.vision.sensor import SENSORS, find_sensor
 
@@ -148,8 +145,7 @@ def _sensor(name: str):
     likelihood = read_scene_document(name).likelihood
     if likelihood is None:
         raise DerenderError("this scene has no likelihood", name, "take kinect, realsense, or a DIR that infer wrote")
-    kept = {key: value for key, value in likelihood.values.items() if key != "effective_pixels"}
-    return lambda rng, depth: observe(rng, depth, type(likelihood)(likelihood.type, kept))
+    return lambda rng, depth: observe(rng, depth, likelihood)
 
 
 def _picture(engine, solids, names, camera) -> np.ndarray:
