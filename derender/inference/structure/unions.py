@@ -96,7 +96,7 @@ def recuts(rng, best, rules):
     ways += [(all_of, j) for j in range(len(state)) if len(all_of := tuple(i for i, k in pairs if k == j)) > 1]
     states = [grown_into(state, cut, j) for cut, j in ways]
     flush = [
-        new for new in states
+        on_supports(new) for new in states
         if new is not None and change_of_image(best, *make_chart(new, floor, rules)) < FLUSH_ENOUGH
     ]  # fmt: skip
     rough = climbed(rng, best, flush, rules, QUICK, DOUBTFUL)
@@ -108,15 +108,16 @@ def recuts(rng, best, rules):
 
 
 def grown_into(state, cut, j):
-    """Return the state with box j grown into others, which are cut back (moves.cut_anew), each on what bears it then;
-    None: nothing of one is left."""
+    """Return the state with box j grown into others, which are cut back (moves.cut_anew), held to nothing yet; None:
+    nothing of one is left."""
     new = state.copy()
     for i in cut:
         pieces = cut_anew(new.rows[i], new.rows[j])
         if pieces is None:
             return None
         (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
-    return on_supports(new)
+        new.bottoms[i] = new.bottoms[j] = np.nan
+    return new
 
 
 def change_of_image(best, chart, values):
