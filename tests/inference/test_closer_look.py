@@ -60,17 +60,19 @@ def test_a_closer_look_sees_the_same_scene(width, factor):
     closer = closer_look(seen, depth, camera)
     assert closer.factor == factor < seen.factor
     state = standing(closer, table, size, 0.0)
-    drawn, label, misfit = blank(closer.image)
-    draw(closer.image, state.rows, -1, drawn, label)
-    misfit_map(closer.image, drawn, misfit)
-    assert (closer.image.weight > 0).sum() > 0.8 * misfit.size
+    # 2 mm, more than the plane through a block is off at a crease
+    image = closer.image._replace(weight=np.where(closer.image.weight > 0, 0.5 / 0.002**2, 0.0))
+    drawn, label, misfit = blank(image)
+    draw(image, state.rows, -1, drawn, label)
+    misfit_map(image, drawn, misfit)
+    assert (image.weight > 0).sum() > 0.8 * misfit.size
     around = 2 * np.pi * 0.08 * closer.camera["fx"] / DISTANCE  # pixels along the outline, with room
     assert (misfit > 0.1 * LIMIT).sum() < 0.1 * around
     # Broken twin: half a pixel aside all the outline's pixels on two sides are wrong.
     aside = state.copy()
     aside.rows[0, 10] += 1.0 * DISTANCE / closer.camera["fx"]
-    draw(closer.image, aside.rows, -1, drawn, label)
-    misfit_map(closer.image, drawn, misfit)
+    draw(image, aside.rows, -1, drawn, label)
+    misfit_map(image, drawn, misfit)
     assert (misfit > 0.1 * LIMIT).sum() > 0.1 * around
 
 
