@@ -1,7 +1,7 @@
 """The structures that a scene of named objects leaves open: combinations of parents and faces, found and weighed."""
 
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from derender.inference.target import default_parts
 from derender.model.priors.terms import bound_by
 from derender.model.priors.tree import TreePrior
 from derender.model.scene import SceneGraph
-from derender.threads import THREADS
+from derender.threads import in_threads
 
 STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
 DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
@@ -48,10 +48,8 @@ def structure_weights(found, settings: Settings, seed: int, tell) -> list[float]
     """Return the posterior probability of each structure: its prior's times its evidence, estimated by tempering."""
     done = 0
 
-    def weigh(number: int) -> float:
+    def weigh(rng, target, log_prior: float) -> float:
         nonlocal done
-        target, log_prior = found[number]
-        rng = np.random.default_rng([seed, 2, number])
         entries = settings.kernels if settings.kernels is not None else default_parts()
         mixed = mixture(target.space, entries, settings.where)
         population = tempered(rng, target.space, target.backend(mixed), mixed, PARTICLES, STEPS, settings.particles)
@@ -60,7 +58,7 @@ def structure_weights(found, settings: Settings, seed: int, tell) -> list[float]
         return log_prior + population.log_evidence
 
     tell(0.0, "weighing structures")
-    with ThreadPoolExecutor(THREADS) as pool:
-        logs = np.array(list(pool.map(weigh, range(len(found)))))
+    tasks = [partial(weigh, target=target, log_prior=log_prior) for target, log_prior in found]
+    logs = np.array(in_threads(np.random.default_rng([seed, 2]), tasks))
     weights = np.exp(logs - max(logs))
     return list(weights / weights.sum())

@@ -49,9 +49,8 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     """Return the parts of the posterior about the search's best state.
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
-    closer : Observation of more pixels for a real sensor's draws, None: they are of the same.
+    closer : Closer for a real sensor's draws, or None.
     """
-    closer = seen if closer is None else closer
     knowable = seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
     if len(state) and seen.correlation < INDEPENDENT and knowable:
         return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)

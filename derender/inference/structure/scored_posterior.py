@@ -163,11 +163,10 @@ def alternatives(rng, image, state, settings):
         yield new, total_energy(image, new, settings)
 
 
-def polished_closer(rng, seen, closer, state, settings):
+def polished_closer(rng, closer, state, settings):
     """Return (state, settings) for a closer look: the state polished on more pixels, which tell as much as fewer."""
-    times = seen.factor / closer.factor
-    settings = settings.for_pixels(times**2)
-    as_firm = settings._replace(slack=settings.slack / times)  # the search does not temper contacts
+    settings = settings.for_pixels(closer.times**2)
+    as_firm = settings._replace(slack=settings.slack / closer.times)  # the search does not temper contacts
     state = state.copy()
     for step in STEPPING:
         sweep(rng, closer.image, state, as_firm, 400, step, 0.0)
@@ -175,10 +174,10 @@ def polished_closer(rng, seen, closer, state, settings):
 
 
 def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
-    """Return the StructurePosterior of one structure."""
-    image, floor_pose = closer.image, closer.floor.pose
-    if closer is not seen:
-        state, settings = polished_closer(rng, seen, closer, state, settings)
+    """Return the StructurePosterior of one structure. closer : Closer under which it is drawn, or None."""
+    image, floor_pose = seen.image, seen.floor.pose
+    if closer is not None:
+        image, (state, settings) = closer.image, polished_closer(rng, closer, state, settings)
     graph = scene_graph(state, floor_pose, names, settings.may_float)
     addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names)
     periods = periods_of(graph, addresses)
@@ -207,7 +206,7 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
 def posterior_parts(rng, seen, closer, state, pool, settings, chains=2, draws=100):
     """Return the parts of the posterior: the best structure with full chains, the others with short ones.
 
-    seen : Observation by which structures are weighed; closer : that under which their numbers are drawn.
+    seen : Observation by which structures are weighed; closer : Closer under which their numbers are drawn, or None.
     pool : states that the search came by, with their energies.
     """
     image = seen.image

@@ -1,6 +1,5 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
-
 import numpy as np
 
 from derender.inference.structure.draws.chart import KIND, camera_poses, place_rows

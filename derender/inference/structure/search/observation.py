@@ -53,6 +53,13 @@ class Observation(NamedTuple):
     backdrop: bool
 
 
+class Closer(NamedTuple):
+    """More pixels of what was observed. image : Image; times : as many columns and rows as there were."""
+
+    image: Image
+    times: float
+
+
 def observe(rng, depth, camera, widest=160, plane=None):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
@@ -108,7 +115,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding):
 
 
 def closer_look(seen, depth, camera):
-    """Return the Observation of the image with about CLOSER as many columns and rows, all else as fewer have told.
+    """Return the Closer of an image with about CLOSER as many columns and rows, all else as fewer have told.
 
     Fewer pixels tell which solids there are; where their silhouettes are, more of them do.
 
@@ -121,16 +128,13 @@ def closer_look(seen, depth, camera):
     def larger(image):
         return image[rows[:, None], columns]
 
-    sigma, floor = larger(seen.sigma), seen.floor._replace(inliers=larger(seen.floor.inliers))
-    image = make_image(depth, sigma, camera, floor.pose, estimate_blur(depth, sigma))
+    sigma = larger(seen.sigma)
+    image = make_image(depth, sigma, camera, seen.floor.pose, estimate_blur(depth, sigma))
     raise_wall(image)
-    good = image.weight > 0
-    as_seen = good & larger((seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN))
+    as_seen = larger((seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN))
+    as_seen &= image.weight > 0
     image.floor[as_seen] = image.depth[as_seen]
-    points = back_project(depth, camera) - floor.pose[:3, 3]
-    points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
-    return seen._replace(image=image, floor=floor, points=points, mask=larger(seen.mask) & good, sigma=sigma,
-                         footprint=np.nan_to_num(depth) / camera["fx"], camera=camera, factor=factor)  # fmt: skip
+    return Closer(image, seen.factor / factor)
 
 
 def nearest_pixels(count, factor, among, others):
