@@ -26,6 +26,7 @@ test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on
 	$(BIN)/python scripts/calibrate.py -n 500 --jobs $(JOBS) --strict -o figures/calibration.png
 
 lint: .venv/developed  ## Check style and types only
+	$(BIN)/ruff format --check derender tests scripts
 	$(BIN)/ruff check derender tests scripts
 	$(BIN)/mypy
 

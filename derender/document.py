@@ -16,20 +16,20 @@ import numpy as np
 
 from derender import __version__, data_path
 from derender.atomic import write_text
+from derender.camera.camera_file import read_camera
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.model.distributions import Distribution
-from derender.model.pose import from_quaternion, quaternion
-from derender.model.priors.base import Prior
-from derender.model.priors.reading import read_value
-from derender.model.priors.tree import TreePrior
-from derender.model.priors.values import QUATERNION, ROTATION, Value, draw, log_density
-from derender.model.scene import SceneGraph
-from derender.model.scene_file import KEYS, read_prior
 from derender.registry import suggest
-from derender.vision.camera import Camera
-from derender.vision.camera_file import read_camera
-from derender.yaml_tree import Node, Section, parse_yaml, read_yaml
-from derender.yaml_writer import to_yaml
+from derender.scene.codec.scene_file import KEYS, read_prior
+from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml
+from derender.scene.codec.yaml_writer import to_yaml
+from derender.scene.distributions import Distribution
+from derender.scene.graph import SceneGraph
+from derender.scene.pose import from_quaternion, quaternion
+from derender.scene.priors.base import Prior
+from derender.scene.priors.reading import read_value
+from derender.scene.priors.tree import TreePrior
+from derender.scene.priors.values import QUATERNION, ROTATION, Value, draw, log_density
 
 FORMAT = 1
 TOP_KEYS = ("derender", "made", "camera", *KEYS, "likelihood", "inference")
@@ -199,8 +199,8 @@ def _read_camera(node: Node, folder: Path) -> Camera:
 
 def _read_likelihood(node: Node) -> LikelihoodPrior:
     """Read a likelihood's type and parameters, each a number or a distribution."""
-    from derender.model.priors.values import check_range
-    from derender.vision.likelihoods import likelihoods
+    from derender.render.likelihoods import likelihoods
+    from derender.scene.priors.values import check_range
 
     section = node.section()
     kind = section["type"].text(likelihoods)

@@ -14,18 +14,18 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import numpy as np  # noqa: E402
 
+from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.cli import status_of  # noqa: E402
+from derender.compilation.cache import njit  # noqa: E402
 from derender.errors import DerenderError  # noqa: E402
-from derender.kernel_cache import njit  # noqa: E402
-from derender.model.pose import rotation_x, rotation_z, translation  # noqa: E402
-from derender.model.solids import BOX, MESH, PLANE, Solids  # noqa: E402
-from derender.vision.blur import blur  # noqa: E402
-from derender.vision.camera import Camera  # noqa: E402
-from derender.vision.likelihoods import likelihoods  # noqa: E402
-from derender.vision.raycast.depth import render_depth  # noqa: E402
-from derender.vision.raycast.engine import load_state, propose_state, settle_state  # noqa: E402
-from derender.vision.raycast.evaluator import DepthEvaluator  # noqa: E402
-from derender.vision.raycast.state import CANDIDATE, CURRENT  # noqa: E402
+from derender.render.blur import blur  # noqa: E402
+from derender.render.likelihoods import likelihoods  # noqa: E402
+from derender.render.raycast.depth import render_depth  # noqa: E402
+from derender.render.raycast.engine import load_state, propose_state, settle_state  # noqa: E402
+from derender.render.raycast.evaluator import DepthEvaluator  # noqa: E402
+from derender.render.raycast.state import CANDIDATE, CURRENT  # noqa: E402
+from derender.scene.pose import rotation_x, rotation_z, translation  # noqa: E402
+from derender.scene.solids import BOX, MESH, PLANE, Solids  # noqa: E402
 
 SIGMA, BLUR = 0.005, 1.0
 SCENE_SPREAD = 0.16  # metres between the boxes of the four-box scene
@@ -100,9 +100,9 @@ class Engine:
     def moves_from_python(self, count: int) -> None:
         for n in range(count):
             k = 1 + n % (len(self.solids.kind) - 1)
-            pose = self.solids.pose[k:k + 1].copy()
+            pose = self.solids.pose[k : k + 1].copy()
             pose[0, :3, 3] += self.jitter[n % 1024]
-            self.evaluator.propose([k], pose, self.solids.size[k:k + 1])
+            self.evaluator.propose([k], pose, self.solids.size[k : k + 1])
             self.evaluator.accept() if n % 2 else self.evaluator.reject()
 
 
@@ -110,7 +110,7 @@ class Pyrender:
     """pyrender with a kept scene: nodes are moved, depth alone is drawn, scipy blurs."""
 
     def __init__(self, solids: Solids, camera: Camera, observed: np.ndarray) -> None:
-        from derender.vision.renderers.opengl import OpenGLRenderer, _shared_renderer
+        from derender.render.renderers.opengl import OpenGLRenderer, _shared_renderer
 
         self.renderer: OpenGLRenderer = _shared_renderer(os.getpid())
         self.solids, self.camera, self.observed = solids, camera, observed
@@ -147,12 +147,22 @@ class MeshRow:
         self.triangles = len(ball.faces)
         pose, size = translation(0.0, 0.0, 0.8), np.ptp(vertices, axis=0) * 0.6
         mesh = (np.ascontiguousarray(vertices), np.ascontiguousarray(ball.faces, np.int32))
-        self.solids = Solids(np.array([PLANE, MESH], np.int32), np.array([table_scene(1).pose[0], pose]),
-                             np.array([np.zeros(3), size]), np.array([-1, 0], np.int32), (mesh,))
+        self.solids = Solids(
+            np.array([PLANE, MESH], np.int32),
+            np.array([table_scene(1).pose[0], pose]),
+            np.array([np.zeros(3), size]),
+            np.array([-1, 0], np.int32),
+            (mesh,),
+        )
         drawn = vertices * (size / np.ptp(vertices, axis=0)) @ pose[:3, :3].T + pose[:3, 3]
         columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-        self.rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy,
-                              np.ones(columns.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
+        self.rays = (
+            np.stack(
+                [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1
+            )
+            .reshape(-1, 3)
+            .astype(np.float32)
+        )
         self.origins = np.zeros_like(self.rays)
         depth, _ = render_depth(self.solids, camera)
         self.engine = Engine(self.solids, camera, depth)
@@ -248,8 +258,10 @@ def main() -> None:
         width, height = map(int, size.split("x"))
         rows, baseline = make_rows(width, height)
         medians = time_rows(rows, arguments.rounds, arguments.seconds)
-        print(f"\n{size}, log likelihoods a second, one thread"
-              + (", and times the speed of the first row" if baseline else ""))
+        print(
+            f"\n{size}, log likelihoods a second, one thread"
+            + (", and times the speed of the first row" if baseline else "")
+        )
         for name, seconds in medians.items():
             speed = f"{medians[baseline] / seconds:8.1f} x" if baseline else ""
             print(f"  {name:54s} {1.0 / seconds:12,.0f} {speed}")

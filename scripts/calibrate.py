@@ -27,11 +27,11 @@ import numpy as np  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import read_prior_document  # noqa: E402
-from derender.inference.diagnostics import bulk_ess  # noqa: E402
-from derender.inference.scene import infer_scene, targets  # noqa: E402
-from derender.inference.settings import Settings, read_settings  # noqa: E402
-from derender.vision.likelihoods import likelihoods  # noqa: E402
-from derender.vision.raycast.depth import render_depth  # noqa: E402
+from derender.posterior.settings import Settings, read_settings  # noqa: E402
+from derender.render.likelihoods import likelihoods  # noqa: E402
+from derender.render.raycast.depth import render_depth  # noqa: E402
+from derender.sampling.diagnostics import bulk_ess  # noqa: E402
+from derender.structures.given import infer_scene, targets  # noqa: E402
 
 BINS = 20
 MOST_KEPT = 99  # draws that a rank is taken among

@@ -35,8 +35,8 @@ def make_scene(seed, prior):
     """Return (graph, image, label, camera) of one draw from a prior, noise and blur included."""
     from derender import data_path
     from derender.document import read_document
-    from derender.vision.likelihoods import likelihoods
-    from derender.vision.raycast.depth import render_depth
+    from derender.render.likelihoods import likelihoods
+    from derender.render.raycast.depth import render_depth
 
     document = read_document(data_path(f"priors/{prior}.yaml"))
     rng = np.random.default_rng([seed, 2026])
@@ -48,8 +48,8 @@ def make_scene(seed, prior):
 
 def one_scene(seed, prior):
     """Return the record of one scene: statements with their truth, intervals with theirs."""
-    from derender.inference.structure.infer import infer_structure
     from derender.report.scene_json import scene_json
+    from derender.structures.infer import infer_structure
 
     graph, image, label, camera = make_scene(seed, prior)
     start = time.perf_counter()
@@ -102,7 +102,7 @@ def visible_share(graph, name, image, label, camera):
     rows, columns = np.nonzero(label == graph.solid_names.index(name))
     if len(rows) == 0:
         return np.zeros(3)
-    from derender.vision.raycast.depth import render_depth
+    from derender.render.raycast.depth import render_depth
 
     depth, _ = render_depth(graph.solids(), camera)
     z = depth[rows, columns]
@@ -118,7 +118,7 @@ def intervals(drawn, graph, name, seen):
     drawn : (pose, extents) of the object in the draws. The axes of true boxes are named as those of the first draw.
     """
     from derender.evaluation.metrics import relabellings
-    from derender.model.pose import rotation_vector
+    from derender.scene.pose import rotation_vector
 
     pose, size = pose_and_size(graph, name)
     first_pose, first_size = drawn[0]
@@ -126,8 +126,10 @@ def intervals(drawn, graph, name, seen):
 
     def gap(way):
         turn, extents = way
-        return np.linalg.norm(rotation_vector(first_pose[:3, :3].T @ pose[:3, :3] @ turn)) + 2.0 * np.abs(
-            extents - first_size).sum()
+        return (
+            np.linalg.norm(rotation_vector(first_pose[:3, :3].T @ pose[:3, :3] @ turn))
+            + 2.0 * np.abs(extents - first_size).sum()
+        )
 
     turn, size = min(ways, key=gap)
     seen = np.abs(turn).T @ seen
@@ -165,9 +167,11 @@ def rows_of(records):
     lines = []
     for kind in ("objects", "edges", "shapes"):
         said = [s for r in records for s in r[kind]]
-        lines.append(f"| {kind} | {len(said)} statements | said {np.mean([s[0] for s in said]):.4f}, "
-                     f"right {np.mean([s[1] for s in said]):.4f} | expected calibration error "
-                     f"{expected_error(said):.4f} |")
+        lines.append(
+            f"| {kind} | {len(said)} statements | said {np.mean([s[0] for s in said]):.4f}, "
+            f"right {np.mean([s[1] for s in said]):.4f} | expected calibration error "
+            f"{expected_error(said):.4f} |"
+        )
     entries = [e for r in records for e in r["intervals"]]
     for kind in ("size", "position", "turn"):
         for hidden in (False, True):
@@ -175,13 +179,16 @@ def rows_of(records):
             if some:
                 unit, factor = ("deg", 180 / np.pi) if kind == "turn" else ("mm", 1000)
                 wide = factor * np.quantile([e[3] for e in some], [0.5, 0.9])
-                lines.append(f"| {kind}, {'hidden' if hidden else 'seen'} | {len(some)} intervals | 90 % hold "
-                             f"{100 * np.mean([e[1] for e in some]):.1f} % | width median {wide[0]:.2f}, "
-                             f"90 % quantile {wide[1]:.2f} {unit} |")
+                lines.append(
+                    f"| {kind}, {'hidden' if hidden else 'seen'} | {len(some)} intervals | 90 % hold "
+                    f"{100 * np.mean([e[1] for e in some]):.1f} % | width median {wide[0]:.2f}, "
+                    f"90 % quantile {wide[1]:.2f} {unit} |"
+                )
         some = [e for e in entries if e[0] == kind]
         if some:
-            lines.append(f"| {kind}, all | {len(some)} intervals | 90 % hold {100 * np.mean([e[1] for e in some]):.1f} "
-                         "% | |")
+            lines.append(
+                f"| {kind}, all | {len(some)} intervals | 90 % hold {100 * np.mean([e[1] for e in some]):.1f} % | |"
+            )
     seconds = [r["seconds"] for r in records]
     lines.append(f"| seconds | median {np.median(seconds):.2f} | 90 % quantile {np.quantile(seconds, 0.9):.2f} | |")
     return lines

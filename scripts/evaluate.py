@@ -23,8 +23,8 @@ from scene_makers import SETS, make_scene  # noqa: E402
 
 from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
-from derender.inference.structure.infer import infer_structure  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
+from derender.structures.infer import infer_structure  # noqa: E402
 
 REAL_SETS = ("mosd", "graspnet", "ycbv")
 ENOUGH_PIXELS = 100

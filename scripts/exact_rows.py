@@ -9,10 +9,10 @@ nothing of `antialias`, `pieces` or `outline` is used: only the bounds that the 
 import numpy as np
 from scipy.ndimage import maximum_filter, sobel
 
-from derender.kernel_cache import njit
-from derender.model.solids import Solids
-from derender.vision.raycast.convex import DISCRIMINANT, FACES, PREPARED, QUADRIC_B, inverse_depth, prepare_solid
-from derender.vision.raycast.depth import camera_array
+from derender.compilation.cache import njit
+from derender.render.raycast.convex import DISCRIMINANT, FACES, PREPARED, QUADRIC_B, inverse_depth, prepare_solid
+from derender.render.raycast.depth import camera_array
+from derender.scene.solids import Solids
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)
 PLACES = 0.5 * (3.0 * NODES - NODES**3)  # square roots at either end become smooth

@@ -9,19 +9,19 @@ from figure_scenes import Rows, picture, save, show
 
 from derender import data_path
 from derender.document import read_document
-from derender.inference.forward import draw_documents, observe
-from derender.inference.optimise.descent import cost_at, fixed_step, levenberg
-from derender.inference.optimise.placement import new_placement
-from derender.inference.scene import infer_scene
-from derender.inference.settings import read_settings
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate, verdicts
+from derender.posterior.ascent.descent import cost_at, fixed_step, levenberg
+from derender.posterior.ascent.placement import new_placement
+from derender.posterior.forward import draw_documents, observe
+from derender.posterior.settings import read_settings
+from derender.render.blur import blur, blur_taps
+from derender.render.raycast.depth import render_depth
+from derender.render.raycast.normal_equations import new_misfit
 from derender.report.animation import frames
 from derender.report.contents import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
-from derender.vision.blur import blur, blur_taps
-from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.normal_equations import new_misfit
+from derender.structures.given import infer_scene
 
 JOBS = 2
 TIMES = (0.0, 0.3, 0.6, 1.2)

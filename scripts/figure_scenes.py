@@ -7,15 +7,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from derender import data_path
+from derender.camera.intrinsics import Camera
 from derender.document import read_document
 from derender.evaluation import intersection_volume
-from derender.model.contacts import contacts
-from derender.model.overlap import separation
-from derender.model.scene import SceneGraph
-from derender.model.shapes import Body, shapes
+from derender.render.renderers.preview import enlarged
 from derender.report.pictures import shade
-from derender.vision.camera import Camera
-from derender.vision.renderers.preview import enlarged
+from derender.scene.contacts import contacts
+from derender.scene.graph import SceneGraph
+from derender.scene.separation import separation
+from derender.scene.shapes import Body, shapes
 
 Rows = list[tuple[str, str, str]]
 SCENES = 4000

@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 
 from derender.cli import COMMANDS, group
-from derender.inference.kernels import kernels
-from derender.inference.target import default_parts
+from derender.posterior.kernels import kernels
+from derender.posterior.target import default_parts
 
 README = Path(__file__).parent.parent / "README.md"
 BEGIN = "<!-- {}: written by scripts/list_commands.py -->\n"

@@ -29,17 +29,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from exact_rows import exact_derivative  # noqa: E402
 
+from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.cli import status_of
-from derender.inference.map import MapProblem  # noqa: E402
-from derender.model.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
-from derender.model.scene import SceneGraph  # noqa: E402
-from derender.model.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids  # noqa: E402
-from derender.model.vertex import Contact, Vertex  # noqa: E402
-from derender.vision.blur import blur  # noqa: E402
-from derender.vision.camera import Camera  # noqa: E402
-from derender.vision.gradient import SmoothLikelihood, antialiased_depth, derivative_image  # noqa: E402
-from derender.vision.raycast.depth import render_depth  # noqa: E402
-from derender.vision.raycast.records import MOTION  # noqa: E402
+from derender.posterior.map import MapProblem  # noqa: E402
+from derender.render.blur import blur  # noqa: E402
+from derender.render.gradient import SmoothLikelihood, antialiased_depth, derivative_image  # noqa: E402
+from derender.render.raycast.depth import render_depth  # noqa: E402
+from derender.render.raycast.records import MOTION  # noqa: E402
+from derender.scene.graph import SceneGraph  # noqa: E402
+from derender.scene.pose import rotation_x, rotation_z, translation, twist_exp  # noqa: E402
+from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids  # noqa: E402
+from derender.scene.vertex import Contact, Vertex  # noqa: E402
 
 CAMERA = Camera.from_field_of_view(64, 64)
 BACKGROUND, BLUR = 10.0, 1.0

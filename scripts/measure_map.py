@@ -11,9 +11,9 @@ import numpy as np
 from derender import data_path
 from derender.cli import status_of
 from derender.document import read_document
-from derender.inference.forward import draw_documents, observe
-from derender.inference.map import MapProblem
-from derender.vision.raycast.depth import render_depth
+from derender.posterior.forward import draw_documents, observe
+from derender.posterior.map import MapProblem
+from derender.render.raycast.depth import render_depth
 
 ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
 REACHED = 3.0  # nats below the truth that count as the truth

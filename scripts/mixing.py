@@ -20,14 +20,14 @@ import numpy as np  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import document_from, read_prior_document  # noqa: E402
-from derender.inference.adaptation import first_tuning  # noqa: E402
-from derender.inference.diagnostics import bulk_ess, r_hat, unwrap  # noqa: E402
-from derender.inference.kernels import mixture  # noqa: E402
-from derender.inference.scene import infer_scene, targets  # noqa: E402
-from derender.inference.settings import read_settings  # noqa: E402
-from derender.vision.likelihoods import likelihoods  # noqa: E402
-from derender.vision.raycast.depth import render_depth  # noqa: E402
-from derender.yaml_tree import parse_yaml  # noqa: E402
+from derender.posterior.adaptation import first_tuning  # noqa: E402
+from derender.posterior.kernels import mixture  # noqa: E402
+from derender.posterior.settings import read_settings  # noqa: E402
+from derender.render.likelihoods import likelihoods  # noqa: E402
+from derender.render.raycast.depth import render_depth  # noqa: E402
+from derender.sampling.diagnostics import bulk_ess, r_hat, unwrap  # noqa: E402
+from derender.scene.codec.yaml_tree import parse_yaml  # noqa: E402
+from derender.structures.given import infer_scene, targets  # noqa: E402
 
 BOX = """
   box_{k}:

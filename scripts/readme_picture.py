@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from derender.camera.depth_file import read_depth
+from derender.camera.intrinsics import Camera
 from derender.cli import status_of
 from derender.document import read_document
-from derender.model.pose import from_rotation_vector, rotation_x, translation
-from derender.model.solids import PLANE
-from derender.vision.camera import Camera
-from derender.vision.depth_file import read_depth
-from derender.vision.renderers import find_renderer
-from derender.vision.renderers.preview import default_colours, draw_preview
+from derender.render.renderers import find_renderer
+from derender.render.renderers.preview import default_colours, draw_preview
+from derender.scene.pose import from_rotation_vector, rotation_x, translation
+from derender.scene.solids import PLANE
 
 WIDTH, HEIGHT, GAP = 480, 360, 8
 

@@ -27,9 +27,7 @@ def camera_of(width, height, field_of_view=FIELD_OF_VIEW):
 def look_at(rng, distance, elevation, target):
     """Return the pose of the world (z up) in a camera at this distance and elevation that looks at `target`."""
     azimuth = rng.uniform(0, 2 * np.pi)
-    direction = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    direction = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     forward = -direction
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -132,7 +130,7 @@ def kinect_noise(rng, depth, label, focal=580.0, baseline=0.075):
 
 def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, noise="millimetre", distance=(0.65, 0.9)):
     """Return the scene dict that a camera 20 to 50 degrees up sees."""
-    from derender.inference.structure.solids.image import render_floor_scene
+    from derender.detection.solids.image import render_floor_scene
 
     middle = poses[:, :3, 3].mean(axis=0) * [1, 1, 0.8]
     world = look_at(rng, rng.uniform(*distance), np.radians(rng.uniform(20, 50)), middle)
@@ -188,9 +186,9 @@ def make_scene(rng, name):
 
 def make_groups(rng, count=20):
     """Return 20 boxes scattered in three groups, none of which reaches into another, at 320 x 240."""
-    from derender.inference.structure.solids.image import make_row
-    from derender.inference.structure.solids.interpenetration import penetration
-    from derender.model.solids import BOX
+    from derender.detection.solids.image import make_row
+    from derender.detection.solids.interpenetration import penetration
+    from derender.scene.solids import BOX
 
     kinds, sizes, poses, parents = [], [], [], []
     centres = np.array([[np.cos(a), np.sin(a)] for a in rng.uniform(0, 6.28) + np.arange(3) * 2 * np.pi / 3]) * 0.3
@@ -210,6 +208,4 @@ def make_groups(rng, count=20):
     rows = [make_row(BOX, p[:3, :3], p[:3, 3], s) for p, s in zip(poses, sizes, strict=True)]
     if any(penetration(rows[i], rows[j]) > 0.002 for i in range(count) for j in range(i)):
         return make_groups(rng, count)
-    return photograph(
-        rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2)
-    )
+    return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))

@@ -14,8 +14,11 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "derender"
 README = ROOT / "README.md"
 # A room may import itself and the rooms before it. Single files at the top of the package stand before all folders,
-# except `document`, which knows model and vision.
-ROOMS = ("", "model", "vision", "document", "inference", "physics", "evaluation", "report", "cli")
+# except `document`, which knows scenes, cameras and likelihoods, and `workflow`, which tells the story of `infer`.
+ROOMS = (
+    "", "compilation", "scene", "camera", "render", "document", "sampling", "results", "posterior", "detection",
+    "structures", "physics", "evaluation", "report", "workflow", "cli",
+)  # fmt: skip
 HEAVY = {"arviz", "llvmlite", "matplotlib", "mujoco", "networkx", "numba", "numpy", "OpenEXR", "OpenGL", "pandas"}
 HEAVY |= {"PIL", "pyrender", "rich", "scipy", "trimesh", "yaml"}
 
@@ -58,10 +61,10 @@ def test_imports_point_from_later_rooms_to_earlier():
 
 
 def test_the_check_above_sees_a_wrong_import():
-    """Its broken twin: an import of cli in model would be seen, inside a function too."""
+    """Its broken twin: an import of cli in scene would be seen, inside a function too."""
     tree = "def f():\n    from derender.cli import main\n"
     node = next(node for node in ast.walk(ast.parse(tree)) if isinstance(node, ast.ImportFrom))
-    assert room(f"{node.module}.main") > room("derender.model.pose")
+    assert room(f"{node.module}.main") > room("derender.scene.pose")
 
 
 def test_pyrender_and_mujoco_are_imported_in_one_place_each():
@@ -70,7 +73,7 @@ def test_pyrender_and_mujoco_are_imported_in_one_place_each():
         for _, module in imports(path):
             if module.split(".")[0] in places:
                 places[module.split(".")[0]].add(name_of(path))
-    assert places["pyrender"] == places["OpenGL"] == {"derender.vision.renderers.gl_platform"}
+    assert places["pyrender"] == places["OpenGL"] == {"derender.render.renderers.gl_platform"}
     assert all(place.startswith("derender.physics") for place in places["mujoco"])
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from derender import data_path
-from derender.vision.camera_file import read_camera
-from derender.vision.depth_file import read_depth
+from derender.camera.camera_file import read_camera
+from derender.camera.depth_file import read_depth
 
 ROOT = Path(__file__).parent.parent
 FRAMES = [("kinect_tabletop", "kinect", 1), ("kinect_breakfast", "kinect", 2), ("realsense_two_stacks", "realsense", 3)]

@@ -81,7 +81,7 @@ def test_every_make_target_named_exists_and_the_ci_runs_the_readmes_test_command
 def test_the_python_runs_and_its_functions_and_shape_work(text, tmp_path):
     """In a process of its own: an image is inferred; the shape is read from YAML and drawn."""
     infer = """
-from derender.vision.renderers import find_renderer
+from derender.render.renderers import find_renderer
 camera = Camera.from_field_of_view(64, 48)
 found = solids(find_renderer("raycast").render_depth(graph.solids(), camera)[0], camera)
 assert found["floor"][1] is None and all(pose.shape == (4, 4) for pose, _ in found.values())
@@ -89,8 +89,8 @@ assert found["floor"][1] is None and all(pose.shape == (4, 4) for pose, _ in fou
     draw = """
 from pathlib import Path
 from derender.document import read_document
-from derender.vision.camera import Camera
-from derender.vision.renderers import find_renderer
+from derender.camera.intrinsics import Camera
+from derender.render.renderers import find_renderer
 Path("scene.yaml").write_text('''derender: 1
 root: {position: [0, 0.1, 0.8], quat_wxyz: [0.5, 0.866, 0, 0]}
 objects:
@@ -128,7 +128,7 @@ def test_the_json_is_json(text):
 
 @pytest.mark.parametrize("text", parameters("toml"))
 def test_the_entry_point_group_is_the_registrys(text):
-    from derender.model.shapes import shapes
+    from derender.scene.shapes import shapes
 
     (group,) = tomllib.loads(text)["project"]["entry-points"]
     assert group == shapes.entry_point_group

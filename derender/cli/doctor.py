@@ -21,9 +21,9 @@ CHECK = """
 import sys
 import numpy as np
 from derender.errors import DerenderError
-from derender.model.solids import BOX, Solids
-from derender.vision.camera import Camera
-from derender.vision.renderers import find_renderer
+from derender.scene.solids import BOX, Solids
+from derender.camera.intrinsics import Camera
+from derender.render.renderers import find_renderer
 pose = np.eye(4)[None].copy()
 pose[0, 2, 3] = 0.55
 cube = Solids(np.array([BOX], np.int32), pose, np.full((1, 3), 0.1), np.array([-1], np.int32))

@@ -132,8 +132,8 @@ def _rendered_labels(found, path: Path, shape: tuple[int, int]):
     import numpy as np
 
     from derender.errors import DerenderError
-    from derender.model.solids import PLANE
-    from derender.vision.raycast.depth import render_depth
+    from derender.render.raycast.depth import render_depth
+    from derender.scene.solids import PLANE
 
     if found is None or found.camera is None:
         raise DerenderError("a label image needs a scene with a camera", path, "give a scene file that has one")

@@ -84,7 +84,7 @@ def command(talk: Talk, **arguments) -> int | None:
         derender infer frame.png --camera camera.json --known groceries.yaml
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
     """
-    from derender.report.inferred import infer_to_folder
+    from derender.workflow import infer_to_folder
 
     bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
     try:

@@ -9,10 +9,10 @@ from derender.errors import DerenderError
 if TYPE_CHECKING:
     import numpy as np
 
+    from derender.camera.intrinsics import Camera
     from derender.document import Document
-    from derender.inference.posterior import Posterior
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.results.posterior import Posterior
+    from derender.scene.graph import SceneGraph
 
 
 class Found(NamedTuple):
@@ -61,7 +61,7 @@ def read_scene(path: str) -> Found:
     if path != "-" and folder.is_dir():
         name = folder.resolve().name
         if (folder / "posterior.npz").exists():
-            from derender.inference.posterior import load
+            from derender.results.posterior import load
 
             posterior = load(folder)
     else:
@@ -73,7 +73,7 @@ def read_scene(path: str) -> Found:
 
 def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":
     """Return the image from which the posterior in a folder was inferred, and its camera; None if it is not there."""
-    from derender.vision.depth_file import read_depth
+    from derender.camera.depth_file import read_depth
 
     path = Path(folder) / "observation.npz"
     if not path.exists():

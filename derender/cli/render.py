@@ -27,9 +27,12 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
     "--antialias", type=click.IntRange(1, 16), default=1, show_default=True, metavar="N", help="N x N samples."
 )
 @options.noise
-@click.option("--sensor", metavar="NAME|DIR",
-              help="Distort as a real camera does: kinect, realsense, or as the likelihood says in a scene file or in "
-                   "a DIR, where infer has fitted it to an image.")
+@click.option(
+    "--sensor",
+    metavar="NAME|DIR",
+    help="Distort as a real camera does: kinect, realsense, or as the likelihood says in a scene file or in "
+    "a DIR, where infer has fitted it to an image.",
+)
 @click.option("--preview", is_flag=True, help="Draw a shaded colour picture instead of depth.")
 @options.seed
 @options.quiet
@@ -57,7 +60,7 @@ def command(
         derender render scene.yaml --sensor kinect -o - | derender infer -
         derender render results/*/scene.yaml -o images/
     """
-    from derender.vision.renderers import find_renderer
+    from derender.render.renderers import find_renderer
 
     engine = find_renderer(renderer)
     targets = _targets(scenes, output, preview)
@@ -77,7 +80,7 @@ def command(
 
 def _targets(scenes: tuple[str, ...], output: str | None, preview: bool) -> list[str]:
     """Return the name of the file for each scene, checked before anything is computed."""
-    from derender.vision.depth_file import check_suffix
+    from derender.camera.depth_file import check_suffix
 
     suffix = ".preview.png" if preview else ".depth.npz"
     names = [_name(scene) for scene in scenes]
@@ -109,9 +112,9 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
 
-    from derender.inference.forward import HEIGHT, WIDTH
-    from derender.vision.camera import Camera
-    from derender.vision.camera_file import read_camera
+    from derender.camera.camera_file import read_camera
+    from derender.camera.intrinsics import Camera
+    from derender.posterior.forward import HEIGHT, WIDTH
 
     camera = read_camera(given) if given is not None else document.camera
     if camera is None:
@@ -121,9 +124,9 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
 
 
 def _write_depth(target, engine, document, graph, camera, antialias, noise, sensor, seeds, made) -> None:
+    from derender.camera.depth_file import write_depth
     from derender.document import LikelihoodPrior
-    from derender.inference.forward import observe
-    from derender.vision.depth_file import write_depth
+    from derender.posterior.forward import observe
 
     rng = np.random.default_rng(seeds)
     distort = _sensor(sensor) if sensor else None
@@ -137,8 +140,8 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
 
 def _sensor(name: str):
     """Return the function (rng, clean depth) -> observed depth of a sensor's name, a scene file or a folder."""
-    from derender.inference.forward import observe
-    from derender.vision.sensor import SENSORS, find_sensor
+    from derender.camera.sensor import SENSORS, find_sensor
+    from derender.posterior.forward import observe
 
     if name in SENSORS or not (Path(name).suffix or Path(name).exists()):
         return find_sensor(name).observe
@@ -150,8 +153,8 @@ def _sensor(name: str):
 
 def _picture(engine, solids, names, camera) -> np.ndarray:
     """Return (height, width, 3) uint8, by the renderer's own means or from its depth."""
+    from derender.render.renderers.preview import draw_preview, enlarged
     from derender.report.pictures import colours_of
-    from derender.vision.renderers.preview import draw_preview, enlarged
 
     camera = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width)))
     if hasattr(engine, "render_colour"):

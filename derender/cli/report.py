@@ -38,7 +38,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     first = found[0]
     posterior = first.posterior
     if len(found) > 1:
-        from derender.inference.merge_runs import merge_runs
+        from derender.results.merge_runs import merge_runs
 
         posteriors = []
         for name, each in zip(folders, found, strict=True):

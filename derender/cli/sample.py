@@ -46,7 +46,7 @@ def command(
         derender sample grammar -n 1000 --no-images -o - | derender show - | less
     """
     from derender.document import prior_as_seen_from, read_prior_document
-    from derender.inference.forward import draw_documents
+    from derender.posterior.forward import draw_documents
 
     document = read_prior_document(prior)
     made = {"seed": seed, "command": f"derender sample {prior} --seed {seed}" + ("" if noise else " --no-noise")}
@@ -68,8 +68,8 @@ def _stream(draws) -> None:
 def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, renderer: str, talk: Talk) -> None:
     """Write each scene, and its image, into the folder."""
     from derender.atomic import all_or_none, make_folder
-    from derender.vision.camera_file import read_camera
-    from derender.vision.renderers import find_renderer
+    from derender.camera.camera_file import read_camera
+    from derender.render.renderers import find_renderer
 
     engine = find_renderer(renderer) if images else None
     given = read_camera(camera) if camera is not None else None

@@ -13,9 +13,12 @@ from derender.cli import options
 @click.argument("image", required=False, metavar="[IMAGE]")
 @options.camera
 @options.depth_scale
-@click.option("--prior", metavar="PRIOR",
-              help="Prior whose log density is printed: a file, a built-in one, or bare-image, which is what infer "
-                   "believes without --scene. Default: the one that the scene was made with, else tabletop.")
+@click.option(
+    "--prior",
+    metavar="PRIOR",
+    help="Prior whose log density is printed: a file, a built-in one, or bare-image, which is what infer "
+    "believes without --scene. Default: the one that the scene was made with, else tabletop.",
+)
 @options.as_json
 @options.quiet
 def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
@@ -33,9 +36,9 @@ def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
         derender score results/
         derender score results/ frame.png --camera camera.json --json | python -m json.tool
     """
+    from derender.camera.depth_file import read_depth
     from derender.cli.reading import read_scene_document
     from derender.report.scores import score_prior, score_scene
-    from derender.vision.depth_file import read_depth
 
     document = read_scene_document(scene)
     if image is None:
@@ -85,6 +88,14 @@ def _number(value: float) -> str:
 def _table(shares) -> str:
     from derender.report.tables import number_or_dash, text_table
 
-    rows = [[s.name, str(s.pixels), _number(s.log_likelihood), _number(s.gain) if math.isfinite(s.gain) else "–",
-             number_or_dash(s.residual * 1000.0, ".2f")] for s in shares]
+    rows = [
+        [
+            s.name,
+            str(s.pixels),
+            _number(s.log_likelihood),
+            _number(s.gain) if math.isfinite(s.gain) else "–",
+            number_or_dash(s.residual * 1000.0, ".2f"),
+        ]
+        for s in shares
+    ]
     return text_table(rows, ["object", "pixels", "log likelihood", "gain", "residual mm"])

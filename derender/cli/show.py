@@ -58,7 +58,7 @@ def _where(name: str) -> list[str]:
 def _of_folder(folder: Path, as_json: bool) -> str:
     """Show the posterior in a folder; where there is only a scene, that."""
     if (folder / "posterior.npz").exists():
-        from derender.inference.posterior import load
+        from derender.results.posterior import load
 
         posterior = load(folder / "posterior.npz")
         return _of_graph(posterior.best_graph(), posterior, as_json)

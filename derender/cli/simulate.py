@@ -129,8 +129,8 @@ def _check_names(animate: str | None, output: str | None) -> None:
 
 
 def _animate(path: str, found, trajectory, talk: Talk) -> None:
+    from derender.camera.intrinsics import Camera
     from derender.report.animation import frames, write_animation
-    from derender.vision.camera import Camera
 
     camera = found.camera
     if camera is None:

@@ -43,14 +43,14 @@ def command(name: str | None, as_json: bool) -> None:
 
 def _entries():
     """Yield each registered type: kind, name, what it is, its parameters."""
-    from derender.inference.kernels import kernels
-    from derender.model.contacts import contacts
-    from derender.model.distributions import distributions
-    from derender.model.priors.open_structure import structures
-    from derender.model.priors.reading import contact_parameters
-    from derender.model.priors.terms import term_types
-    from derender.model.shapes import shapes
-    from derender.vision.likelihoods import likelihoods
+    from derender.posterior.kernels import kernels
+    from derender.render.likelihoods import likelihoods
+    from derender.scene.contacts import contacts
+    from derender.scene.distributions import distributions
+    from derender.scene.priors.open_structure import structures
+    from derender.scene.priors.reading import contact_parameters
+    from derender.scene.priors.terms import term_types
+    from derender.scene.shapes import shapes
 
     for kind, registry in (("shape", shapes), ("likelihood", likelihoods)):
         for name in registry:

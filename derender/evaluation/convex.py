@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.kernel_cache import njit
+from derender.compilation.cache import njit
 
 PRISM_SIDES = 64
 SPHERE_FACES = 256

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from derender.model import solids as kinds
+from derender.scene import solids as kinds
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
+    from derender.scene.graph import SceneGraph
 
 KIND_NAMES = {kinds.PLANE: "plane", kinds.BOX: "box", kinds.SPHERE: "sphere", kinds.CYLINDER: "cylinder"}
 

@@ -15,8 +15,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from derender.model.pose import inverse, quaternion, rotation_x
 from derender.physics.bodies import STANDARD_GRAVITY, Body, Matter
+from derender.scene.pose import inverse, quaternion, rotation_x
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
 # at this one (200 of 200); half of it changes no verdict.

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from derender.model.solids import Solids
+from derender.camera.intrinsics import Camera
 from derender.physics.simulate import Trajectory
 from derender.report.pictures import colours_of
-from derender.vision.camera import Camera
+from derender.scene.solids import Solids
 
 FRAMES_PER_SECOND = 20
 WIDTH = 320
@@ -20,8 +20,8 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     ----------
     solids, names : the scene at the start and the names of its solids; those that the trajectory does not name stay.
     """
-    from derender.vision.raycast.depth import render_depth
-    from derender.vision.renderers.preview import draw_preview, enlarged
+    from derender.render.raycast.depth import render_depth
+    from derender.render.renderers.preview import draw_preview, enlarged
 
     eye = enlarged(camera, max(1, round(WIDTH / camera.width))) if camera.width < WIDTH else _reduced(camera)
     index = [names.index(name) for name in trajectory.names]

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from derender.model.solids import Solids
+from derender.camera.intrinsics import Camera
 from derender.report import tables, trust
-from derender.vision.camera import Camera
+from derender.scene.solids import Solids
 
 if TYPE_CHECKING:
     from derender.document import LikelihoodPrior
-    from derender.inference.posterior import Posterior
-    from derender.model.scene import SceneGraph
+    from derender.results.posterior import Posterior
+    from derender.scene.graph import SceneGraph
 
 SHOWN_DRAWS = 12
 
@@ -100,7 +100,7 @@ def report_of(
 
 def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]:
     """Return the numbers of a file's likelihood by name, with defaults for what it leaves out or open; {} for none."""
-    from derender.vision.likelihoods import likelihoods
+    from derender.render.likelihoods import likelihoods
 
     if likelihood is None:
         return {}

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from derender.model import solids as kinds
-from derender.model.solids import Solids
+from derender.scene import solids as kinds
+from derender.scene.solids import Solids
 
 SECTIONS = 48
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from derender.model import solids as kinds
-from derender.model.solids import Solids
 from derender.report import pictures, svg, tables, trust, viewer
 from derender.report.contents import Report
+from derender.scene import solids as kinds
+from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table
@@ -60,7 +60,7 @@ def _head(report: Report) -> str:
 def _depth_pictures(report: Report) -> str:
     if report.camera is None:
         return ""
-    from derender.vision.raycast.depth import render_depth
+    from derender.render.raycast.depth import render_depth
 
     explained, label = render_depth(report.solids, report.camera)
     explained = _as_compared(explained, report.likelihood)
@@ -89,7 +89,7 @@ def _depth_pictures(report: Report) -> str:
 
 def _as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
     """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
-    from derender.vision.blur import blur
+    from derender.render.blur import blur
 
     background, sigma = likelihood.get("background"), likelihood.get("blur")
     filled = depth if not isinstance(background, float) else np.where(np.isfinite(depth), depth, background)

@@ -8,8 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from derender.model.solids import Solids
-from derender.vision.camera import Camera
+from derender.camera.intrinsics import Camera
+from derender.scene.solids import Solids
 
 MISSING = np.array([58, 58, 64], dtype=np.uint8)
 
@@ -92,7 +92,7 @@ def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[
 
 def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
     """Return (N, 3) uint8, the colour of each solid in all pictures: the one that its name says, or one of its own."""
-    from derender.vision.renderers.preview import default_colours
+    from derender.render.renderers.preview import default_colours
 
     colours = default_colours(solids)
     for index, name in enumerate(names):
@@ -107,7 +107,7 @@ def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: in
 
     samples : of each pixel, along either side.
     """
-    from derender.vision.raycast.depth import render_depth
-    from derender.vision.renderers.preview import draw_preview
+    from derender.render.raycast.depth import render_depth
+    from derender.render.renderers.preview import draw_preview
 
     return draw_preview(render_depth, solids, camera, colours_of(solids, names), samples)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import files_together, write_text
+from derender.camera.depth_file import DepthImage, write_depth
+from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
-from derender.inference.posterior import Posterior
-from derender.threads import run_together
-from derender.vision.depth_file import DepthImage, write_depth
+from derender.results.posterior import Posterior
 
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
 
@@ -87,10 +87,10 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
 
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
     """
-    from derender.inference.netcdf import write_netcdf
     from derender.report.contents import likelihood_numbers, report_of, sensor_words
     from derender.report.html import write_report
     from derender.report.scene_json import scene_json
+    from derender.results.netcdf import write_netcdf
 
     graph = posterior.best_graph()
     best = posterior.best_part

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.model.scene import SceneGraph
+from derender.scene.graph import SceneGraph
 
 GRAVITY = 9.81  # metres a second squared
 

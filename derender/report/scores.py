@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
-from derender.model.priors.impossible import why_impossible
-from derender.model.scene import SceneGraph
-from derender.model.solids import PLANE
-from derender.vision.camera import Camera
-from derender.vision.raycast.depth import render_depth
-from derender.vision.raycast.evaluator import DepthEvaluator
+from derender.render.raycast.depth import render_depth
+from derender.render.raycast.evaluator import DepthEvaluator
+from derender.scene.graph import SceneGraph
+from derender.scene.priors.impossible import why_impossible
+from derender.scene.solids import PLANE
 
 BACKGROUND = "(background)"
 
@@ -65,9 +65,13 @@ class Score(NamedTuple):
             return value if not isinstance(value, float) or np.isfinite(value) else None
 
         prior = self.prior or PriorScore("", np.nan)
-        return {"log_prior": plain(prior.log_density), "prior": prior.name, "why": prior.why,
-                "log_likelihood": plain(self.log_likelihood),
-                "objects": [{key: plain(value) for key, value in share._asdict().items()} for share in self.shares]}
+        return {
+            "log_prior": plain(prior.log_density),
+            "prior": prior.name,
+            "why": prior.why,
+            "log_likelihood": plain(self.log_likelihood),
+            "objects": [{key: plain(value) for key, value in share._asdict().items()} for share in self.shares],
+        }
 
 
 def score_prior(document: Document, given: str | None = None) -> PriorScore:
@@ -76,7 +80,7 @@ def score_prior(document: Document, given: str | None = None) -> PriorScore:
     given : a prior file, a built-in prior or "bare-image"; None: the prior that the scene file itself names (`made:`),
         and where it names none the default one.
     """
-    from derender.inference.structure.draws.scene_density import BARE_IMAGE, scene_log_prior
+    from derender.structures.draws.scene_density import BARE_IMAGE, scene_log_prior
 
     name = given or document.made_with or "tabletop"
     if name == BARE_IMAGE:
@@ -94,14 +98,19 @@ def score_prior(document: Document, given: str | None = None) -> PriorScore:
     return PriorScore(name, float(prior.log_density(document.graph)), why_impossible(prior, document.graph) or "")
 
 
-def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, likelihood: str = "gaussian",
-                values: Mapping[str, float] | None = None) -> Score:
+def score_scene(
+    graph: SceneGraph,
+    observed: np.ndarray,
+    camera: Camera,
+    likelihood: str = "gaussian",
+    values: Mapping[str, float] | None = None,
+) -> Score:
     """Score a scene against an image.
 
     Parameters
     ----------
     graph : the scene. observed : (height, width) metres, NaN where nothing returned.
-    likelihood, values : the type of likelihood and its numbers, see `vision.likelihoods`.
+    likelihood, values : the type of likelihood and its numbers, see `render.likelihoods`.
     """
     solids = graph.solids()
     evaluator = DepthEvaluator(camera, observed, likelihood, values)
@@ -122,6 +131,13 @@ def score_scene(graph: SceneGraph, observed: np.ndarray, camera: Camera, likelih
                 pose[k, :3, 3] = 1e9 * pose[k, :3, 2]
             gain = total - evaluator.load(solids._replace(pose=pose))
         values_seen = residual[seen][np.isfinite(residual[seen])]
-        shares.append(Share(name, int(seen.sum()), float(per_pixel[seen].sum()), float(gain),
-                            float(np.median(values_seen)) if len(values_seen) else np.nan))
+        shares.append(
+            Share(
+                name,
+                int(seen.sum()),
+                float(per_pixel[seen].sum()),
+                float(gain),
+                float(np.median(values_seen)) if len(values_seen) else np.nan,
+            )
+        )
     return Score(float(total), tuple(shares))

@@ -1,7 +1,7 @@
 """The structures of a posterior in words: who rests on what."""
 
-from derender.inference.posterior import Posterior
-from derender.model.scene import SceneGraph, Vertex
+from derender.results.posterior import Posterior
+from derender.scene.graph import SceneGraph, Vertex
 
 SHOWN_WEIGHT = 5e-4  # less is 0.000 in three digits
 

@@ -26,10 +26,10 @@ def unit_of(address: str) -> tuple[str, float]:
 @functools.cache
 def _units(room: str) -> dict[str, str]:
     """Return the units of all numbers of the registered likelihoods, contacts or shapes by name."""
-    from derender.model.contacts import contacts
-    from derender.model.priors.reading import contact_parameters
-    from derender.model.shapes import shapes
-    from derender.vision.likelihoods import likelihoods
+    from derender.render.likelihoods import likelihoods
+    from derender.scene.contacts import contacts
+    from derender.scene.priors.reading import contact_parameters
+    from derender.scene.shapes import shapes
 
     if room == "contact":
         found = [parameter for name in contacts.names() for parameter in contact_parameters(name).values()]
@@ -54,7 +54,7 @@ def parameter_rows(
     dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
     (chains, draws).
     """
-    from derender.inference.diagnostics import summary, unwrap
+    from derender.sampling.diagnostics import summary, unwrap
 
     rows = []
     for index, address in enumerate(addresses):

@@ -4,15 +4,15 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from derender.model.contacts import contacts
-from derender.model.distributions import Categorical, Distribution
-from derender.model.priors.algorithm_1 import Algorithm1Prior
-from derender.model.priors.contacts import ContactPrior
-from derender.model.priors.grammar import GrammarPrior
-from derender.model.priors.tree import TreePrior
-from derender.model.priors.values import ROTATION
-from derender.model.scene import ROOT, SceneGraph, Vertex
-from derender.model.shapes import shapes
+from derender.scene.contacts import contacts
+from derender.scene.distributions import Categorical, Distribution
+from derender.scene.graph import ROOT, SceneGraph, Vertex
+from derender.scene.priors.algorithm_1 import Algorithm1Prior
+from derender.scene.priors.contacts import ContactPrior
+from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.tree import TreePrior
+from derender.scene.priors.values import ROTATION
+from derender.scene.shapes import shapes
 
 ALTERNATIVE = 0.005  # another parent is named from this probability on
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from derender.inference.posterior import Posterior
+    from derender.results.posterior import Posterior
 
 # Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
 # 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).

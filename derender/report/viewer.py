@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from derender.model import solids as kinds
-from derender.model.solids import Solids
 from derender.report import pictures
 from derender.report.contents import Report
 from derender.report.geometry import plane_patch, solid_mesh
+from derender.scene import solids as kinds
+from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent
 SHOWN_POINTS = 12_000
@@ -78,7 +78,7 @@ def _observed_points(report: Report, colours: np.ndarray) -> tuple[np.ndarray, n
     """Return some observed points, (P, 3) in the camera's frame, and their colours: that of what explains them."""
     if report.camera is None or report.observed is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-    from derender.vision.raycast.depth import render_depth
+    from derender.render.raycast.depth import render_depth
 
     _, label = render_depth(report.solids, report.camera)
     rows, columns = np.nonzero(np.isfinite(report.observed))

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from derender import data_path
+from derender.camera.depth_file import write_depth
 from derender.cli.infer import command
 from derender.errors import DerenderError
-from derender.vision.depth_file import write_depth
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_a_camera_of_another_size_is_told(folder, tmp_path):
 
 
 def test_an_image_with_holes_is_fine(folder, tmp_path):
-    from derender.vision.depth_file import read_depth
+    from derender.camera.depth_file import read_depth
 
     seen = read_depth(folder / "sample_000.npz")
     depth = seen.depth.copy()
@@ -161,7 +161,7 @@ def test_an_older_result_is_replaced_as_a_whole_or_not_at_all(folder, tmp_path, 
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == first
     monkeypatch.undo()
     (out / "posterior.nc").write_text("of an older run")
-    monkeypatch.setattr("derender.inference.netcdf.write_netcdf", lambda *_: False)  # as where h5netcdf is missing
+    monkeypatch.setattr("derender.results.netcdf.write_netcdf", lambda *_: False)  # as where h5netcdf is missing
     infer(*arguments, "--seed", 2)
     assert not (out / "posterior.nc").exists() and (out / "notes.txt").read_text() == "mine"
     seeds = [json.loads((out / "summary.json").read_text())["seed"], read_made(out / "scene.yaml")["seed"]]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from derender.camera.depth_file import read_depth
 from derender.cli import main
-from derender.vision.depth_file import read_depth
 
 SCENE = """derender: 1
 camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from derender.camera.depth_file import read_depth
 from derender.cli import main
 from derender.document import built_in_priors, read_document
-from derender.inference.kernels import kernels
-from derender.model.distributions import distributions
-from derender.model.shapes import shapes
+from derender.posterior.kernels import kernels
 from derender.report.scene_json import scene_json
 from derender.report.tree_text import scene_lines
-from derender.vision.depth_file import read_depth
+from derender.scene.distributions import distributions
+from derender.scene.shapes import shapes
 
 
 @pytest.fixture(autouse=True)

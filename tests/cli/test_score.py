@@ -11,9 +11,9 @@ from derender.cli.sample import command as sample
 from derender.cli.score import command as score
 from derender.document import read_document
 from derender.errors import DerenderError
-from derender.inference.posterior import load
+from derender.render.likelihoods import likelihoods
 from derender.report.scores import BACKGROUND
-from derender.vision.likelihoods import likelihoods
+from derender.results.posterior import load
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from derender.camera.depth_file import write_depth
+from derender.camera.intrinsics import Camera
 from derender.cli import main
 from derender.document import read_document, write_document
-from derender.inference.posterior import Posterior, StructurePosterior
+from derender.render.raycast.depth import render_depth
 from derender.report.scene_json import scene_json
-from derender.vision.camera import Camera
-from derender.vision.depth_file import write_depth
-from derender.vision.raycast.depth import render_depth
+from derender.results.posterior import Posterior, StructurePosterior
 
 SCENE = """derender: 1
 camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}

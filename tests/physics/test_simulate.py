@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from derender.model.pose import random_rotation, rotation_x, rotation_y, translation
 from derender.physics.bodies import Body, Matter, matter_of_scene
 from derender.physics.mujoco_model import ROLLING, World
 from derender.physics.simulate import judge, save_trajectory, simulate, verdicts
+from derender.scene.pose import random_rotation, rotation_x, rotation_y, translation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 FLOOR = Body("floor", "plane", np.zeros(3), np.eye(4))

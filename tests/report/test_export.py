@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.model.pose import rotation_x, rotation_y, rotation_z, translation
-from derender.model.scene import Contact, SceneGraph, Vertex
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate
 from derender.report.export import EXPORTERS, export_scene
 from derender.report.export.upright import upright_pose
 from derender.report.export.urdf import roll_pitch_yaw
-from derender.vision.camera import Camera
+from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation
 
 
 def face(**values):
@@ -140,7 +140,7 @@ def test_bop_round_trip(graph, tmp_path):
     for item, name in zip(scene["objects"], ["big box", "can", "ball"], strict=True):
         np.testing.assert_allclose(item["pose"], graph.poses()[name], atol=1e-12)
         np.testing.assert_allclose(item["size"], graph.body(name).size())
-    from derender.vision.camera_file import read_camera
+    from derender.camera.camera_file import read_camera
 
     assert read_camera(written[2], shape=(48, 64)).fy == 101
     assert json.loads(written[1].read_text())["1"]["size_x"] == pytest.approx(200)

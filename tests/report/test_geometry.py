@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.report.geometry import SECTIONS, box_mesh, cylinder_mesh, plane_patch, solid_mesh, sphere_mesh
+from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 
 SIZE = np.array([0.1, 0.1, 0.25])
 

@@ -11,17 +11,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from derender.model.pose import rotation_x, rotation_z, translation
-from derender.model.scene import Contact, SceneGraph, Vertex
-from derender.model.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
+from derender.camera.intrinsics import Camera
+from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables, trust
 from derender.report.contents import Report
 from derender.report.html import page
 from derender.report.structure_words import structure_words
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines
-from derender.vision.camera import Camera
-from derender.vision.raycast.depth import render_depth
+from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 
 CAMERA = Camera(75, 75, 39.5, 29.5, 80, 60)
 ROOT = translation(0, 0.1, 0.8) @ rotation_x(np.deg2rad(125))

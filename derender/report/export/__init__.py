@@ -12,8 +12,8 @@ from derender.atomic import atomic_path
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 EXPORTERS = {
     ".glb": "derender.report.export.glb",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 MILLIMETRES = 1000.0
 

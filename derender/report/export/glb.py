@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender import __version__
-from derender.model import solids as kinds
-from derender.model.pose import rotation_x
 from derender.report.export.upright import upright_pose
 from derender.report.geometry import plane_patch, solid_mesh
 from derender.report.pictures import colours_of
+from derender.scene import solids as kinds
+from derender.scene.pose import rotation_x
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 FLOAT, UNSIGNED = 5126, 5125
 VERTICES, TRIANGLES = 34962, 34963

@@ -7,8 +7,8 @@ from derender.report.export.upright import upright_pose
 from derender.report.pictures import colours_of
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 
 def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:

@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from derender import __version__
-from derender.model import solids as kinds
 from derender.report.export.upright import upright_pose
 from derender.report.geometry import plane_patch, solid_mesh
 from derender.report.pictures import colours_of
+from derender.scene import solids as kinds
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 
 def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.model import solids as kinds
-from derender.model.pose import from_axes, inverse
+from derender.scene import solids as kinds
+from derender.scene.pose import from_axes, inverse
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
+    from derender.scene.graph import SceneGraph
 
 
 def upright_pose(graph: "SceneGraph") -> np.ndarray:

@@ -9,15 +9,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from derender.model import solids as kinds
 from derender.physics.bodies import DENSITY
 from derender.report.export.upright import upright_pose
 from derender.report.geometry import plane_patch, solid_mesh
 from derender.report.pictures import colours_of
+from derender.scene import solids as kinds
 
 if TYPE_CHECKING:
-    from derender.model.scene import SceneGraph
-    from derender.vision.camera import Camera
+    from derender.camera.intrinsics import Camera
+    from derender.scene.graph import SceneGraph
 
 PLANE_THICKNESS = 0.01
 

@@ -1,0 +1,1 @@
+"""Cameras, depth files and what sensors do to depth."""

@@ -1,0 +1,201 @@
+"""One reader for the camera files that people have, which knows them by their keys."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender.camera.file_bytes import read_bytes
+from derender.camera.intrinsics import Camera, finite_number
+from derender.errors import DerenderError
+
+LARGEST_FILE = 16_000_000  # bytes; a camera file has a few hundred
+
+# Readers. Each takes the file's tree and returns Camera's arguments; width and height may be missing.
+
+
+def _read_bop(tree: dict) -> dict[str, Any]:
+    keys = ("fx", "fy", "cx", "cy", "width", "height", "depth_scale")
+    _refuse_distortion(tree)
+    return {key: tree[key] for key in keys if key in tree}
+
+
+def _read_bop_frame(tree: dict) -> dict[str, Any]:
+    arguments = _from_matrix(tree["cam_K"], "cam_K")
+    return arguments | {key: tree[key] for key in ("width", "height", "depth_scale") if key in tree}
+
+
+def _read_open3d(tree: dict) -> dict[str, Any]:
+    matrix = _numbers(tree["intrinsic_matrix"], "intrinsic_matrix", 9)
+    arguments = _from_matrix(matrix.reshape(3, 3).T, "intrinsic_matrix (column-major)")
+    arguments |= {key: tree[key] for key in ("width", "height") if key in tree}
+    if "depth_scale" in tree:  # Open3D counts units to the metre
+        per_metre = finite_number(tree["depth_scale"], "depth_scale")
+        if per_metre <= 0:
+            raise DerenderError(f"depth_scale is {per_metre:g}", remedy="Open3D's is 1000 for millimetres")
+        arguments["depth_scale"] = 1000 / per_metre
+    return arguments
+
+
+def _read_ros(tree: dict) -> dict[str, Any]:
+    _refuse_distortion(tree)
+    matrix = _first(tree, "K", "k", "camera_matrix")
+    arguments = _from_matrix(matrix, "K")
+    for name in ("width", "height"):
+        value = _first(tree, name, f"image_{name}")
+        if value is not None:
+            arguments[name] = value
+    for name in ("binning_x", "binning_y"):
+        if finite_number(tree.get(name, 0), name) > 1:
+            raise DerenderError(f"{name} is {tree[name]}", remedy="give the camera_info of the image without binning")
+    region = tree.get("roi")
+    if isinstance(region, dict) and any(finite_number(region.get(k, 0), f"roi.{k}") for k in ("x_offset", "y_offset")):
+        raise DerenderError("the region of interest has an offset", remedy="give the camera_info of the whole image")
+    return arguments
+
+
+def _read_realsense(tree: dict) -> dict[str, Any]:
+    _refuse_distortion(tree)
+    arguments = {key: tree[key] for key in ("fx", "fy", "width", "height") if key in tree}
+    arguments |= {"cx": tree["ppx"], "cy": tree["ppy"]}
+    scale = _first(tree, "depth_scale", "depth_units")  # librealsense: metres for one unit
+    return arguments if scale is None else arguments | {"depth_scale": 1000 * finite_number(scale, "depth_scale")}
+
+
+# The keys that tell the formats apart, the most specific first.
+FORMATS: tuple[tuple[str, frozenset[str], Callable[[dict], dict[str, Any]]], ...] = (
+    ("RealSense intrinsics", frozenset({"ppx", "ppy", "fx", "fy"}), _read_realsense),
+    ("Open3D", frozenset({"intrinsic_matrix"}), _read_open3d),
+    ("BOP scene_camera.json", frozenset({"cam_K"}), _read_bop_frame),
+    ("ROS camera_info", frozenset({"K"}), _read_ros),
+    ("ROS camera_info", frozenset({"k"}), _read_ros),
+    ("ROS camera_info", frozenset({"camera_matrix"}), _read_ros),
+    ("BOP camera.json", frozenset({"fx", "fy", "cx", "cy"}), _read_bop),
+)
+WRAPPERS = ("camera", "intrinsic", "intrinsics", "depth_intrinsics", "depth", "camera_info")
+
+
+def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: str | None = None) -> Camera:
+    """Read a camera of any of the known formats, recognised by its keys.
+
+    Parameters
+    ----------
+    path : a JSON or YAML file: BOP camera.json or scene_camera.json, Open3D, ROS camera_info, RealSense
+        intrinsics, or a derender scene; `-` is stdin.
+    shape : (height, width) of the image it belongs to; fills in a size that the file does not give.
+    frame : name of the image, which chooses among the frames of a scene_camera.json ("000003" or "3").
+
+    Raises
+    ------
+    DerenderError : unreadable or unknown file, distortion, no size, impossible numbers; says which file.
+    """
+    tree = _load(path)
+    try:
+        return camera_from_tree(tree, shape, frame)
+    except DerenderError as error:
+        where = path if error.where in (None, "camera") else f"{path}: {error.where}"
+        raise DerenderError(error.what, where, error.remedy) from None
+
+
+def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: str | None = None) -> Camera:
+    """Return the camera that a loaded JSON or YAML tree describes; see `read_camera`."""
+    for _ in range(4):  # wrappers are at most a few deep
+        if not isinstance(tree, dict) or not tree:
+            raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
+        for _name, keys, reader in FORMATS:
+            if keys <= tree.keys():
+                arguments = reader(tree)
+                if shape is not None:
+                    arguments = {"height": shape[0], "width": shape[1]} | arguments
+                missing = [name for name in ("width", "height") if name not in arguments]
+                if missing:
+                    raise DerenderError("the file does not say the image's size", remedy="add " + " and ".join(missing))
+                return Camera(**arguments)
+        tree = _unwrap(tree, frame)
+    raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
+
+
+def _unwrap(tree: dict, frame: str | None) -> object:
+    """Return the part of a tree that holds the camera."""
+    for key in WRAPPERS:
+        if isinstance(tree.get(key), dict):
+            return tree[key]
+    parameters = tree.get("parameters")
+    if isinstance(parameters, list) and parameters:  # Open3D PinholeCameraTrajectory
+        return parameters[0]
+    frames = {key: value for key, value in tree.items() if isinstance(value, dict) and "cam_K" in value}
+    if frames:  # BOP scene_camera.json
+        digits = "".join(filter(str.isascii, filter(str.isdecimal, frame.split("_")[-1]))) if frame else ""
+        if digits and str(int(digits)) in frames:
+            return frames[str(int(digits))]
+        if len({json.dumps(value["cam_K"]) + str(value.get("depth_scale")) for value in frames.values()}) == 1:
+            return next(iter(frames.values()))
+        names = ", ".join(list(frames)[:5]) + (", ..." if len(frames) > 5 else "")
+        raise DerenderError("the frames have different cameras", remedy=f"name the image after one of {names}")
+    lacking = [key for key in ("fx", "fy", "cx", "cy") if key not in tree]
+    if len(lacking) < 4:
+        raise DerenderError("this is not a whole camera", remedy="add " + " and ".join(lacking))
+    known = ", ".join(sorted(map(str, tree))[:8])
+    remedy = "derender reads BOP, Open3D, ROS camera_info and RealSense cameras"
+    raise DerenderError(f"no camera in the keys {known}"[:300], remedy=remedy)
+
+
+def _load(path: str | Path) -> object:
+    """Return the tree of a JSON or YAML file; YAML's scalars stay text, which `finite_number` reads."""
+    import yaml
+
+    data = read_bytes(path, LARGEST_FILE, "the camera", "give a camera file with --camera")
+    try:
+        text = data.decode("utf-8-sig")
+        if text.lstrip().startswith("{"):
+            try:
+                return json.loads(text)
+            except ValueError:
+                pass  # YAML in flow style
+        loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+        return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
+    except (ValueError, yaml.YAMLError, RecursionError, StopIteration, TypeError):
+        raise DerenderError("neither JSON nor YAML", path, "give a camera file, e.g. a BOP camera.json") from None
+
+
+def _first(tree: dict, *names: str) -> Any:
+    return next((tree[name] for name in names if name in tree), None)
+
+
+def _numbers(value: object, name: str, count: int | None = None) -> np.ndarray:
+    """Return the flat numbers of a list, of a list of rows, or of ROS's {rows, cols, data}."""
+    if isinstance(value, dict):
+        value = value.get("data")
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list) or len(value) > 100:
+        raise DerenderError(f"{name} is not a list of numbers", "camera")
+    rows = [item if isinstance(item, list) and len(item) <= 100 else [item] for item in value]
+    numbers = np.array([finite_number(leaf, name) for row in rows for leaf in row])
+    if count is not None and len(numbers) != count:
+        raise DerenderError(f"{name} has {len(numbers)} numbers", "camera", f"it needs {count}")
+    return numbers
+
+
+def _from_matrix(value: object, name: str) -> dict[str, Any]:
+    """Return fx, fy, cx, cy of a row-major intrinsic matrix."""
+    matrix = _numbers(value, name, 9).reshape(3, 3)
+    matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix
+    if matrix[2, 0] or matrix[2, 1] or matrix[1, 0] or not matrix[2, 2]:
+        remedy = "its last row is 0, 0, 1: check whether it is row-major (Open3D's is column-major)"
+        raise DerenderError(f"{name} is not an intrinsic matrix", "camera", remedy)
+    if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
+        raise DerenderError(f"{name} has skew {matrix[0, 1]:g}", "camera", "rectify first")
+    return {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
+
+
+def _refuse_distortion(tree: dict) -> None:
+    for key in ("coeffs", "D", "d", "distortion_coefficients", "dist_coeffs", "distortion", "cam_D"):
+        value = tree.get(key)
+        if value is None or isinstance(value, (str, bool)):
+            continue
+        if np.any(_numbers(value, key) != 0):
+            remedy = "rectify first, then give the rectified image's camera with zeros there"
+            raise DerenderError(f"the camera has distortion ({key} is not zero)", "camera", remedy)

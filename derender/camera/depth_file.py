@@ -1,0 +1,212 @@
+"""Depth images on disk: read any of the formats that people have, write the same formats.
+
+In memory a depth image is (height, width) float64 in metres, NaN where there is no return; in a file no return is 0.
+16-bit images (.png, .tiff, integer .npy) count units of the camera's `depth_scale` millimetres; floats are metres.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.camera.camera_file import camera_from_tree, read_camera
+from derender.camera.depth_formats import (
+    DAMAGE,
+    MOST_BYTES,
+    SATURATED,
+    SUFFIXES,
+    decode_npz,
+    encode_npy,
+    encode_npz,
+    encode_png,
+    encode_tiff,
+    recognise,
+)
+from derender.camera.exr import encode_exr
+from derender.camera.file_bytes import read_bytes
+from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera
+from derender.errors import DerenderError
+
+FARTHEST = 1000.0  # metres; farther than any depth camera sees
+FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
+NEAREST_MEDIAN = 0.002  # metres; likewise
+SKY = 65504.0  # the largest half float: what Blender and others write into an .exr where a ray hits nothing
+
+
+class DepthImage(NamedTuple):
+    """A depth image with the camera that saw it.
+
+    Attributes
+    ----------
+    depth : (height, width) float64, metres; NaN where there is no return.
+    camera : its camera.
+    camera_is_guess : True where neither the file nor the user gave one, so that it has the fallback field of view.
+    meta : what the file says about its origin (seed, version, command), or {}.
+    """
+
+    depth: np.ndarray
+    camera: Camera
+    camera_is_guess: bool = False
+    meta: dict[str, Any] = {}
+
+
+def read_depth(
+    path: str | Path, camera: Camera | str | Path | None = None, depth_scale: float | None = None
+) -> DepthImage:
+    """Read a depth image of any known format, recognised by its first bytes, and its camera.
+
+    Parameters
+    ----------
+    path : the file; `-` is stdin.
+    camera : a Camera or a camera file; default: the camera in the file, else a guess of 60 degrees field of view.
+    depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
+
+    Raises
+    ------
+    DerenderError : anything that makes the image unusable, in one line.
+    """
+    data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
+    decoder, name = recognise(data, path)
+    try:
+        decoded = decoder(data)
+    except DerenderError as error:
+        raise DerenderError(error.what, path, error.remedy) from None
+    except DAMAGE as error:
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
+    array = _two_dimensional(decoded.array, path)
+    found, guessed = _camera(path, camera, decoded.camera, array.shape)
+    if found.shape != array.shape:
+        what = f"the image is {array.shape[1]} x {array.shape[0]} pixels, its camera {found.width} x {found.height}"
+        raise DerenderError(what, path, "give the camera of this image" + _at_its_size(found, array.shape))
+    depth = _metres(array, found.depth_scale, depth_scale, path)
+    return DepthImage(depth, found, guessed, decoded.meta)
+
+
+def _at_its_size(camera: Camera, shape: tuple[int, int]) -> str:
+    """Return what a camera file would have to hold were it the same camera, its image scaled; "" where it cannot be."""
+    factor = camera.width / shape[1]
+    if abs(camera.height - factor * shape[0]) > 0.5 * factor:  # another aspect
+        return ""
+    small = camera.downscaled(factor).to_dict() | {"height": shape[0], "width": shape[1]}
+    return f"; scaled to its size the same would be {json.dumps({key: round(n, 3) for key, n in small.items()})}"
+
+
+def write_depth(
+    path: str | Path,
+    depth: np.ndarray,
+    camera: Camera,
+    meta: dict[str, Any] | None = None,
+    label: np.ndarray | None = None,
+) -> None:
+    """Write a depth image in the format of the suffix, whole or not at all; `-` writes an .npz to stdout.
+
+    Parameters
+    ----------
+    depth : (height, width), metres; NaN, inf and 0 mean no return.
+    camera : goes into an .npz; of the other formats a 16-bit .png uses its depth_scale.
+    meta : seed, version, command; kept in an .npz only.
+    label : (height, width) int32, which solid each pixel sees or -1; kept in an .npz only.
+    """
+    suffix = ".npz" if str(path) == "-" else Path(path).suffix.lower()
+    check_suffix(path)
+    metres = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
+    if suffix == ".npz":
+        data = encode_npz(metres, camera, meta or {}, label)
+    elif suffix == ".npy":
+        data = encode_npy(metres)
+    elif suffix == ".png":
+        data = encode_png(metres, camera.depth_scale, path)
+    elif suffix == ".exr":
+        data = encode_exr(metres)
+    else:
+        data = encode_tiff(metres)
+    if str(path) == "-":
+        sys.stdout.buffer.write(data)
+        return
+    from derender.atomic import atomic_path
+
+    with atomic_path(path) as temporary:
+        Path(temporary).write_bytes(data)
+
+
+def check_suffix(path: str | Path) -> None:
+    """Raise DerenderError unless `write_depth` knows the suffix: commands ask before they compute."""
+    if str(path) != "-" and Path(path).suffix.lower() not in SUFFIXES:
+        what = f"no depth format has the suffix {Path(path).suffix!r}"
+        raise DerenderError(what, path, "choose from " + " ".join(SUFFIXES))
+
+
+# Checks that all formats share
+
+
+def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
+    if array.ndim == 3 and 1 in (array.shape[0], array.shape[2]):
+        array = array[0] if array.shape[0] == 1 else array[..., 0]
+    if array.ndim != 2 or 0 in array.shape:
+        shape = " x ".join(map(str, array.shape)) if array.ndim > 1 else "no picture but a list or a number"
+        colour = "; this looks like a colour image" if array.ndim == 3 and array.shape[2] in (3, 4) else ""
+        raise DerenderError(f"the array is {shape}{colour}", path, "a depth image is height x width")
+    if array.size > MOST_PIXELS:
+        raise DerenderError("too many pixels", path)
+    if array.dtype == np.uint8 or array.dtype == np.int8 or array.dtype == bool:
+        raise DerenderError("8 bits a pixel are too coarse for depth", path, "give 16-bit units or float metres")
+    if array.dtype.kind not in "fiu":
+        raise DerenderError(f"the array holds {array.dtype}", path, "give 16-bit units or float metres")
+    return array
+
+
+def _camera(path: str | Path, given: Camera | str | Path | None, inside: object, shape: tuple[int, int]):
+    """Return the camera and whether it is a guess."""
+    if isinstance(given, Camera):
+        return given, False
+    if given is not None:
+        if str(given).lower().endswith(".npz"):
+            return _camera_of_npz(given, shape), False
+        return read_camera(given, shape, frame=Path(path).stem), False
+    if inside is not None:
+        try:
+            return camera_from_tree(inside, shape), False
+        except DerenderError as error:
+            raise DerenderError(error.what, f"{path}: camera", error.remedy) from None
+    return Camera.from_field_of_view(shape[1], shape[0], FALLBACK_FIELD_OF_VIEW), True
+
+
+def _camera_of_npz(path: str | Path, shape: tuple[int, int]) -> Camera:
+    try:
+        tree = decode_npz(read_bytes(path, MOST_BYTES, "the depth image", "check the path")).camera
+    except DAMAGE:
+        tree = None
+    if tree is None:
+        raise DerenderError("no camera in this file", path, "give a camera file")
+    return camera_from_tree(tree, shape)
+
+
+def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path: str | Path) -> np.ndarray:
+    """Return float64 metres with NaN for no return, or say what is impossible about the numbers."""
+    integer = array.dtype.kind in "iu"
+    depth = array.astype(np.float64)
+    scale = explicit if explicit is not None else camera_scale if integer else None
+    with np.errstate(over="ignore"):
+        if scale is not None:
+            depth *= scale / 1000
+        elif depth.max(initial=0, where=np.isfinite(depth)) >= SKY:
+            depth[depth >= SKY] = np.nan
+    if array.dtype == np.uint16:
+        depth[array == SATURATED] = np.nan
+    depth[~np.isfinite(depth) | (depth == 0)] = np.nan
+    valid = depth[np.isfinite(depth)]
+    if not valid.size:
+        raise DerenderError("no pixel has a depth (all are 0, NaN or inf)", path, "check the camera or the export")
+    if valid.min() < 0:
+        count = np.count_nonzero(valid < 0)
+        remedy = "depth is positive in front of the camera; negate it if your tool looks along -z"
+        raise DerenderError(f"{count} of {valid.size} depths are negative", path, remedy)
+    middle, farthest = float(np.median(valid)), float(valid.max())
+    if middle > FARTHEST_MEDIAN or farthest > FARTHEST or middle < NEAREST_MEDIAN:
+        what = f"the median depth is {middle:.3g} m, the largest {farthest:.3g} m"
+        used = f"depth_scale is {scale:g} mm" if scale is not None else "floats count as metres"
+        raise DerenderError(what, path, f"{used}; set --depth-scale (1 where a unit is a millimetre)")
+    return depth

@@ -1,0 +1,1 @@
+"""Numba functions, compiled once and kept; threads to run them in."""

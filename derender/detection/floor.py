@@ -1,0 +1,154 @@
+"""The supporting plane of a depth image: RANSAC on a coarse sample, then a robust least-squares refit."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.pyramid import intrinsics
+from derender.errors import DerenderError
+
+BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
+FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
+ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
+FEET = 100  # points of what stands on the floor, at most, to which distances are taken
+
+
+class Floor(NamedTuple):
+    """A supporting plane.
+
+    Attributes
+    ----------
+    pose : (4, 4) float64, floor frame to camera: z up (towards the camera's side), origin under the image's middle.
+    sigma : standard deviation of the depth noise about the plane in metres, from the median absolute residual.
+    inliers : (H, W) bool, pixels on the plane.
+    """
+
+    pose: np.ndarray
+    sigma: float
+    inliers: np.ndarray
+
+
+def back_project(depth, camera):
+    """Return the points (H, W, 3) in camera axes of a depth image; NaN where there is no depth."""
+    fx, fy, cx, cy = intrinsics(camera)
+    height, width = depth.shape
+    column, row = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+    return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
+
+
+def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
+    """Find the plane that most pixels lie on.
+
+    Parameters
+    ----------
+    depth : (H, W) float metres, NaN = no return.
+    tolerance : metres; how near the plane a point counts during the search.
+
+    Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
+    """
+    points = back_project(depth, camera)
+    good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
+    if len(good) < 50:
+        what = f"the image has too few pixels with depth ({len(good)}, at least 50 are needed)"
+        raise DerenderError(what, remedy="check the export, or go nearer")
+    flat = points.reshape(-1, 3)
+    sample = flat[good[rng.permutation(len(good))[:1500]]]
+    triples = sample[rng.integers(len(sample), size=(rounds, 3))]
+    normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    if not np.any(length > 1e-8):
+        raise DerenderError("all pixels with depth lie on one line", remedy="give a whole image")
+    normal = normal[length > 1e-8] / length[length > 1e-8, None]
+    offset = np.einsum("ij,ij->i", normal, triples[length > 1e-8, 0])
+    distance = sample @ normal.T - offset  # (S, R); the camera is at -offset
+    side = np.where(offset > 0, -1.0, 1.0)  # turn normals towards the camera
+    distance, normal, offset = distance * side, normal * side[:, None], offset * side
+    near = np.abs(distance) < tolerance * np.maximum(1.0, sample[:, 2] ** 2)[:, None]
+    # Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have
+    # some, the side of a box has many.
+    under = distance < -3 * tolerance
+    score = near.mean(axis=0) - 0.3 * under.mean(axis=0)
+    best = np.argmax(score)
+    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
+    upward = -normal[:, 1]
+    floors = (score > FLOOR_SHARE) & (np.abs(normal @ normal[best]) < ACROSS) & (upward > upward[best] + UPWARD)
+    if floors.any():
+        best = np.argmax(np.where(floors, score, -np.inf))
+    return plane_through(depth, points, normal[best], offset[best], tolerance)
+
+
+def floor_beside(floor, depth, camera, standing):
+    """Return the plane of the floor beside what stands on it: the floor fitted again, what is near counting more.
+
+    A real sensor bends a plane by millimetres, and what lies behind a table may be nearly its plane: solids stand on
+    the floor that is seen at their feet.
+
+    Parameters
+    ----------
+    floor : Floor, a first look. standing : (H, W) bool, pixels of what stands on it.
+    """
+    points = back_project(depth, camera)
+    flat = (points.reshape(-1, 3) - floor.pose[:3, 3]) @ floor.pose[:3, :2]
+    feet = flat[standing.ravel()]
+    feet = feet[:: max(1, len(feet) // FEET)]
+    if len(feet) == 0:
+        return floor
+    nearest = np.full(len(flat), np.inf)
+    seen = np.isfinite(flat[:, 0])
+    apart = np.sum(flat[seen] ** 2, axis=1)[:, None] - 2.0 * flat[seen] @ feet.T + np.sum(feet**2, axis=1)
+    nearest[seen] = np.maximum(apart.min(axis=1), 0.0)
+    normal = floor.pose[:3, 2]
+    weight = 1.0 / (1.0 + nearest / BESIDE**2)
+    return plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma, weight)
+
+
+def plane_through(depth, points, normal, offset, scale, weight=None):
+    """Return the Floor fitted robustly to the points near a plane.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, camera axes. normal, offset : of a first plane, towards the camera.
+    scale : metres, the first guess of the noise across it, and the most that is taken for noise.
+    weight : (H W,) float64, how much each pixel counts; None: all alike.
+    """
+    flat = points.reshape(-1, 3)
+    good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
+    weight = np.ones(len(good)) if weight is None else weight[good]
+    most = scale
+    for _ in range(6):
+        residual = flat[good] @ normal - offset
+        inner = np.abs(residual) < max(3 * scale, 0.001)
+        chosen = flat[good[inner]]
+        if len(chosen) < max(20, 0.05 * len(good)):
+            remedy = "say --floor none, give the plane with --floor, or crop the image"
+            raise DerenderError("no plane holds a tenth of the pixels", remedy=remedy)
+        worth = weight[inner] / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
+        centre = np.average(chosen, axis=0, weights=worth)
+        _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(worth)[:, None]), full_matrices=False)
+        normal = axes[2] * np.sign(-axes[2] @ centre)
+        offset = normal @ centre
+        off = np.abs(chosen @ normal - offset)
+        scale = np.clip(1.4826 * weighted_median(off, weight[inner]), 2e-4, most)
+    ray = flat[good] / flat[good][:, 2:3]
+    slope = np.abs(ray @ normal)
+    residual = (flat[good] @ normal - offset) / np.maximum(slope, 0.05)
+    inner = np.abs(residual) < 4 * scale / np.maximum(slope, 0.05)
+    sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
+    inliers = np.zeros(depth.size, bool)
+    inliers[good[inner]] = True
+    origin = chosen.mean(axis=0)
+    origin = origin - (origin @ normal - offset) * normal
+    right = np.array([1.0, 0, 0]) - normal[0] * normal
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([right, np.cross(normal, right), normal])
+    pose[:3, 3] = origin
+    return Floor(pose, max(sigma, 3e-4), inliers.reshape(depth.shape))
+
+
+def weighted_median(values, weight):
+    """Return the value at which half of the weight lies below; between two such values, their mean."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
+    return float(np.mean(values[order[middle]]))

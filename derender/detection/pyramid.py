@@ -1,0 +1,105 @@
+"""Smaller images of the same scene: one pixel of each block, less noisy, with the camera that goes with them."""
+
+import numpy as np
+
+from derender.compilation.cache import njit
+
+STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
+FAR_OFF = 2.0  # standard deviations
+
+
+def intrinsics(camera):
+    """Return fx, fy, cx, cy of a camera object or of a dict of them."""
+    if isinstance(camera, dict):
+        return camera["fx"], camera["fy"], camera["cx"], camera["cy"]
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+def reduced_camera(camera, factor, shape):
+    """Return the dict of intrinsics of the image whose pixels are blocks of factor x factor pixels."""
+    fx, fy, cx, cy = intrinsics(camera)
+    shift = sampled(factor)
+    return {"fx": fx / factor, "fy": fy / factor, "cx": (cx - shift) / factor, "cy": (cy - shift) / factor,
+            "width": shape[1] // factor, "height": shape[0] // factor}  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def sampled(factor):
+    """Return the row and column within a block of the pixel that stands for it: the middle one, or that before it."""
+    return (factor - 1) // 2
+
+
+@njit(cache=True, nogil=True)
+def sampled_blocks(depth, factor, enough):
+    """Return the depth (H / factor, W / factor) of one pixel of each block, 0 where fewer than `enough` have one.
+
+    It is that of the plane through the block's pixels on its side of a jump: the mean of all would be a point in the
+    air. Where that pixel has no depth the median's side stands for it. (Always to take that side would make solids
+    smaller: of two pixels on either side of an edge the median of four is on the far one.)
+    """
+    height, width = depth.shape[0] // factor, depth.shape[1] // factor
+    out = np.zeros((height, width))
+    values, place = np.empty(factor * factor), np.empty((factor * factor, 2))
+    middle = sampled(factor)
+    for j in range(height):
+        for i in range(width):
+            n = 0
+            for v in range(factor):
+                for u in range(factor):
+                    z = depth[j * factor + v, i * factor + u]
+                    if z > 0:
+                        values[n], place[n, 0], place[n, 1] = z, u - middle, v - middle
+                        n += 1
+            if n >= enough:
+                about = depth[j * factor + middle, i * factor + middle]
+                if not about > 0:
+                    about = np.sort(values[:n])[n // 2]
+                out[j, i] = plane_at_origin(values[:n], place[:n], about, STEP * about)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def plane_at_origin(values, place, about, within):
+    """Return the depth at (0, 0) of the plane through pixels at `place` (n, 2) whose depths (n,) are near `about`.
+
+    The inverse depth of a plane is affine in an image; it is fitted twice, the second time without what is far off.
+    """
+    low, high, limit = np.inf, 0.0, np.inf
+    a, b, c = 1.0 / about, 0.0, 0.0
+    for again in range(2):
+        n = su = sv = sw = uu = uv = vv = uw = vw = square = 0.0
+        for k in range(len(values)):
+            if abs(values[k] - about) > within:
+                continue
+            u, v, w = place[k, 0], place[k, 1], 1.0 / values[k]
+            off = w - a - b * u - c * v
+            if again == 1 and off * off > limit:
+                continue
+            n += 1.0
+            su, sv, sw = su + u, sv + v, sw + w
+            uu, uv, vv, uw, vw = uu + u * u, uv + u * v, vv + v * v, uw + u * w, vw + v * w
+            low, high = min(low, values[k]), max(high, values[k])
+        uu, uv, vv, uw, vw = uu - su * su / n, uv - su * sv / n, vv - sv * sv / n, uw - su * sw / n, vw - sv * sw / n
+        determinant = uu * vv - uv * uv
+        b, c = 0.0, 0.0
+        if determinant > 1e-3 * n * n:  # not all in a line
+            b, c = (vv * uw - uv * vw) / determinant, (uu * vw - uv * uw) / determinant
+        a = (sw - b * su - c * sv) / n
+        for k in range(len(values)):
+            if abs(values[k] - about) <= within:
+                off = 1.0 / values[k] - a - b * place[k, 0] - c * place[k, 1]
+                square += off * off
+        limit = FAR_OFF**2 * square / n
+    return min(max(1.0 / a, low), high) if a > 0.0 else about
+
+
+def reduce(depth, camera, widest):
+    """Return (depth, camera dict, factor) of the image reduced by a whole factor to about `widest` pixels across.
+
+    depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
+    """
+    factor = max(1, int(round(depth.shape[1] / widest)))
+    filled = np.nan_to_num(np.ascontiguousarray(depth, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    if factor > 1:
+        filled = sampled_blocks(filled, factor, max(2, factor * factor // 5))
+    return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor

@@ -1,0 +1,115 @@
+"""Hypotheses of solids from whole bodies of points: what shows as one without a jump in depth, and is seen as one.
+
+Patches need some ten pixels on one plane each; a small ball, or a can far off, has none. The body of its points still
+tells where it is, how wide and how high.
+"""
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.local_planes import separation
+from derender.detection.search.proposals import smallest_rectangle
+from derender.detection.search.round_proposals import fit_sphere, lying_circle
+from derender.detection.search.surface import THINNEST, UP, Hypothesis
+from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.scene.pose import rotation_z
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+
+FEWEST = 5  # pixels of a body
+APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
+
+
+@njit(cache=True, nogil=True)
+def label_bodies(points, wanted, jump):
+    """Return label (H, W), -1 for none, and the number of bodies: wanted pixels joined without a jump.
+
+    jump : (H, W) metres between the points of neighbours of one body, at most.
+    """
+    height, width = wanted.shape
+    label = np.full((height, width), -1, np.int32)
+    stack = np.empty((height * width, 2), np.int32)
+    count = 0
+    for sj in range(height):
+        for si in range(width):
+            if not wanted[sj, si] or label[sj, si] >= 0:
+                continue
+            top = 1
+            stack[0, 0], stack[0, 1] = sj, si
+            label[sj, si] = count
+            while top > 0:
+                top -= 1
+                j, i = stack[top, 0], stack[top, 1]
+                for way in range(8):
+                    v, u = j + (way + way // 4) // 3 - 1, i + (way + way // 4) % 3 - 1
+                    if v < 0 or v >= height or u < 0 or u >= width or not wanted[v, u] or label[v, u] >= 0:
+                        continue
+                    if separation(points, j, i, v, u) > jump[j, i] ** 2:
+                        continue
+                    label[v, u] = count
+                    stack[top, 0], stack[top, 1] = v, u
+                    top += 1
+            count += 1
+    return label, count
+
+
+def find_bodies(points, wanted, footprint):
+    """Return the points (K, 3) of each body of FEWEST pixels or more.
+
+    points : (H, W, 3) float64, floor frame. wanted : (H, W) bool. footprint : (H, W) metres across a pixel.
+    """
+    label, count = label_bodies(points, wanted, APART * footprint)
+    pixels = np.bincount(label[label >= 0], minlength=count)  # noise is many bodies of a pixel each
+    return [points[label == k] for k in np.flatnonzero(pixels >= FEWEST)]
+
+
+def box_about(points, yaw, bottom):
+    """Return the row of the upright box, turned so far, that holds points (N, 3) and stands on a height."""
+    top = max(np.quantile(points[:, 2], 0.95), bottom + THINNEST)
+    upright = rotation_z(yaw)[:3, :3]
+    along = points @ upright
+    low, high = along.min(axis=0), along.max(axis=0)
+    low[2], high[2] = bottom, top
+    return make_row(BOX, upright, upright @ (0.5 * (low + high)), np.maximum(high - low, THINNEST))
+
+
+def body_hypotheses(points, origin, shapes, bottom=0.0):
+    """Yield a solid of each shape allowed that shows these points (N, 3) and stands on a height.
+
+    origin : (3,) the camera's centre, floor frame.
+    """
+    box = box_about(points, smallest_rectangle(points[:, :2]), bottom)
+    turn, middle, wide, height = rotation_of(box)[:2, :2], box[10:13], box[13:15], box[15]
+    if "box" in shapes or "cube" in shapes:
+        yield Hypothesis(box, UPRIGHT, False, ())
+    # a round solid shows its near half: as wide as it seems from the camera, and as deep
+    away = middle[:2] - origin[:2]
+    away = away / max(np.linalg.norm(away), 1e-9)
+    across = points[:, :2] @ np.array([-away[1], away[0]])
+    diameter = max(np.ptp(across), THINNEST)
+    near = np.quantile(points[:, :2] @ away, 0.05) + 0.5 * diameter
+    centre = near * away + 0.5 * (across.min() + across.max()) * np.array([-away[1], away[0]])
+    if "cylinder" in shapes:
+        row = make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, height])
+        yield Hypothesis(row, UPRIGHT, False, ())
+        if bottom == 0.0:
+            yield lying_cylinder(points, turn, wide)
+    if "sphere" in shapes:
+        radius = 0.5 * diameter
+        yield Hypothesis(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE, False, ())
+        middle, radius = fit_sphere(points)
+        if 0.3 * diameter < radius < diameter:
+            yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False, ())
+
+
+def lying_cylinder(points, turn, wide):
+    """Return the cylinder on the floor along the longer side of the rectangle about points (N, 3)."""
+    longer = int(np.argmax(wide))
+    axis = np.array([*turn[:, longer], 0.0])
+    across = np.cross(UP, axis)
+    centre, radius = lying_circle(points @ np.column_stack([across, UP]), np.column_stack([across, UP]))
+    along = points @ axis
+    middle = centre[0] * across + centre[1] * UP + 0.5 * (along.min() + along.max()) * axis
+    rotation = np.column_stack([across, UP, axis])
+    return Hypothesis(make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, max(np.ptp(along), THINNEST)]),
+                      FREE, False, ())  # fmt: skip

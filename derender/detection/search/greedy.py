@@ -1,0 +1,257 @@
+"""Explain the image by a set of solids: greedy addition of polished hypotheses, then sweeps of local moves.
+
+Whole searches are put together from these in searches.py.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.search.observation import CORRELATED, REAL_DISCREPANCY
+from derender.detection.solids.interpenetration import highest
+from derender.detection.solids.misfit import added_misfit
+from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
+from derender.detection.solids.rules import OVERLAP, Rules
+from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
+from derender.detection.solids.support import assign_supports, concerned
+from derender.scene.solids import BOX, SPHERE
+
+# Rounds in which every promising hypothesis is polished, how many are kept then, and rounds for these.
+SIFTING, KEPT, KEEPING = 50, 3, 100
+# Of solids on real tables, as sensors see them.
+REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
+
+
+class Settings(NamedTuple):
+    """What the search is allowed.
+
+    Attributes
+    ----------
+    shapes : names of the shapes that may occur.
+    max_objects : how many solids there may be.
+    price : nats that a solid must gain to be believed.
+    slack : metres within which contacts hold; tilt : radians off the vertical that a standing solid may have.
+    cube_bonus : log prior odds of a cube against the box that nearly is one: P(cube) over P(box) times the prior
+        density of two sizes within the accuracy of the image.
+    free_price : nats that a tilted pose costs more than an upright one.
+    temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
+    floating_price : nats that a solid costs that nothing carries.
+    uneven : metres by which a floor and its image may be off the plane.
+    discrepancy : metres by which faces of real solids lie off where they appear to, in draws.
+    may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
+    sizes : what sizes_of returns of a prior, empty without one: for weights and draws, the search has its own prior.
+    repairs : most moves between structures.
+    quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
+        `worthwhile` nats, when less than `clean` badly explained pixels are left.
+    """
+
+    shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
+    max_objects: int = 30
+    price: float = 40.0
+    slack: float = SLACK
+    tilt: float = 0.0
+    cube_bonus: float = 7.0
+    free_price: float = 8.0
+    repairs: int = 120
+    quiet: int = 10
+    worthwhile: float = 3.0
+    clean: float = 4.0
+    floating_price: float = 30.0
+    temper: float = 1.0
+    uneven: float = 0.01
+    discrepancy: float = 0.0
+    may_overlap: bool = False
+    may_float: bool = False
+    sizes: tuple = ()
+
+    @property
+    def rules(self):
+        """What solids may do to each other, see rules.Rules."""
+        overlap = np.inf if self.may_overlap else OVERLAP
+        return Rules(self.slack, overlap, self.may_float, *self.sizes)
+
+    @property
+    def price_of_floating(self):
+        """Nats that standing on nothing costs; where solids may float, what a height anywhere in a metre costs."""
+        return self.temper * np.log(1.0 / self.slack) if self.may_float else self.floating_price
+
+    def for_correlation(self, correlation):
+        """Return the settings for an image whose neighbouring residuals have this correlation.
+
+        In an autoregressive field ((1 + r) / (1 - r))^2 pixels tell as much as one independent one. Misfits that are
+        cut off at their limit are less correlated than small ones: the power 1.5 did best on real frames (1: solids are
+        split along their dents; 2: small ones are lost).
+        """
+        discrepancy = REAL_DISCREPANCY if correlation > CORRELATED else 0.0
+        correlation = min(max(correlation, 0.0), 0.75)
+        if correlation < 0.1:
+            return self
+        factor = ((1 + correlation) / (1 - correlation)) ** 1.5
+        return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
+                                                discrepancy=discrepancy)  # fmt: skip
+
+    def for_pixels(self, many):
+        """Return the settings for an image of which so `many` pixels tell as much as one did."""
+        return self._replace(price=self.price * many, cube_bonus=self.cube_bonus * many,
+                             free_price=self.free_price * many, floating_price=self.floating_price * many,
+                             temper=self.temper * many)  # fmt: skip
+
+
+def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
+    """Add the best polished hypothesis again and again while it gains more than its price.
+
+    tried : how many of the most promising hypotheses are polished at each step.
+    shake : each gain is multiplied by a uniform number in [1 - shake, 1] before the most promising are taken.
+    """
+    state = State() if state is None else state
+    alive = list(hypotheses)
+
+    def tried_out(h, row, rounds, step):
+        """Return (energy, row, h) of a hypothesis polished from here."""
+        row, energy, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, rounds, step)
+        return energy + complexity(int(row[0]), h.form, h.cube, settings), row, h
+
+    while alive and len(state) < settings.max_objects:
+        view = held_out(image, state, -1)
+        gains = np.array([-added_misfit(image, h.row, view[0], view[2]) for h in alive])
+        order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
+        sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, 0.003) for k in order), key=energy_of)
+        energy, row, h = min((tried_out(h, row, KEEPING, 0.002) for _, row, h in sifted[:KEPT]), key=energy_of)
+        if energy > 0:
+            break
+        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, 300, 0.002)
+        state = state.add(row, h.form, h.cube)
+        alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -200]
+    return state
+
+
+def energy_of(tried):
+    """Return the energy of a hypothesis tried out."""
+    return tried[0]
+
+
+def promising(gains, kinds, tried):
+    """Return the indices of the `tried` greatest gains, and of the next ones of each kind of solid (half as many)."""
+    order = np.argsort(-gains)
+    chosen = list(order[:tried])
+    for kind in set(kinds):
+        chosen += [k for k in order[tried:] if kinds[k] == kind and gains[k] > -200][: (tried + 1) // 2]
+    return chosen
+
+
+def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0, only=None):
+    """Polish each solid (or those in `only`) in turn, held to what it stands on; in place."""
+    for i in rng.permutation(len(state)):
+        if only is not None and i not in only:
+            continue
+        view = held_out(image, state, i)
+        state.rows[i], _, _ = run_polish(rng, image, state, i, state.rows[i], state.forms[i], state.cubes[i], view,
+                                         state.bottoms[i], settings, rounds, step, heat)  # fmt: skip
+    return state
+
+
+def try_cube(rng, image, state, index, view, settings, rounds):
+    """Return (row, energy, misfit change) of the best cube in place of a box."""
+    row, form, bottom = state.rows[index], state.forms[index], state.bottoms[index]
+    best = None
+    for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
+        trial = cube_of(row, side, image.origin, form)
+        result = run_polish(rng, image, state, index, trial, form, True, view, bottom, settings, rounds)
+        if best is None or result[1] < best[1]:
+            best = result
+    return best
+
+
+def try_cubes(rng, image, state, settings, rounds=200, only=None):
+    """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
+    state = state.copy()
+    for i in range(len(state)):
+        row = state.rows[i]
+        if int(row[0]) != BOX or state.cubes[i] or (only is not None and i not in only):
+            continue
+        view = held_out(image, state, i)
+        _, box_energy, _ = run_polish(rng, image, state, i, row, state.forms[i], False, view, state.bottoms[i],
+                                      settings, 1)  # fmt: skip
+        best = try_cube(rng, image, state, i, view, settings, rounds)
+        if best[1] < box_energy + settings.cube_bonus:
+            state.rows[i], state.cubes[i] = best[0], True
+    return state
+
+
+def spaced(values, least):
+    """Return the values without those nearer than `least` to an earlier one."""
+    kept = []
+    for value in values:
+        if all(abs(value - other) > least for other in kept):
+            kept.append(float(value))
+    return kept
+
+
+def cube_of(row, side, origin, form):
+    """Return the cube of this side with the corner nearest the camera (for an upright one, on its bottom) held."""
+    new = row.copy()
+    rotation = row[1:10].reshape(3, 3)
+    towards = np.sign((origin - row[10:13]) @ rotation)
+    if form == UPRIGHT:
+        towards[2] = -1.0
+    new[10:13] = row[10:13] + rotation @ (towards * (row[13:16] - side) / 2)
+    new[13:16] = side
+    return new
+
+
+def prune(image, state, settings, only=None):
+    """Remove solids (or some of those in `only`) whose removal costs less than their price, and what is no higher than
+    floors are uneven.
+
+    Returns a new state.
+    """
+    i = 0
+    while i < len(state):
+        if highest(state.rows[i]) < settings.uneven:
+            state, i, only = state.without(i), 0, None
+            continue
+        if only is not None and i not in only:
+            i += 1
+            continue
+        depth, _, misfit, _ = held_out(image, state, i)
+        kept = added_misfit(image, state.rows[i], depth, misfit)
+        kept += settings.temper * size_energy(state.rows[i], state.cubes[i])
+        if kept + complexity(int(state.rows[i][0]), state.forms[i], state.cubes[i], settings) > 0:
+            state, i, only = state.without(i), 0, None
+        else:
+            i += 1
+    return state
+
+
+def settle(rng, image, state, settings, rounds=200, only=None):
+    """Put every solid on its support, polish, make cubes, and prune; return a new state.
+
+    only : the solids that have changed since this was done, None for all.
+    """
+    near = None if only is None else concerned(image, state, only)
+    state = assign_supports(image, state, settings, near)
+    sweep(rng, image, state, settings, rounds, only=only)
+    state = try_cubes(rng, image, state, settings, only=only)
+    kept = prune(image, state, settings, near)
+    return assign_supports(image, kept, settings, near if len(kept) == len(state) else None)
+
+
+def complexity(kind, form, cube, settings):
+    """Return the price in nats of a solid: more for each number that a simpler solid would not need."""
+    price = settings.price
+    if kind == BOX and not cube:
+        price += settings.cube_bonus
+    if kind != SPHERE and form == FREE:
+        price += settings.free_price
+    return price
+
+
+def total_energy(image, state, settings):
+    """Return minus the log posterior density of a state, up to a constant."""
+    total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
+    for k in range(len(state)):
+        total += complexity(int(state.rows[k][0]), state.forms[k], state.cubes[k], settings)
+        total += settings.temper * tilt_energy(state.rows[k], state.forms[k], settings.tilt)
+        if np.isnan(state.bottoms[k]) and state.parents[k] < 0:
+            total += settings.price_of_floating
+    return total

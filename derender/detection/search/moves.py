@@ -1,0 +1,266 @@
+"""Moves between structures: take out and explain anew, split, merge, and those of support_moves.py and shape_moves.py.
+
+Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
+None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
+energy.
+"""
+
+import numpy as np
+
+from derender.detection.search.bodies import FEWEST, body_hypotheses
+from derender.detection.search.greedy import cube_of, greedy
+from derender.detection.search.guesses import guesses
+from derender.detection.search.places import pick
+from derender.detection.search.shape_moves import appear, shake, stretch, tilt
+from derender.detection.search.support_moves import lift, put_under, raise_support, stand
+from derender.detection.search.surface import THINNEST
+from derender.detection.solids.image import rotation_of
+from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.state import held_out, run_polish
+from derender.scene.solids import BOX, CYLINDER
+
+NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
+HIDDEN = 0.4  # metres between pieces of one cross-section that may be one: as wide as what hides the gap
+ALIGNED = 0.98  # cosine
+TOUCH = 0.004  # metres between boxes whose union may be cut in another way
+NEARLY = 0.1  # of the mean side, by which those of what may be a cube differ from it
+LEVEL = 0.004  # metres between tops that may be of one solid
+FLUSH = 0.02  # metres by which the sides of such pieces may differ
+
+
+def explain_anew(rng, image, state, hypotheses, settings, places):
+    """Take out one solid with some of those that share its badly explained pixels, or that show beside it, or with all
+    that are as high (another may hide what joins them), and explain what they showed: by the hypotheses, or all of it,
+    or what shows beside the first, as one solid, which may be any that is guessed."""
+    seed = pick(rng, places.blame)
+    out = {seed} if seed < len(state) else set()
+    shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
+    if seed < len(state) and rng.random() < 0.2:
+        out |= as_high(state, seed)
+    else:
+        out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
+    new = state.copy()
+    for k in sorted(out, reverse=True):
+        new = new.without(k)
+    kept = len(new)
+    depth, _, misfit, _ = held_out(image, new, -1)
+    for one in (out, out - {seed}):
+        points = places.seen[np.isin(places.shown, list(one)) & (image.depth > 0)]
+        if len(points) >= FEWEST:
+            bottom = max(min(lowest(state.rows[k]) for k in one), 0.0)
+            hypotheses = [*hypotheses, *body_hypotheses(points, image.origin, settings.shapes, bottom),
+                          *guesses(rng, image, points, settings.shapes, bottom, depth, misfit)]  # fmt: skip
+    if rng.random() < 0.5:
+        hypotheses = [as_cube(each, image.origin) for each in hypotheses]
+    new = greedy(rng, image, hypotheses, settings, new, tried=2, shake=0.7)
+    return new, set(range(kept, len(new)))
+
+
+def as_cube(hypothesis, origin):
+    """Return a hypothesis that is nearly a cube as one: it keeps to its place where others show beside it."""
+    row, side = hypothesis.row, hypothesis.row[13:16].mean()
+    if int(row[0]) != BOX or np.abs(row[13:16] - side).max() > NEARLY * side:
+        return hypothesis
+    return hypothesis._replace(row=cube_of(row, side, origin, hypothesis.form), cube=True)
+
+
+def as_high(state, i):
+    """Return the solids near another whose tops are as high."""
+    row = state.rows[i]
+    near = [j for j in range(len(state)) if np.hypot(*(state.rows[j][10:12] - row[10:12])) < HIDDEN]
+    return {j for j in near if j != i and abs(highest(state.rows[j]) - highest(row)) < LEVEL}
+
+
+def split(rng, image, state, hypotheses, settings, places):
+    """Cut a box in two across one of its axes, at a badly explained point or anywhere, and polish both pieces."""
+    boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
+    if not boxes or len(state) >= settings.max_objects or places.none_left(settings):
+        return None
+    i = boxes[pick(rng, places.blame[boxes])]
+    row = state.rows[i]
+    axis = int(rng.integers(3))
+    half = 0.5 * row[13 + axis]
+    cut = rng.uniform(-0.8, 0.8) * half
+    if len(places.points) and rng.random() < 0.7:
+        along = (places.points[rng.integers(len(places.points))] - row[10:13]) @ rotation_of(row)[:, axis]
+        if abs(along) < 0.95 * half:
+            cut = along
+    pieces = []
+    for low, high in ((-half, cut), (cut, half)):
+        piece = row.copy()
+        piece[13 + axis] = max(high - low, 0.006)
+        piece[10:13] += 0.5 * (low + high) * rotation_of(row)[:, axis]
+        pieces.append(piece)
+    new = state.copy()
+    new.cubes[i] = False
+    new.rows[i] = pieces[0]
+    new = new.add(pieces[1], state.forms[i], False)
+    last = len(new) - 1
+    for k in (i, last) if rng.random() < 0.5 else (last, i):
+        view = held_out(image, new, k)
+        row, form = new.rows[k], new.forms[k]
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+    return new, {i, last}
+
+
+def corners_of(row):
+    """Return the eight corners (8, 3) of a solid's oriented box."""
+    signs = np.array([[a, b, c] for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
+    return row[10:13] + (signs * row[13:16]) @ rotation_of(row).T
+
+
+def merge(rng, image, state, hypotheses, settings, places):
+    """Put one solid in place of two near and aligned ones, spanning both along the axes of one."""
+    near = aligned_pairs(state)
+    if not near:
+        return None
+    i, j = near[int(rng.integers(len(near)))]
+    return merge_pair(rng, image, state, settings, i, j, rng.random(3) < 0.3)
+
+
+def aligned_pairs(state):
+    """Return the ordered pairs of boxes, and of cylinders, whose axes agree and that may be pieces of one."""
+    pairs = [(i, j) for i in range(len(state)) for j in range(len(state)) if i != j]
+    return [(i, j) for i, j in pairs if may_be_one(state.rows[i], state.rows[j])]
+
+
+def may_be_one(row, other):
+    """Whether two solids of a kind are aligned, and near or in line with each other."""
+    kind = int(row[0])
+    if kind != int(other[0]) or kind not in (BOX, CYLINDER) or alignment(row, other) < ALIGNED:
+        return False
+    if kind == BOX and penetration(grown(row, NEIGHBOURS), other) > 0:
+        return True
+    low, high = extents_along(row, other)
+    half = 0.5 * row[13:16]
+    flush = np.maximum(np.abs(low + half), np.abs(high - half)) < FLUSH
+    gap = np.maximum(low - half, -half - high)
+    along = (2,) if kind == CYLINDER else (0, 1, 2)
+    return any(flush[k - 1] and flush[k - 2] and gap[k] < HIDDEN for k in along)
+
+
+def extents_along(row, other):
+    """Return (low (3,), high (3,)) between which a solid's oriented box lies along the axes, and from the centre, of
+    another."""
+    local = (corners_of(other) - row[10:13]) @ rotation_of(row)
+    return local.min(axis=0), local.max(axis=0)
+
+
+def merge_pair(rng, image, state, settings, i, j, spread):
+    """Return (state, changed) with solid i grown over solid j, which is taken out.
+
+    spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
+        A cylinder grows along its own axis.
+    """
+    row = state.rows[i]
+    half = 0.5 * row[13:16]
+    low, high = extents_along(row, state.rows[j])
+    low, high = np.minimum(low, -half), np.maximum(high, half)
+    spread = np.array(spread)
+    spread[np.argmax(np.maximum(high, -low) - half)] = True
+    if int(row[0]) == CYLINDER:
+        spread = np.array([False, False, True])
+    low, high = np.where(spread, low, -half), np.where(spread, high, half)
+    whole = row.copy()
+    whole[10:13] += rotation_of(row) @ ((low + high) / 2)
+    whole[13:16] = np.maximum(high - low, 0.006)
+    new = state.copy()
+    new.rows[i], new.cubes[i] = whole, False
+    new = new.without(j)
+    i -= j < i
+    view = held_out(image, new, i)
+    new.rows[i], _, _ = run_polish(rng, image, new, i, whole, new.forms[i], False, view, np.nan, settings, 300)
+    return new, {i}
+
+
+def recut(rng, image, state, hypotheses, settings, places):
+    """Cut the union of two aligned boxes that touch in another way."""
+    near = touching_pairs(state)
+    if not near:
+        return None
+    i, j = near[int(rng.integers(len(near)))]
+    return recut_pair(rng, image, state, settings, i, j, 1.0 if rng.random() < 0.5 else rng.random())
+
+
+def touching_pairs(state):
+    """Return the ordered pairs of aligned boxes that touch."""
+    return [
+        (i, j) for i, j in aligned_pairs(state)
+        if int(state.rows[i][0]) == BOX and penetration(grown(state.rows[i], TOUCH), state.rows[j]) > 0
+    ]  # fmt: skip
+
+
+def recut_pair(rng, image, state, settings, i, j, share):
+    """Return (state, changed) with box j grown into box i, which is cut back, and both polished; None: nothing is left.
+
+    share : see cut_anew.
+    """
+    pieces = cut_anew(state.rows[i], state.rows[j], share)
+    if pieces is None:
+        return None
+    new = state.copy()
+    (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
+    for k in (i, j) if rng.random() < 0.5 else (j, i):
+        view = held_out(image, new, k)
+        row, form = new.rows[k], new.forms[k]
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+    return new, {i, j}
+
+
+def cut_anew(row, other, share=1.0):
+    """Return the two rows when `other`, a box, is turned as the box `row` and grown into it, which is cut back; None:
+    nothing is left.
+
+    share : of the row's extent across the faces where they touch. By a share below 1 the cut between them moves; of a
+        whole one `other` runs on through it to its far side, as an L is two boxes in two ways, and the row keeps what
+        is beside it.
+    """
+    row, other = row.copy(), other.copy()
+    half, turned = 0.5 * row[13:16], rotation_of(row)
+    other[1:10] = (turned @ np.round(turned.T @ rotation_of(other))).ravel()
+    low, high = extents_along(row, other)
+    axis = int(np.argmax(np.maximum(low - half, -half - high)))
+    sign = 1.0 if low[axis] + high[axis] > 0 else -1.0
+    into = 2.0 * share * half[axis]
+    begin, end = -half, half.copy()
+    if share < 1.0:
+        begin[axis], end[axis] = (begin[axis], end[axis] - into) if sign > 0 else (begin[axis] + into, end[axis])
+    else:
+        into = half[axis] + (low[axis] if sign > 0 else -high[axis])
+        left = [(end[k] - high[k], k, True) for k in range(3) if k != axis]
+        left += [(low[k] - begin[k], k, False) for k in range(3) if k != axis]
+        _, k, above = max(left)
+        begin[k], end[k] = (high[k], end[k]) if above else (begin[k], low[k])
+    if (end - begin).min() < THINNEST:
+        return None
+    row[10:13] += turned @ (0.5 * (begin + end))
+    row[13:16] = end - begin
+    own = int(np.argmax(np.abs(rotation_of(other).T @ turned[:, axis])))
+    other[13 + own] += into
+    other[10:13] -= 0.5 * sign * into * turned[:, axis]
+    return row, other
+
+
+def alignment(row, other):
+    """Return how nearly the axes of two boxes agree up to their order, the least of the best cosines; for cylinders,
+    the cosine between their own axes."""
+    cosines = np.abs(rotation_of(row).T @ rotation_of(other))
+    return float(cosines[2, 2] if int(row[0]) == CYLINDER else cosines.max(axis=0).min())
+
+
+def grown(row, by=0.008):
+    """Return the solid grown by this much on all sides."""
+    new = row.copy()
+    new[13:16] += 2 * by
+    return new
+
+
+MOVES = ((explain_anew, 0.2), (split, 0.14), (merge, 0.08), (recut, 0.08), (put_under, 0.06), (raise_support, 0.06),
+         (stand, 0.04), (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
+
+
+def propose(rng, image, state, hypotheses, settings, places):
+    """Return (move's name, new state, changed indices) of a random move, or None where it does not apply."""
+    move = MOVES[rng.choice(len(MOVES), p=[w for _, w in MOVES])][0]
+    result = move(rng, image, state, hypotheses, settings, places)
+    return None if result is None else (move.__name__, *result)

@@ -1,0 +1,251 @@
+"""A depth image made ready for the search: reduced, in the floor's axes, its noise known, its background told apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.floor import Floor, back_project, find_floor, floor_beside
+from derender.detection.foreground import joined_to_floor
+from derender.detection.given_floor import find_backdrop, given_floor
+from derender.detection.noise import noise_of
+from derender.detection.outline import convex_outline, outline_planes
+from derender.detection.patches import Patches, find_patches
+from derender.detection.pyramid import reduce, sampled
+from derender.detection.sharpness import estimate_blur
+from derender.detection.solids.image import FAR, Image, make_image
+from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.wall import walls_behind
+
+# Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
+# solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
+CORRELATED = 0.3
+REAL_DISCREPANCY = 0.003
+CLOSER = 2  # times as many columns and rows as the search looks at
+AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
+GRAZING = 0.15  # sine of the angle at which rays meet the floor
+LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
+
+
+class Observation(NamedTuple):
+    """A depth image made ready for the search.
+
+    Attributes
+    ----------
+    image : Image in the floor frame, at working resolution.
+    floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
+    footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
+    correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real
+        sensors.
+    background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
+    backdrop : whether that is a plane that would have been the floor, where there is to be none.
+    """
+
+    image: Image
+    floor: Floor
+    points: np.ndarray
+    mask: np.ndarray
+    footprint: np.ndarray
+    sigma: np.ndarray
+    camera: dict
+    factor: int
+    correlation: float
+    background: float
+    backdrop: bool
+
+
+class Closer(NamedTuple):
+    """More pixels of what was observed. image : Image; times : as many columns and rows as there were."""
+
+    image: Image
+    times: float
+
+
+def observe(rng, depth, camera, widest=160, plane=None):
+    """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
+
+    plane : the floor as it is given, see given_floor.read_floor; None: find it.
+    """
+    rounding = rounding_of(depth)
+    depth, camera, factor = reduce(depth, camera, widest)
+    floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
+    # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
+    backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
+    seen = tell_apart(depth, camera, factor, floor, backdrop, rounding)
+    if plane is None and seen.correlation > CORRELATED and seen.mask.any():
+        seen = tell_apart(depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding)
+    return seen
+
+
+def tell_apart(depth, camera, factor, floor, backdrop, rounding):
+    """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
+
+    backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
+    """
+    even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
+    sigma = noise_map(depth, even, camera)
+    correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
+    if correlation > CORRELATED:
+        sigma = np.hypot(sigma, REAL_DISCREPANCY)
+    blur = estimate_blur(depth, sigma)
+    image = make_image(depth, sigma, camera, floor.pose, blur)
+    wall = raise_wall(image)
+    points = back_project(depth, camera) - floor.pose[:3, 3]
+    points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
+    good = image.weight > 0
+    inside = inside_hull(points, floor.inliers, good, image.origin)
+    footprint = np.nan_to_num(depth) / camera["fx"]
+    above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    beyond |= walls_behind(points, good, above, sigma, image.origin)
+    inside |= joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
+    mask = above & inside & ~beyond
+    # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
+    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
+    background = (background & ~wall) | beyond
+    image.floor[background] = image.depth[background] + 1e-9
+
+    # Near the horizon a hair's breadth of tilt moves the floor by centimetres: what is about as deep is the floor.
+    slope = -image.direction[..., 2]
+    grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
+    image.floor[grazing] = image.depth[grazing]
+    if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
+        away = good & ~mask & ~near(mask, int(AWAY / np.median(footprint[good])) + 1)
+        image.floor[away] = image.depth[away]
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
+                       float(background.sum() / max(good.sum(), 1)), backdrop is not None)  # fmt: skip
+
+
+def closer_look(seen, depth, camera):
+    """Return the Closer of an image with about CLOSER as many columns and rows, all else as fewer have told.
+
+    Fewer pixels tell which solids there are; where their silhouettes are, more of them do.
+
+    seen : Observation of a reduced image; depth (H, W), camera : of the image as it came.
+    """
+    depth, camera, factor = reduce(depth, camera, CLOSER * seen.camera["width"])
+    rows, columns = (nearest_pixels(after, factor, before, seen.factor)
+                     for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
+
+    def larger(image):
+        return image[rows[:, None], columns]
+
+    sigma = larger(seen.sigma)
+    image = make_image(depth, sigma, camera, seen.floor.pose, estimate_blur(depth, sigma))
+    raise_wall(image)
+    as_seen = larger((seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN))
+    as_seen &= image.weight > 0
+    image.floor[as_seen] = image.depth[as_seen]
+    return Closer(image, seen.factor / factor)
+
+
+def nearest_pixels(count, factor, among, others):
+    """Return (count,) int: of `among` pixels of an image reduced by `others` those nearest to one's by `factor`."""
+    place = np.arange(count) * factor + sampled(factor)
+    return np.clip(np.rint((place - sampled(others)) / others), 0, among - 1).astype(int)
+
+
+def near(mask, reach):
+    """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
+    sums = np.pad(mask.astype(np.int64), ((reach + 1, reach), (reach + 1, reach))).cumsum(axis=0).cumsum(axis=1)
+    side = 2 * reach + 1
+    return sums[side:, side:] + sums[:-side, :-side] > sums[:-side, side:] + sums[side:, :-side]
+
+
+def raise_wall(image):
+    """Where what lies beyond the floor is one depth (the wall of Eq. 6), put it behind the floor, in place.
+
+    Returns (H, W) bool: the pixels of the wall.
+    """
+    sky = (image.floor >= FAR) & (image.weight > 0)
+    none = np.zeros(sky.shape, bool)
+    if sky.sum() < 50:
+        return none
+    seen = image.depth[sky]
+    wall = float(np.median(seen))
+    nearer = image.depth[(image.weight > 0) & ~sky]
+    # a tall solid before the horizon is of one depth too, but not behind nearly all else
+    if np.median(np.abs(seen - wall)) > 0.01 * wall or (len(nearer) and wall < np.quantile(nearer, 0.9)):
+        return none
+    beyond = image.floor > wall
+    image.floor[beyond] = wall
+    return beyond
+
+
+def noise_map(depth, floor, camera):
+    """Return the standard deviation of the noise (H, W), fitted on the floor.
+
+    Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
+    """
+    if not floor.inliers.any():
+        return np.full(depth.shape, floor.sigma)
+    points = back_project(depth, camera)[floor.inliers]
+    normal = floor.pose[:3, 2]
+    slope = np.abs((points / points[:, 2:3]) @ normal)
+    steep = slope >= max(GRAZING, np.quantile(slope, 0.3))  # >=: a wall right before the camera has one angle
+    if steep.sum() < 3:
+        return np.full(depth.shape, floor.sigma)
+    points, slope = points[steep], slope[steep]
+    z = points[:, 2]
+    sigma, growth = noise_of((points - floor.pose[:3, 3]) @ normal / slope, z)
+    close = np.median(z)
+    deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
+    return np.maximum(sigma + growth * deep**2, LEAST_SIGMA)
+
+
+def rounding_of(depth):
+    """Return the metres to which a depth image (H, W) was rounded: the smallest step between some of its values."""
+    seen = depth[depth > 0]
+    steps = np.diff(np.sort(seen[:: max(1, len(seen) // 4000)]))
+    return float(min(steps[steps > 1e-9], default=0.0))
+
+
+def drawn(depth, floor, camera, rounding):
+    """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
+
+    Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
+    """
+    if not floor.inliers.any():
+        return False
+    normal = floor.pose[:3, 2]
+    plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
+    met = np.abs(depth - plane)[near] <= max(0.6 * rounding, LEAST_SIGMA / 5)  # half a step, and the fit's own fault
+    return bool(met.mean() > 0.99)
+
+
+def neighbour_correlation(depth, floor, camera):
+    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
+
+    Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
+    """
+    if not floor.inliers.any():
+        return 0.0
+    normal = floor.pose[:3, 2]
+    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
+    distance = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
+    near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
+    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
+    height = np.where(near & (np.abs(height) < limit), height, np.nan)
+    a, b = height[:, :-1], height[:, 1:]
+    both = np.isfinite(a) & np.isfinite(b)
+    spread = np.nanvar(height)
+    return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
+
+
+def inside_hull(points, inliers, good, origin, margin=0.01):
+    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part and the camera's foot.
+
+    origin : (3,) the camera's centre: what stands before the visible floor is no background.
+    """
+    flat = points[inliers][:, :2]
+    outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
+    if outline is None:
+        return good.copy()
+    planes = outline_planes(outline)
+    inside = good.copy()
+    inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
+    return inside
+
+
+def patches_of(seen: Observation) -> Patches:
+    """Return the planar patches of what stands on the floor."""
+    return find_patches(seen.points, seen.mask, seen.image.origin, seen.sigma, seen.footprint)

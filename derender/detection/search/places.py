@@ -1,0 +1,76 @@
+"""Where a state explains the image badly: what the moves of the search are aimed at."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.search.bodies import find_bodies
+from derender.detection.solids.state import held_out
+
+
+class Places(NamedTuple):
+    """Where the image is badly explained.
+
+    Attributes
+    ----------
+    blame : (N + 1,) bad pixels about each solid (last: about none, as many as bodies have).
+    pairs : (N + 1, N + 1) how many bad pixels two solids share.
+    beside : (N + 1, N + 1) how many neighbouring pixels show two solids.
+    points : (B, 3) float64, the observed points of the bad pixels, floor frame.
+    bodies : list of (K, 3) float64, the points of bad pixels that are nearer than explained, and joined.
+    shown : (H, W) int32, the solid that each pixel shows; negative: none. seen : (H, W, 3) float64, all points.
+    """
+
+    blame: np.ndarray
+    pairs: np.ndarray
+    beside: np.ndarray
+    points: np.ndarray
+    bodies: list[np.ndarray]
+    shown: np.ndarray
+    seen: np.ndarray
+
+    def none_left(self, settings):
+        """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
+        return self.blame.sum() < settings.clean
+
+
+def find_places(image, state, limit=4.5):
+    """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
+    depth, label, misfit, _ = held_out(image, state, -1)
+    bad = misfit > limit
+    crowd = np.zeros(bad.shape, int)
+    crowd[1:] += bad[:-1]
+    crowd[:-1] += bad[1:]
+    crowd[:, 1:] += bad[:, :-1]
+    crowd[:, :-1] += bad[:, 1:]
+    rows, columns = np.nonzero(bad & (crowd > 0))
+    count = len(state)
+    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
+    for j, i in zip(rows, columns, strict=True):
+        near = np.unique(label[max(j - 2, 0) : j + 3, max(i - 2, 0) : i + 3])
+        near = near[near >= 0]
+        if len(near) == 0:
+            near = np.array([count])
+        blame[near] += 1.0 / len(near)
+        pairs[np.ix_(near, near)] += 1
+    np.fill_diagonal(pairs, 0)
+    seen = image.origin + image.depth[..., None] * image.direction
+    footprint = image.depth * np.linalg.norm(image.direction[0, 1] - image.direction[0, 0])
+    bodies = find_bodies(seen, bad & (image.depth < depth), footprint)
+    blame[count] = min(blame[count], sum(map(len, bodies)))  # a new solid could not explain the others
+    return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen)
+
+
+def neighbours(label, count):
+    """Return (count + 1, count + 1): how many pairs of neighbouring pixels show these two solids."""
+    beside = np.zeros((count + 1, count + 1))
+    for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
+        edge = (a != b) & (a >= 0) & (b >= 0)
+        np.add.at(beside, (a[edge], b[edge]), 1)
+    return beside + beside.T
+
+
+def pick(rng, weight):
+    """Return an index drawn with probability proportional to weight (a little for those with none)."""
+    weight = np.asarray(weight, float) + 1e-2
+    return int(rng.choice(len(weight), p=weight / weight.sum()))

@@ -1,0 +1,219 @@
+"""Hypotheses of boxes from one to three orthogonal patches; all hypotheses."""
+
+from itertools import combinations, product
+
+import numpy as np
+
+from derender.detection.outline import convex_outline
+from derender.detection.search.round_proposals import clusters, cylinders, spheres
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, convex, tangent
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.scene.solids import BOX
+
+
+def snap(normal, level=0.16):
+    """Return a patch normal made exactly vertical or horizontal where it is within about nine degrees of it, and which.
+
+    Returns (normal (3,), "top", "side" or "tilted").
+    """
+    if normal[2] > np.sqrt(1 - level**2):
+        return UP, "top"
+    if abs(normal[2]) < level:
+        flat = np.array([normal[0], normal[1], 0.0])
+        return flat / np.linalg.norm(flat), "side"
+    return normal, "tilted"
+
+
+def groups_of_faces(surface, orthogonal=0.2, touch=2):
+    """Return the index tuples of one to three patches that can be faces of one box: touching, orthogonal, convex."""
+    count = len(surface.pixels)
+    pairs = {
+        (a, b)
+        for a, b in combinations(range(count), 2)
+        if surface.touching[a, b] >= touch
+        and abs(surface.normal[a] @ surface.normal[b]) < orthogonal
+        and convex(surface, a, b)
+    }
+    triples = [
+        (a, b, c)
+        for (a, b) in pairs
+        for c in range(b + 1, count)
+        if ((a, c) in pairs or (b, c) in pairs)
+        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
+        and abs(surface.normal[b] @ surface.normal[c]) < orthogonal
+        and convex(surface, a, c)
+        and convex(surface, b, c)
+    ]
+    wedges = [
+        tuple(sorted((a, b, c)))
+        for (a, b) in pairs
+        for c in range(b)
+        if c != a
+        and (min(b, c), max(b, c)) in pairs
+        and (a, c) not in pairs
+        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
+        and convex(surface, a, c)
+    ]
+    return sorted(set(triples) | set(wedges)), sorted(pairs), [(a,) for a in range(count)]
+
+
+def smallest_rectangle(points):
+    """Return the angle of the smallest rectangle about points (N, 2)."""
+    outline = convex_outline(points)
+    if outline is None:
+        return 0.0
+    edges = np.diff(np.vstack([outline, outline[:1]]), axis=0)
+    angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 3))
+    x = np.outer(np.cos(angles), points[:, 0]) + np.outer(np.sin(angles), points[:, 1])
+    y = -np.outer(np.sin(angles), points[:, 0]) + np.outer(np.cos(angles), points[:, 1])
+    return angles[np.argmin(np.ptp(x, axis=1) * np.ptp(y, axis=1))]
+
+
+def leans(surface, k):
+    """Whether a patch is off the vertical or the horizontal by more than a degree and the accuracy of its normal."""
+    snapped, _ = snap(surface.normal[k])
+    points = surface.points[k]
+    spread = np.sqrt(max(np.linalg.eigvalsh(np.cov(points.T))[1], 1e-12)) if len(points) > 3 else 1e-6
+    accuracy = surface.sigma / (np.sqrt(len(points)) * spread)
+    return snapped @ surface.normal[k] < np.cos(max(np.radians(1.0), 4.0 * accuracy))
+
+
+def axes_of(surface, group):
+    """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other."""
+    level = all(snap(surface.normal[k])[1] != "tilted" for k in group)
+    if level:
+        yield box_axes(surface, group, UPRIGHT)
+    if not level or any(leans(surface, k) for k in group):
+        yield box_axes(surface, group, FREE)
+
+
+def box_axes(surface, group, form):
+    """Return (rotation (3, 3), form) of the box of this form whose faces are these patches."""
+    if form == UPRIGHT:
+        snapped = [snap(surface.normal[k]) for k in group]
+        weight, turn = 0.0, 0.0 + 0.0j
+        for k, (normal, kind) in zip(group, snapped, strict=True):
+            if kind == "side":
+                angle = np.arctan2(normal[1], normal[0])
+                turn += surface.pixels[k] * np.exp(4j * angle)
+                weight += surface.pixels[k]
+        if weight > 0:
+            yaw = np.angle(turn) / 4
+        else:
+            yaw = smallest_rectangle(surface.points[group[0]][:, :2])
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), UPRIGHT
+    order = sorted(group, key=lambda k: -surface.pixels[k])
+    first = surface.normal[order[0]]
+    if len(order) == 1:
+        u, v = tangent(first)
+        angle = smallest_rectangle(surface.points[order[0]] @ np.column_stack([u, v]))
+        second = np.cos(angle) * u + np.sin(angle) * v
+    else:
+        second = surface.normal[order[1]] - (surface.normal[order[1]] @ first) * first
+        second /= np.linalg.norm(second)
+    third = np.cross(first, second)
+    axes = [first, second, third]
+    up = int(np.argmax([abs(a[2]) for a in axes]))  # name the axis nearest the vertical z
+    z = axes[up] * np.sign(axes[up][2])
+    x = axes[(up + 1) % 3]
+    return np.column_stack([x, np.cross(z, x), z]), FREE
+
+
+def boxes(surface, group):
+    """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it.
+
+    A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
+    each is tried as well as that of all of them.
+    """
+    for rotation, form in axes_of(surface, group):
+        yield from boxes_along(surface, group, rotation, form)
+
+
+def boxes_along(surface, group, rotation, form):
+    """Yield the same with these axes."""
+    margin = 0.25 * surface.footprint
+    ends = []  # (low (3,), high (3,)) of each face's points
+    fixed_low, fixed_high = np.full(3, np.nan), np.full(3, np.nan)
+    across = []
+    for k in group:
+        along = surface.points[k] @ rotation
+        cosine = surface.normal[k] @ rotation
+        axis = int(np.argmax(np.abs(cosine)))
+        across.append(axis)
+        plane = surface.centre[k] @ rotation[:, axis]
+        if cosine[axis] > 0:
+            fixed_high[axis] = plane
+        else:
+            fixed_low[axis] = plane
+        ends.append((np.quantile(along, 0.01, axis=0) - margin, np.quantile(along, 0.99, axis=0) + margin))
+    intervals = []
+    for axis in range(3):
+        seen_by = [e for e, other in zip(ends, across, strict=True) if other != axis]
+        if not seen_by:
+            intervals.append(hidden_intervals(fixed_low[axis], fixed_high[axis], ends[0], axis, form))
+            continue
+        options = [(min(e[0][axis] for e in seen_by), max(e[1][axis] for e in seen_by))]
+        options += [(e[0][axis], e[1][axis]) for e in seen_by]
+        intervals.append(distinct(
+            [with_planes(o, fixed_low[axis], fixed_high[axis], axis == 2 and form == UPRIGHT, surface)
+             for o in options],
+            1.5 * surface.footprint,
+        ))  # fmt: skip
+    for x, y, z in product(*intervals):
+        low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
+        yield from box_between(rotation, low, high, form, group)
+
+
+def with_planes(interval, low, high, upright, surface):
+    """Return the interval with its ends on the faces that are seen, and on the floor where it is near."""
+    start, end = interval
+    if not np.isnan(low):
+        start = low
+    if not np.isnan(high):
+        end = high
+    if upright and start < max(0.02, 2 * surface.footprint):
+        start = 0.0
+    return start, max(end, start + THINNEST)
+
+
+def distinct(intervals, tolerance):
+    """Return the intervals without those whose ends are both within the tolerance of an earlier one's."""
+    kept = []
+    for interval in intervals:
+        if all(max(abs(interval[0] - k[0]), abs(interval[1] - k[1])) > tolerance for k in kept):
+            kept.append(interval)
+    return kept
+
+
+def hidden_intervals(low, high, ends, axis, form):
+    """Return guesses for the extent behind a single face: as long as its sides, short, down to the floor."""
+    guesses = [ends[1][k] - ends[0][k] for k in range(3) if k != axis] + [0.04, 0.08]
+    if form == UPRIGHT and axis == 2 and not np.isnan(high):
+        guesses.append(max(high, THINNEST))
+    if np.isnan(high):
+        return [(low, low + guess) for guess in guesses]
+    return [(high - guess, high) for guess in guesses]
+
+
+def box_between(rotation, low, high, form, group):
+    """Yield the box between two corners given along its own axes."""
+    size = np.maximum(high - low, THINNEST)
+    yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False, tuple(group))
+
+
+def all_hypotheses(surface, shapes):
+    """Return every hypothesis that the patches suggest, for the shapes allowed (box, cube, cylinder, sphere)."""
+    found = []
+    if "box" in shapes or "cube" in shapes:
+        triples, pairs, singles = groups_of_faces(surface)
+        for group in triples + pairs + singles:
+            found.extend(boxes(surface, group))
+    if "cylinder" in shapes or "sphere" in shapes:
+        for group in clusters(surface):
+            if "sphere" in shapes:
+                found.extend(spheres(surface, group))
+            if "cylinder" in shapes:
+                found.extend(cylinders(surface, group))
+    return found

@@ -1,0 +1,200 @@
+"""Whole searches: greedy, then moves between structures where the image is badly explained; again until two agree."""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.threads import THREADS, in_threads
+from derender.detection.search.bodies import box_about
+from derender.detection.search.focus import refocused
+from derender.detection.search.greedy import greedy, prune, settle, sweep, total_energy
+from derender.detection.search.moves import aligned_pairs, merge_pair, propose
+from derender.detection.search.places import find_places
+from derender.detection.search.support_moves import put_under, raise_support, stand
+from derender.detection.solids.image import Image
+from derender.detection.solids.interpenetration import lowest
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+
+ROUNDS = 2  # of as many searches as there are threads, at most
+AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
+HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
+IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
+FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
+SUPPORTING = 6  # tries for each solid of the scene to support one that floats
+
+
+def search(rng, image, hypotheses, settings, pool=None):
+    """Return (best State found, Image with the blur that it shows).
+
+    Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
+    have not. (state, energy) of all that were tried are appended to the list `pool`.
+    """
+    found: list[Found] = []
+    for _ in range(ROUNDS):
+        task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings)
+        found += in_threads(rng, [task] * THREADS)
+        found.sort(key=lambda each: each.energy)
+        if found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state)):
+            break
+    if pool is not None:
+        for each in found:
+            pool += each.pool
+        pool += [(each.state, each.energy) for each in found[1:]]
+    return found[0].state, found[0].image
+
+
+class Found(NamedTuple):
+    """What one search found: the best State, its energy, the Image in focus, and (state, energy) of all it tried."""
+
+    state: State
+    energy: float
+    image: Image
+    pool: list
+
+
+def one_search(rng, image, hypotheses, settings):
+    """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case."""
+    pool: list = []
+    state = greedy(rng, image, hypotheses, settings)
+    image, gained = refocused(image, state.rows, settings.price)
+    if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
+        state = greedy(rng, image, hypotheses, settings)
+        image, _ = refocused(image, state.rows, settings.price)
+    state = settle(rng, image, state, settings)
+    image, _ = refocused(image, state.rows, settings.price)
+    state = repair(rng, image, state, hypotheses, settings, pool)
+    state = support_all(rng, image, state, settings)
+    state = merge_all(rng, image, state, settings)
+    state = unite_few(rng, image, state, settings)
+    again = settle(rng, image, state, settings, 300)
+    if total_energy(image, again, settings) < total_energy(image, state, settings):
+        state = again
+    sweep(rng, image, state, settings, 300, 0.001, 0.0)
+    state = prune(image, state, settings)
+    return Found(state, total_energy(image, state, settings), image, pool)
+
+
+def repair(rng, image, state, hypotheses, settings, pool):
+    """Try moves between structures where the image is badly explained, and keep what lowers the energy.
+
+    Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
+    when hardly any misfit is left that noise would not leave, or, but on a real sensor's images, after IN_VAIN times as
+    many whatever is left. (state, energy) of all that were tried are appended to `pool`.
+    """
+    best = total_energy(image, state, settings)
+    places = find_places(image, state)
+    quiet = 0
+    for _ in range(settings.repairs):
+        enough = settings.quiet + 3 * len(state)
+        in_vain = IN_VAIN if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
+        if quiet >= (enough if places.none_left(settings) else in_vain * enough):
+            break
+        quiet += 1
+        proposed = propose(rng, image, state, hypotheses, settings, places)
+        if proposed is None:
+            continue
+        _, new, changed = proposed
+        new = settle(rng, image, new, settings, 150, changed)
+        value = total_energy(image, new, settings)
+        pool.append((new, value))
+        if value < best:
+            quiet = quiet if value > best - settings.worthwhile else 0
+            state, best = new, value
+            places = find_places(image, state)
+    return state
+
+
+def support_all(rng, image, state, settings):
+    """Try to put something under each solid that floats, or to raise what is below it, while that lowers the energy."""
+    best = total_energy(image, state, settings)
+    tries = 0
+    while floats(state) and tries < SUPPORTING * len(state):
+        move = (raise_support, put_under, stand)[tries % 3]
+        tries += 1
+        proposed = move(rng, image, state, [], settings, find_places(image, state))
+        if proposed is None:
+            continue
+        new, changed = proposed
+        new = settle(rng, image, new, settings, 200, changed)
+        value = total_energy(image, new, settings)
+        if value < best:
+            state, best, tries = new, value, 0
+    return state
+
+
+def floats(state):
+    """Whether nothing bears some solid of the state."""
+    return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
+
+
+def unite_few(rng, image, state, settings):
+    """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
+    lowers the energy: pieces of what shows on both sides of another. Each is well explained, so no move looks at them;
+    and so few points do not tell which way the box is turned."""
+    best = total_energy(image, state, settings)
+    united = "box" in settings.shapes
+    while united:
+        united = False
+        places = find_places(image, state)
+        shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
+        for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
+            points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
+            bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
+            fewer = state
+            for k in reversed(out):
+                fewer = fewer.without(k)
+            view, tries = held_out(image, fewer, -1), []
+            for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
+                row = box_about(points, yaw, bottom)
+                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings, 300, 0.006,
+                                        4.0))  # fmt: skip
+            row, _, _ = min(tries, key=lambda tried: tried[1])
+            new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
+            if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+                continue
+            new = settle(rng, image, new, settings, 200, {len(fewer)})
+            value = total_energy(image, new, settings)
+            if value < best:
+                state, best, united = new, value, True
+                break
+    return state
+
+
+def groups(members, beside):
+    """Return sorted lists of two members and more: all that hang together by showing beside each other, then pairs."""
+    found, pairs = [], []
+    left = [int(k) for k in members]
+    while left:
+        group, ahead = [], [left[0]]
+        while ahead:
+            k = ahead.pop()
+            if k in left:
+                left.remove(k)
+                group.append(k)
+                ahead += [j for j in left if beside[k, j] > 0]
+        found.append(sorted(group))
+        pairs += [[j, k] for j in sorted(group) for k in group if j < k and beside[j, k] > 0 and len(group) > 2]
+    return [group for group in found if len(group) > 1] + pairs
+
+
+def merge_all(rng, image, state, settings):
+    """Try to make one solid of each two that may be pieces of it, as long as that lowers the energy."""
+    best = total_energy(image, state, settings)
+    merged = True
+    while merged:
+        merged = False
+        for i, j in aligned_pairs(state):
+            for spread in ((False, False, False), (True, True, True)):
+                new, changed = merge_pair(rng, image, state, settings, i, j, spread)
+                if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+                    continue
+                new = settle(rng, image, new, settings, 200, changed)
+                value = total_energy(image, new, settings)
+                if value < best:
+                    state, best, merged = new, value, True
+                    break
+            if merged:
+                break
+    return state

@@ -1,0 +1,193 @@
+"""From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.solids.image import rotation_of
+from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.support import LEAST_GAP, touches
+from derender.errors import DerenderError
+from derender.scene.contacts import contacts
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.solids import BOX, SPHERE
+
+FLOOR_NAME = "floor"
+ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
+# Contacts that hold to these are written as holding exactly; others say where the solid is by their slack, exactly.
+GAP, TILT = 0.004, np.radians(2.0)
+EXACT = 1e-9  # metres
+FAR_FROM_ANY = 0.06  # metres by which a contact and a pose differ that is not by it
+TILTS = ("tilt", "tilt_x", "tilt_y")
+
+
+def pose_of(row):
+    """Return the pose (4, 4), object to floor frame, of a row."""
+    pose = np.eye(4)
+    # a sphere may be turned as one likes: so that its contact needs no turn
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0]) if int(row[0]) == SPHERE else rotation_of(row)
+    pose[:3, 3] = row[10:13]
+    return pose
+
+
+def vertex_of(row, cube, name):
+    """Return a floating Vertex with the row's shape and pose under the root."""
+    kind, size = int(row[0]), [float(s) for s in row[13:16]]
+    if kind == BOX:
+        shape = "cube" if cube else "box"
+        parameters = {"side": size[0]} if cube else dict(zip(("length", "width", "height"), size, strict=True))
+    elif kind == SPHERE:
+        shape, parameters = "sphere", {"radius": size[0] / 2}
+    else:
+        shape, parameters = "cylinder", {"radius": size[0] / 2, "height": size[2]}
+    contact = floating(pose_of(row))
+    return Vertex(name, shape, parameters, ROOT, contact)
+
+
+def floating(pose):
+    """Return the 6dof Contact of a pose (4, 4) under the root."""
+    return Contact("6dof", values=contacts["6dof"].invert(pose).phi)
+
+
+def names_of(state: State) -> list[str]:
+    """Return a name for each solid: its shape and a number, see `State.in_order`."""
+    counts: dict[str, int] = {}
+    names = [""] * len(state)
+    for k in state.in_order():
+        shape = vertex_of(state.rows[k], state.cubes[k], "x").shape
+        counts[shape] = counts.get(shape, 0) + 1
+        names[k] = f"{shape}_{counts[shape]}"
+    return names
+
+
+def order_of(parents: list[int]) -> list[int]:
+    """Return the solids with parents first; an edge that would close a circle is cut (its child goes on the floor)."""
+    placed: list[int] = []
+    waiting = list(range(len(parents)))
+    while waiting:
+        ready = [k for k in waiting if parents[k] == FLOOR or parents[k] in placed]
+        if not ready:
+            parents[waiting[0]] = FLOOR
+            continue
+        placed += ready
+        waiting = [k for k in waiting if k not in ready]
+    return placed
+
+
+def scene_graph(
+    state: State, floor_pose: np.ndarray, names: list[str] | None = None, floating: bool = False
+) -> SceneGraph:
+    """Return the scene graph of a state, its solids called `names` (default: see names_of).
+
+    Each solid hangs on its parent by the contact that fits its pose best; a contact that holds to 4 mm and 2 degrees is
+    made exact, one that does not keeps the rest as slack. Where none fits, and over a gap in which something that is
+    not seen must stand, the solid floats under the root. Where `floating` is allowed, what nothing holds floats,
+    however near it is to the floor.
+    """
+    parents = list(state.parents)
+    order = order_of(parents)
+    names = names_of(state) if names is None else names
+    graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
+    for k in order:
+        vertex = vertex_of(state.rows[k], state.cubes[k], names[k])
+        parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
+        if not (floating and parents[k] == FLOOR and np.isnan(state.bottoms[k])):
+            row, on = state.rows[k], None if parents[k] == FLOOR else state.rows[parents[k]]
+            faces = ("+z", "-z") if upright(row) and (on is None or upright(on)) else (None, None)
+            contact = best_contact(graph.add(vertex), names[k], parent, row, on, *faces)
+            if contact is not None:
+                vertex = replace(vertex, parent=parent, contact=contact if k in parents else without(contact, "roll"))
+        graph = graph.add(vertex)
+    return graph
+
+
+def best_contact(
+    graph: SceneGraph, name: str, parent: str, row: np.ndarray, carrier: np.ndarray | None = None,
+    on: str | None = None, by: str | None = None,
+) -> Contact | None:  # fmt: skip
+    """Return the contact with `parent` that reproduces a pose with the least slack, made exact where near.
+
+    None where the solid is far from any, unless it touches its carrier: it leans on it with as much slack as that
+    takes, such as a face against an edge, which no contact can say.
+
+    carrier : the parent's row, None for a floor. on, by : the parent's and the child's face, None for any; of a floor
+        it is +z.
+    """
+    on = "+z" if parent == FLOOR_NAME else on
+    near = [fit for fit in fits(graph, name, parent, row, lambda kind: [(on, by)]) if fit.missed < GAP]
+    best = min((fit for fit in near if fit.missed < EXACT or fit.tilt < TILT), key=lambda fit: fit.cost, default=None)
+    if best is not None and best.cost < FAR_FROM_ANY and best.gap < LEAST_GAP:
+        if best.tilt > TILT:
+            return best.contact
+        return without(best.contact, *TILTS) if best.gap >= GAP else without(best.contact, *TILTS, "gap")
+    if carrier is None or not touches(row, carrier):
+        return None
+    bodies = graph.body(parent).shape, graph.vertex(name).body.shape
+    leaning = [fit for fit in fits(graph, name, parent, row, lambda kind: contacts[kind].choices(*bodies))
+               if fit.missed < EXACT]  # fmt: skip
+    return min(leaning, key=lambda fit: fit.cost).contact if leaning else None
+
+
+class Fit(NamedTuple):
+    """A Contact with slack, its gap and tilt, by how many metres it still misses the pose, and all of that together."""
+
+    contact: Contact
+    gap: float
+    tilt: float
+    missed: float
+    cost: float
+
+
+def fits(graph, name, parent, row, faces):
+    """Yield the Fit of each kind of contact by each of its (parent's face, child's face) that faces(kind) returns."""
+    reach = 0.5 * float(np.linalg.norm(row[13:16]))
+    for place, kind in enumerate(ON_A_FACE):
+        for on, by in faces(kind):
+            try:
+                contact, left = graph.nearest_contact(name, parent, kind, on, by)
+            except DerenderError:
+                continue
+            gap = abs(contact.values.get("gap", 0.0))
+            tilt = float(np.linalg.norm([contact.values.get(t, 0.0) for t in TILTS]))
+            missed = left.outside + reach * left.angle
+            yield Fit(contact, gap, tilt, missed, gap + reach * tilt + missed + 0.002 * place)
+
+
+def without(contact: Contact, *names: str) -> Contact:
+    """Return a contact without these numbers; without `roll` a cylinder may be turned about its axis as one likes."""
+    return replace(contact, values={name: value for name, value in contact.values.items() if name not in names})
+
+
+def upright(row: np.ndarray) -> bool:
+    """Whether a solid with ends stands on one of them: then that is the face by which it touches what is below."""
+    return int(row[0]) != SPHERE and row[9] > 1.0 - 1e-12
+
+
+def turns_freely(vertex) -> bool:
+    """Whether a round face touches what bears an object: then all angles of the contact are as good."""
+    face = vertex.contact.child_face
+    return face is not None and math.isinf(vertex.body.shape.face_order(face))
+
+
+def periods_of(graph, addresses):
+    """Return the period of each of a graph's numbers by address, None for those that are no angles."""
+    found = []
+    for address in addresses:
+        name, _, rest = address.partition(".")
+        vertex, key = graph.vertex(name), rest.removeprefix("contact.")
+        parameters = ()
+        if key != rest and not key.startswith("q"):
+            contact = vertex.contact
+            on, faces = graph.body(vertex.parent).shape, (contact.parent_face, contact.child_face)
+            parameters = contacts[contact.type].parameters(on, vertex.body.shape, *faces)
+        found.append(next((p.period for p in parameters if p.name == key), None))
+    return tuple(found)
+
+
+def without_floor(part):
+    """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
+    if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):
+        return part
+    return replace(part, graph=part.graph.remove(FLOOR_NAME))

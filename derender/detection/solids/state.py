@@ -1,0 +1,124 @@
+"""The state of the search over structures: which solids there are and what each one stands on."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from derender.detection.solids.image import ROW, blank, draw
+from derender.detection.solids.interpenetration import lowest
+from derender.detection.solids.misfit import misfit_map
+from derender.detection.solids.polish import contact_energy, polish, size_energy
+
+FLOOR = -1
+NOTHING = np.empty(0)
+
+
+@dataclass
+class State:
+    """Solids over a floor, in the floor frame.
+
+    Attributes
+    ----------
+    rows : (N, ROW) float64, see image.py.
+    forms : UPRIGHT or FREE for each solid.
+    cubes : whether each solid's edges are equal.
+    parents : what each one stands on: FLOOR or an index.
+    bottoms : height that each one's lowest point is held to, NaN for none.
+    """
+
+    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))
+    forms: list[int] = field(default_factory=list)
+    cubes: list[bool] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    bottoms: list[float] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.forms)
+
+    def copy(self) -> "State":
+        return State(self.rows.copy(), list(self.forms), list(self.cubes), list(self.parents), list(self.bottoms))
+
+    def add(self, row, form, cube, parent=FLOOR, bottom=np.nan) -> "State":
+        """Return the state with one more solid."""
+        return State(
+            np.vstack([self.rows, row[None]]), [*self.forms, form], [*self.cubes, cube],
+            [*self.parents, parent], [*self.bottoms, bottom],
+        )  # fmt: skip
+
+    def without(self, index) -> "State":
+        """Return the state without one solid; what stood on it stands on what it stood on."""
+        keep = [k for k in range(len(self)) if k != index]
+        heir = self.parents[index]
+
+        def moved(parent):
+            parent = heir if parent == index else parent
+            return parent - 1 if parent > index else parent
+
+        return State(
+            self.rows[keep], [self.forms[k] for k in keep], [self.cubes[k] for k in keep],
+            [moved(self.parents[k]) for k in keep], [self.bottoms[k] for k in keep],
+        )  # fmt: skip
+
+    def in_order(self) -> list[int]:
+        """Return the solids as people count them: those on the floor from left to right, then what stands on them.
+
+        Two runs on one image thus give one solid one name.
+        """
+
+        def level(k: int, seen: tuple[int, ...] = ()) -> int:
+            parent = self.parents[k]
+            return 0 if parent == FLOOR or parent in seen else 1 + level(parent, (*seen, k))
+
+        return sorted(range(len(self)), key=lambda k: (level(k), self.rows[k, 10]))
+
+    def ordered(self) -> "State":
+        """Return the state with its solids `in_order`."""
+        order = self.in_order()
+        place = {FLOOR: FLOOR, **{k: new for new, k in enumerate(order)}}
+        return State(
+            self.rows[order], [self.forms[k] for k in order], [self.cubes[k] for k in order],
+            [place[self.parents[k]] for k in order], [self.bottoms[k] for k in order],
+        )  # fmt: skip
+
+
+def carried_by(state, index):
+    """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
+    if index == FLOOR:  # of a solid that is not there yet: nothing, and not what stands on the floor
+        return NOTHING
+    held = [k for k in range(len(state)) if state.parents[k] == index and not np.isnan(state.bottoms[k])]
+    return np.array([lowest(state.rows[k]) for k in held])
+
+
+def held_out(image, state, index):
+    """Return depth, label, misfit and total misfit of the scene without solid `index` (-1: all of it)."""
+    depth, label, misfit = blank(image)
+    draw(image, state.rows, index, depth, label)
+    total = misfit_map(image, depth, misfit)
+    return depth, label, misfit, total
+
+
+def in_the_way(rows, settings):
+    """Return the solids (N, ROW) that others must not enter: none where interpenetration is allowed."""
+    return rows[:0] if settings.may_overlap else rows
+
+
+def energy(image, state, slack, temper, in_the_way):
+    """Return misfit + prior + contact energies of a state: minus its log posterior density up to a constant.
+
+    in_the_way : (N, ROW) the solids that must not be entered: those of the state, or none.
+    temper : how many pixels tell as much as one independent one: what the sizes' prior is multiplied by.
+    """
+    *_, total = held_out(image, state, -1)
+    for k in range(len(state)):
+        total += temper * size_energy(state.rows[k], state.cubes[k])
+        total += contact_energy(state.rows[k], in_the_way, k, state.bottoms[k], NOTHING, slack)
+    return total
+
+
+def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
+    """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
+    depth, _, misfit, _ = view
+    return polish(
+        rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
+        carried_by(state, index), settings.slack, settings.tilt, settings.temper, rounds, step, heat,
+    )  # fmt: skip

@@ -1,0 +1,144 @@
+"""What each solid stands on: candidates from geometry, choice by the image and by who bears the weight."""
+
+import numpy as np
+
+from derender.detection.solids.image import bounding_rectangle
+from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.misfit import added_misfit
+from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
+from derender.detection.solids.state import FLOOR, NOTHING, held_out, in_the_way
+from derender.detection.solids.statics import shares_of_load
+from derender.scene.solids import BOX, CYLINDER
+
+NEAR = 0.006
+TOUCHING = 0.003  # metres between surfaces of polished solids that bear a load: twice the slack of contacts
+LEAST_GAP = 0.012  # metres under a solid in which another may stand
+LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
+BESIDE = 2  # pixels between the rectangles of solids that may hide parts of each other
+
+
+def shadows_overlap(row, other, margin=0.002):
+    """Whether two solids overlap when seen from above, by more than the margin."""
+    lifted = row.copy()
+    lifted[12] = other[12]
+    return penetration(lifted, other) > margin
+
+
+def flat_top(row):
+    """Whether the solid ends in a level face on which others can stand."""
+    kind = int(row[0])
+    if kind == BOX:
+        return max(abs(row[7]), abs(row[8]), abs(row[9])) >= LEVEL
+    return kind == CYLINDER and abs(row[9]) >= LEVEL
+
+
+def with_bottom(row, height):
+    """Return the upright solid with its bottom moved to a height, its top held still."""
+    new = row.copy()
+    top = row[12] + 0.5 * row[15]
+    new[15] = max(top - height, 0.004)
+    new[12] = top - 0.5 * new[15]
+    return new
+
+
+def touches(row, other, reach=NEAR):
+    """Whether `row` stands on or leans against `other`: lowered by `reach` it would sink into it."""
+    lowered = row.copy()
+    lowered[12] -= reach
+    return penetration(lowered, other) > 0.5 * reach * 0.2
+
+
+def concerned(image, state, changed):
+    """Return the solids to which it may matter that some have changed: those, what stands on them or on what is gone,
+    and what shows beside them."""
+    rectangles = np.array([bounding_rectangle(row, image.projection, *image.depth.shape) for row in state.rows])
+    rectangles = rectangles.reshape(len(state), 4) + [-BESIDE, BESIDE, -BESIDE, BESIDE]
+    found = set(changed)
+    for i, (left, right, top, bottom) in enumerate(rectangles):
+        parent = state.parents[i]
+        height = 0.0 if parent == FLOOR else highest(state.rows[parent])
+        others = rectangles[list(changed)]
+        beside = (others[:, 0] < right) & (left < others[:, 1]) & (others[:, 2] < bottom) & (top < others[:, 3])
+        if parent in changed or abs(height - state.bottoms[i]) > 1e-6 or beside.any():
+            found.add(i)
+    return found
+
+
+def assign_supports(image, state, settings, only=None):
+    """Choose each solid's support (or that of those in `only`), and for upright boxes and cylinders move the bottom
+    onto it. Returns a new state.
+
+    Its bottom where it is, over nothing, competes with the supports: what carries it may be hidden, or it may float.
+    """
+    state = state.copy()
+    others = in_the_way(state.rows, settings)
+    order = np.argsort([lowest(r) for r in state.rows])
+    for i in order:
+        if only is not None and i not in only:
+            continue
+        row = state.rows[i]
+        if state.forms[i] == UPRIGHT and int(row[0]) in (BOX, CYLINDER) and not state.cubes[i]:
+            depth, _, misfit, _ = held_out(image, state, i)
+            best, choice, best_row, bottom = np.inf, FLOOR, row, np.nan
+            if lowest(row) > (NEAR if settings.may_float else LEAST_GAP):
+                best = (
+                    added_misfit(image, row, depth, misfit) + settings.temper * size_energy(row, False)
+                    + contact_energy(row, others, i, np.nan, NOTHING, settings.slack) + settings.price_of_floating
+                )  # fmt: skip
+            for j in [FLOOR, *[k for k in range(len(state)) if k != i]]:
+                height = 0.0
+                if j != FLOOR:
+                    if not flat_top(state.rows[j]) or not shadows_overlap(row, state.rows[j]):
+                        continue
+                    height = highest(state.rows[j])
+                    if height > row[12] + 0.5 * row[15] - 0.008:
+                        continue
+                trial = with_bottom(row, height)
+                value = (
+                    added_misfit(image, trial, depth, misfit) + settings.temper * size_energy(trial, False)
+                    + contact_energy(trial, others, i, height, NOTHING, settings.slack) - 0.5 * (j != FLOOR)
+                )  # fmt: skip
+                if value < best:
+                    best, choice, best_row, bottom = value, j, trial, height
+            state.rows[i], state.parents[i], state.bottoms[i] = best_row, choice, bottom
+        else:
+            state.parents[i], state.bottoms[i] = standing_on(state, i)
+    return state
+
+
+def standing_on(state, i, reach=0.012):
+    """Return (parent, height) of what a solid that is not upright stands on; height NaN where it only leans."""
+    row = state.rows[i]
+    low = lowest(row)
+    candidates = [(abs(low), FLOOR, 0.0)]
+    for j in range(len(state)):
+        if j != i and flat_top(state.rows[j]) and shadows_overlap(row, state.rows[j]):
+            height = highest(state.rows[j])
+            candidates.append((abs(low - height), j, height))
+    gap, parent, height = min(candidates)
+    if gap < reach:
+        return parent, height
+    leaning = [
+        (-penetration(row, other), j) for j, other in enumerate(state.rows) if j != i and touches(row, other, reach)
+    ]
+    return (min(leaning)[1] if leaning else FLOOR), np.nan
+
+
+def final_parents(state):
+    """Return the parent of each solid by contact: of several supports, the one that bears the most of its weight."""
+    parents = []
+    for i in range(len(state)):
+        row = state.rows[i]
+        below = [j for j in range(len(state)) if j != i and state.rows[j][12] < row[12]]
+        carriers = [j for j in below if touches(row, state.rows[j])]
+        on_floor = lowest(row) < NEAR
+        shares = shares_of_load(state.rows, i, TOUCHING) if len(carriers) + on_floor > 1 else {}
+        if shares:
+            parents.append(max(shares, key=lambda j: shares[j]))
+        elif on_floor or not carriers:
+            parents.append(FLOOR if on_floor or state.parents[i] in (FLOOR, i) else state.parents[i])
+        elif state.parents[i] in carriers:
+            parents.append(state.parents[i])
+        else:
+            parents.append(min(carriers, key=lambda j: np.hypot(*(state.rows[j][10:12] - row[10:12]))))
+    return parents

@@ -1,0 +1,75 @@
+"""The unit of length in which an image is searched: one of a hall, or of coins, is looked at as though of a table.
+
+What the search believes of sizes, gaps and noise before it sees an image is a table's. From far off people look at
+larger things, and a sensor's noise grows with the distance too: so lengths are counted in units in which what is seen
+is no farther than FARTHEST and no nearer than NEAREST. Between them the unit is the metre.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from derender.render.likelihoods import likelihoods
+from derender.scene.contacts import contacts
+from derender.scene.shapes import shapes
+
+NEAREST, FARTHEST = 0.4, 1.5  # metres
+SHARE = 0.25  # of the pixels are nearer than what counts: there may be a room behind a table
+SAME = 1e-9
+
+
+def unit_of(depth):
+    """Return the unit in metres for a depth image (H, W), NaN = no return."""
+    seen = depth[np.isfinite(depth)]
+    distance = float(np.quantile(seen, SHARE)) if len(seen) else FARTHEST
+    unit = distance / float(np.clip(distance, NEAREST, FARTHEST))
+    return 1.0 if abs(unit - 1.0) < SAME else unit
+
+
+def in_metres(posterior, unit):
+    """Return a Posterior whose lengths were counted in units of so many metres with all of them in metres."""
+    parts = tuple(part_in_metres(part, unit) for part in posterior.parts)
+    meta = dict(posterior.meta)
+    meta["noise"] *= unit
+    meta["likelihood"] = likelihood_in_metres(meta["likelihood"], unit)
+    return replace(posterior, parts=parts, meta=meta)
+
+
+def part_in_metres(part, unit):
+    """Return a StructurePosterior with all lengths in metres; its log densities keep their unit."""
+    powers = powers_of(part.graph)
+    factors = np.array([unit ** powers.get(address, 0) for address in part.addresses])
+    graph = part.graph.with_numbers({k: v * unit ** powers.get(k, 0) for k, v in part.graph.numbers().items()})
+    root = None if part.root_pose is None else pose_in_metres(part.root_pose, unit)
+    extras = dict(part.extras)
+    if "likelihood" in extras:
+        extras["likelihood"] = likelihood_in_metres(extras["likelihood"], unit)
+    return replace(part, graph=replace(graph, root_pose=pose_in_metres(graph.root_pose, unit)),
+                   values=part.values * factors, root_pose=root, extras=extras)  # fmt: skip
+
+
+def pose_in_metres(pose, unit):
+    """Return poses (..., 4, 4) with their places in metres."""
+    pose = np.array(pose, float)
+    pose[..., :3, 3] *= unit
+    return pose
+
+
+def powers_of(graph):
+    """Return {address: 1} of a graph's numbers that are lengths."""
+    found = {}
+    for vertex in graph.vertices:
+        for parameter in shapes[vertex.shape].parameters:
+            found[f"{vertex.name}.{parameter.name}"] = int(parameter.unit == "m")
+        contact, on = vertex.contact, graph.body(vertex.parent).shape
+        faces = contact.parent_face, contact.child_face
+        for parameter in contacts[contact.type].parameters(on, vertex.body.shape, *faces):
+            found[f"{vertex.name}.contact.{parameter.name}"] = int(parameter.unit == "m")
+    return found
+
+
+def likelihood_in_metres(numbers, unit):
+    """Return a likelihood's type and numbers, as a scene file has them, with lengths in metres."""
+    powers = {"m": 1, "1/m": -1}
+    units = {p.name: powers.get(p.unit, 0) for p in likelihoods[numbers["type"]].parameters}
+    return {k: v * unit ** units[k] if k in units else v for k, v in numbers.items()}

@@ -1,1 +1,0 @@
-"""What was there: targets, kernels, chains, structure, posteriors."""

@@ -1,1 +1,0 @@
-"""From a depth image to hypotheses of solids."""

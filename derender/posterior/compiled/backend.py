@@ -1,0 +1,137 @@
+"""The compiled backend: a mixture on a scene's target without Python between the steps."""
+
+from collections import deque
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from derender.posterior.compiled.evaluate import load
+from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels
+from derender.posterior.compiled.mixture import addresses_of, kernels_of, places_seen, readable_parts, rescaled
+from derender.posterior.compiled.model import chain_of, held, model_of
+from derender.posterior.compiled.steps import WINDOW, sweep
+from derender.posterior.compiled.view import LoadedTarget
+from derender.posterior.kernels import kernels
+from derender.posterior.kernels.base import Part, State, Tuning
+from derender.posterior.sampler import Stretch
+
+MOST_PROGRAMS = 24  # that are remembered: those of a ladder and of the chains that warm up
+
+
+class CompiledBackend:
+    """Runs a mixture on a SceneTarget compiled; one object per thread, the others of which are its twins.
+
+    What has no compiled form takes its steps as it stands, in between: kernels, and likelihood numbers whose change
+    means to draw or score the whole image anew.
+
+    Raises
+    ------
+    NotCompiled : something of the model has no compiled form.
+    """
+
+    def __init__(self, target, parts: list[Part], cycle: bool = False) -> None:
+        self.target, self.parts, self.cycle = target, parts, cycle
+        self.model = model_of(target)
+        counts = [int(part.options["count"]) for part in parts if kernels[part.type].code == WINDOW]
+        self.held, self.taken_as_is = held(target), readable_parts(target, parts)
+        self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
+        evaluator = target.images.evaluator()
+        evaluator.load(self._first)
+        self._blank = chain_of(target, self.model, max(counts, default=1), cycle), evaluator
+        self._addresses = addresses_of(parts, self.model, self._blank[0])
+        self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Take a chain and an engine of its own, in which nothing has happened yet."""
+        chain, evaluator = self._blank
+        self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
+        self._loaded = np.empty(0)
+        self._tuned: tuple[Tuning, Kernels] | None = None
+        self._readable: tuple[Tuning, dict[int, Any]] | None = None
+
+    def twin(self) -> "CompiledBackend":
+        """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
+        other = copy(self)
+        other._begin()
+        return other
+
+    def _somewhere(self) -> np.ndarray:
+        return self.target.space.sample(np.random.default_rng(0))
+
+    def load(self, values: np.ndarray) -> None:
+        """Make (P,) values inside the prior's support the current ones."""
+        if np.array_equal(values, self._loaded):
+            return
+        if self.held:
+            self.evaluator.set_values({name: float(values[at]) for name, at in self.held.items()}, rescore=False)
+            if self.evaluator.state is None:
+                self.evaluator.load(self._first)
+        load(self.model, self.chain, self.evaluator.for_steps(), np.ascontiguousarray(values, np.float64))
+        self._loaded = np.array(values)
+
+    def evaluate(self, values):
+        """Return log prior and log likelihood; -inf and -inf outside the prior's support."""
+        if self.target.space.log_prior(values) == -np.inf:
+            return -np.inf, -np.inf
+        self.load(values)
+        prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
+        return (float(prior), float(likelihood)) if prior > -np.inf else (-np.inf, -np.inf)
+
+    def readable(self, tuning: Tuning) -> dict[int, Any]:
+        """Return the kernels that take their steps as they stand by their numbers, as tuned last."""
+        if self._readable is None or self._readable[0] is not tuning:
+            target = LoadedTarget(self)
+            self._readable = (
+                tuning,
+                {
+                    k: kernels[self.parts[k].type].build(target, self.parts[k].block, tuning, self.parts[k].options)
+                    for k in self.taken_as_is
+                },
+            )
+        return self._readable[1]
+
+    def program(self, tuning: Tuning) -> Kernels:
+        """Return the mixture's arrays under a tuning; those of the last ones are kept, for all twins."""
+        tuned = self._tuned
+        if tuned is None or tuned[0] is not tuning:
+            tuned = self._tuned = tuning, self._program(tuning)
+        return tuned[1]
+
+    def _program(self, tuning: Tuning) -> Kernels:
+        places = None
+        for former, program, seen in list(self._programs):
+            same = [getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")]
+            if all(same):
+                return rescaled(self.target, self.parts, tuning, program)
+            if same[2] and (tuning.archive is not None or same[0]):
+                places = seen
+        if places is None:
+            chain = Chain(*(array.copy() for array in self._blank[0]))
+            places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
+        program = kernels_of(self.target, self.parts, tuning, self.taken_as_is, places, self._addresses)
+        self._programs.append((tuning, program, places))
+        return program
+
+    def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+        """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
+        program, size = self.program(tuning), len(values)
+        kept, counts = np.empty((draws, size + 3)), np.zeros((len(self.parts), 2), np.int64)
+        self.load(values)
+        self.chain.flags[STEPS] = taken
+        now = self.chain.values[NOW]
+        done, k = 0, -1
+        while done < draws * thin:
+            done, k = sweep(rng, self.model, program, self.chain, self.evaluator.state, done, draws, thin,
+                            tuning.temperature, kept, counts)  # fmt: skip
+            self._loaded = now[:size].copy()
+            if k >= 0:
+                state = State(now[:size].copy(), float(now[PRIOR]), float(now[DENSITY]))
+                state, info = self.readable(tuning)[k](rng, state)
+                counts[k] += 1, info.accepted
+                self.load(state.values)
+                done += 1
+                if done % thin == 0:
+                    kept[done // thin - 1] = now
+        return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)

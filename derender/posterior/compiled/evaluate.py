@@ -1,0 +1,158 @@
+"""Propose values, see what moves, ask the engine, accept or undo."""
+
+import math
+
+from derender.compilation.cache import njit
+from derender.posterior.compiled.layout import (
+    CONTACT,
+    DENSITY,
+    DIRTY,
+    HELD,
+    KEPT,
+    LIKELIHOOD,
+    MOVED,
+    NEXT,
+    NOW,
+    PARENT,
+    PENDING,
+    PRIOR,
+    ROOT,
+    SHAPES,
+    SIZES,
+    SLOT,
+    SOLID,
+    TABLE,
+    VERTEX,
+)
+from derender.posterior.compiled.poses import place, place_root
+from derender.posterior.compiled.prior import log_prior
+from derender.posterior.compiled.terms import log_terms
+from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
+from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA
+
+
+@njit(cache=True, nogil=True)
+def fill(places, values, numbers, marks, parameters, everything):
+    """Put the proposed values that differ from the current ones (or all) where they belong; mark what they move."""
+    root = marks.shape[1] - 1
+    for p in range(places.shape[1]):
+        value = values[NEXT, p]
+        if everything or value != values[NOW, p]:
+            table, vertex, slot = places[TABLE, p], places[VERTEX, p], places[SLOT, p]
+            if table == LIKELIHOOD:
+                parameters[SIGMA] = value
+            elif table == ROOT:
+                numbers[NEXT, root, slot] = value
+                marks[DIRTY, root] = 1
+            elif table != HELD:
+                numbers[NEXT, vertex, slot if table == CONTACT else SHAPES + slot] = value
+                if not marks[KEPT, vertex]:
+                    marks[DIRTY, vertex] = 1
+
+
+@njit(cache=True, nogil=True)
+def arrange(vertices, extents, numbers, pose, marks, relative, moved_pose, moved_size):
+    """Place what the marked vertices move; list the solids that have to be drawn anew and return how many."""
+    root = vertices.shape[1] - 1
+    if marks[DIRTY, root]:
+        place_root(vertices, numbers, pose)
+    moved = 0
+    for n in range(root):
+        if not marks[KEPT, n] and (marks[DIRTY, n] or marks[DIRTY, vertices[PARENT, n]]):
+            marks[DIRTY, n] = 1
+            place(vertices, extents, numbers, pose, relative, n)
+            if vertices[SOLID, n] >= 0:
+                marks[MOVED, moved] = vertices[SOLID, n]
+                for i in range(3):
+                    moved_size[moved, i] = numbers[NEXT, n, SIZES + i]
+                    for j in range(4):
+                        moved_pose[moved, i, j] = pose[NEXT, n, i, j]
+                moved += 1
+    return moved
+
+
+@njit(cache=True, nogil=True)
+def evaluate(model, chain, engine):
+    """Write log prior and log likelihood of the proposed values beside them; `settle` must follow.
+
+    Only what differs from the current values is placed and drawn anew.
+    """
+    values = chain.values
+    values[NEXT, PRIOR] = log_prior(model.unknowns, model.laws, values[NEXT])
+    values[NEXT, DENSITY] = -math.inf
+    if values[NEXT, PRIOR] == -math.inf:
+        return
+    fill(model.places, values, chain.numbers, chain.marks, engine.parameters, False)
+    moved = arrange(model.vertices, model.extents, chain.numbers, chain.pose, chain.marks, chain.relative,
+                    chain.moved_pose, chain.moved_size)  # fmt: skip
+    values[NEXT, PRIOR] += log_terms(model.terms, model.vertices, chain.numbers, chain.pose)
+    if values[NEXT, PRIOR] == -math.inf:
+        return
+    if moved:
+        values[NEXT, DENSITY] = propose_in(engine, moved, chain.marks[MOVED], chain.moved_pose, chain.moved_size)
+        chain.flags[PENDING] = 1
+    else:
+        values[NEXT, DENSITY] = log_likelihood_of(engine, engine.total[CURRENT])
+
+
+@njit(cache=True, nogil=True)
+def copy_marked(numbers, pose, marks, source):
+    """Bring the other half up to `source` where vertices are marked, and take the marks away."""
+    target = 1 - source
+    for n in range(marks.shape[1]):
+        if marks[DIRTY, n] or marks[KEPT, n]:
+            marks[DIRTY, n] = marks[KEPT, n] = 0
+            for i in range(numbers.shape[2]):
+                numbers[target, n, i] = numbers[source, n, i]
+            for i in range(3):
+                for j in range(4):
+                    pose[target, n, i, j] = pose[source, n, i, j]
+
+
+@njit(cache=True, nogil=True)
+def settle(model, chain, engine, accepted):
+    """Make the proposed values the current ones, or forget them."""
+    values = chain.values
+    if chain.flags[PENDING]:
+        settle_in(engine, CANDIDATE if accepted else CURRENT)
+        chain.flags[PENDING] = 0
+    source = NEXT if accepted else NOW
+    if not accepted:
+        for p in range(model.places.shape[1]):
+            if model.places[TABLE, p] == LIKELIHOOD:
+                engine.parameters[SIGMA] = values[NOW, p]
+    copy_marked(chain.numbers, chain.pose, chain.marks, source)
+    for p in range(values.shape[1]):
+        values[1 - source, p] = values[source, p]
+
+
+@njit(cache=True, nogil=True)
+def put_all(model, chain, parameters, start):
+    """Make `start` (P,) the current values without their densities: every vertex is placed."""
+    values, marks = chain.values, chain.marks
+    for p in range(len(start)):
+        values[NEXT, p] = start[p]
+    chain.flags[PENDING] = 0
+    fill(model.places, values, chain.numbers, marks, parameters, True)
+    marks[DIRTY, :] = 1
+    arrange(model.vertices, model.extents, chain.numbers, chain.pose, marks, chain.relative, chain.moved_pose,
+            chain.moved_size)  # fmt: skip
+    copy_marked(chain.numbers, chain.pose, marks, NEXT)
+
+
+@njit(cache=True, nogil=True)
+def _log_prior_of_all(model, chain):
+    return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(
+        model.terms, model.vertices, chain.numbers, chain.pose
+    )
+
+
+def load(model, chain, engine, start):
+    """Make `start` (P,) the current values, in full; they must lie in the prior's support.
+
+    Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.
+    """
+    put_all(model, chain, engine.parameters, start)
+    chain.values[NEXT, PRIOR] = _log_prior_of_all(model, chain)
+    chain.values[NEXT, DENSITY] = load_state(engine, chain.moved_pose, chain.moved_size)  # solids are in vertex order
+    chain.values[NOW] = chain.values[NEXT]

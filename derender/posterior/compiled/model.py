@@ -1,0 +1,204 @@
+"""From a scene's target to the flat arrays of `layout.py`: the Model, and a Chain that walks on it."""
+
+import numpy as np
+
+from derender.compilation.call import address_of
+from derender.posterior.compiled import poses
+from derender.posterior.compiled.layout import (
+    CONTACT,
+    HELD,
+    INVERSE_AT,
+    LIKELIHOOD,
+    POSE_AT,
+    ROOT,
+    ROTATION,
+    SHAPE,
+    SHAPES,
+    Chain,
+    Model,
+)
+from derender.posterior.compiled.terms import table_of
+from derender.scene.contacts import contacts
+from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
+from derender.scene.distributions.compiled import compiled
+from derender.scene.graph import SceneGraph
+from derender.scene.priors.root import FreeRoot, LookedAtRoot
+from derender.scene.shapes import shapes
+
+PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are checked to be affine
+
+
+class NotCompiled(Exception):
+    """Something in the model has no compiled form: the readable kernels have to run."""
+
+
+def model_of(target, address=address_of) -> Model:
+    """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form.
+
+    address : compiles a kernel for some arguments and returns where it lies.
+    """
+    graph, space = target.template, target.space
+    try:
+        terms = table_of(target.constraints, graph)
+    except NotImplementedError as error:
+        raise NotCompiled(f"the constraint {error}") from None
+    codes, laws, twins = [], [], list[tuple[int, int]]()
+    for unknown in space.unknowns:
+        law = unknown.distribution
+        if law.size == 4:
+            codes.append(ROTATION)
+            laws.append((0.0,) * 7)
+            twins.append((0, 0))
+        elif law.code is None:
+            raise NotCompiled(f"the distribution of {unknown.address}")
+        else:
+            codes.append(law.code)
+            laws.append((*law.row, unknown.period or 0.0, *target.folds.get(unknown.address, (0.0, 0.0))))
+            density, draw = compiled(law.type)
+            row = np.zeros(len(laws[-1]))
+            twins.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
+    count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
+    names = {name: n for n, name in enumerate(graph.names)}
+    solids = {name: n for n, name in enumerate(graph.solid_names)}
+    vertices = np.zeros((8, count + 1), np.int64)
+    extents = np.zeros((count, 4, 3))
+    for n, vertex in enumerate(graph.vertices):
+        contact = vertex.contact
+        code = contacts[contact.type].compiled_code
+        if code is None:
+            raise NotCompiled(f"the contact type {contact.type}")
+        faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
+        solid = solids.get(vertex.name, -1)
+        vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
+        extents[n] = extents_of(vertex)
+    vertices[:6, count] = count, root_code(target), FRAME, -1, -1, -1
+    arguments = index, index, size, index, size, index, index
+    vertices[POSE_AT] = address(relative_pose, *arguments, np.zeros(SLOTS), frame)
+    vertices[INVERSE_AT] = address(invert, *arguments, frame, np.zeros(SLOTS))
+    owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
+    places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
+    return Model(
+        unknowns=np.array([[*codes, 0], space.offsets, space.directions, *zip(*twins, (0, 0), strict=True)], np.int64),
+        laws=np.array(laws, float).reshape(-1, 7),
+        places=np.ascontiguousarray(np.array(places, np.int64).T),
+        vertices=vertices,
+        extents=extents,
+        terms=terms,
+    )
+
+
+def _kind(shape: str) -> int:
+    kind = shapes[shape].solid_kind
+    return FRAME if kind is None else int(kind)
+
+
+def extents_of(vertex) -> np.ndarray:
+    """Return (4, 3): the extents at numbers 0, and what each of up to three numbers adds to them for each metre."""
+    shape = shapes[vertex.shape]
+    count = len(shape.parameters)
+    if count > 3:
+        raise NotCompiled(f"the shape {vertex.shape}, which has more than three numbers")
+
+    def size(psi) -> np.ndarray:
+        found = shape.size(np.asarray(psi, float), vertex.options)
+        return np.zeros(3) if found is None else np.asarray(found, float)
+
+    extents = np.zeros((4, 3))
+    ones = np.ones(count)
+    for j in range(count):
+        extents[j + 1] = size(ones + np.eye(count)[j]) - size(ones)
+    extents[0] = size(ones) - extents[1:].sum(axis=0)
+    probe = PROBE[:count]
+    if not np.allclose(size(probe), extents[0] + probe @ extents[1 : count + 1], rtol=1e-12, atol=1e-15):
+        raise NotCompiled(f"the shape {vertex.shape}, whose extents are no affine function of its numbers")
+    return extents
+
+
+def root_code(target) -> int:
+    """Return how the root's numbers give its pose."""
+    if not any(unknown.address.startswith("root.") for unknown in target.space.unknowns):
+        return poses.FIXED_ROOT
+    if isinstance(target.root_prior, FreeRoot):
+        return poses.FREE_ROOT
+    if isinstance(target.root_prior, LookedAtRoot):
+        return poses.LOOKED_AT
+    raise NotCompiled("this kind of root")
+
+
+ROOT_SLOTS = {
+    poses.FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"),
+    poses.LOOKED_AT: LookedAtRoot.KEYS,
+    poses.FIXED_ROOT: (),
+}
+
+
+def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int]:
+    """Return (table, vertex, slot) of a value."""
+    name, _, rest = address.partition(".")
+    if name == "likelihood":
+        return (LIKELIHOOD if rest == "sigma" and target.images.type == "gaussian" else HELD), 0, 0
+    if name == "root":
+        return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
+    vertex = target.template.vertex(name)
+    if rest.startswith("contact."):
+        return CONTACT, names[name], contact_slots(target.template, name).index(rest.removeprefix("contact."))
+    return SHAPE, names[name], [p.name for p in shapes[vertex.shape].parameters].index(rest)
+
+
+def contact_slots(graph: SceneGraph, name: str) -> list[str]:
+    """Return the names of a contact's numbers in their compiled order."""
+    vertex = graph.vertex(name)
+    faces = vertex.contact.parent_face, vertex.contact.child_face
+    parent = graph.body(vertex.parent).shape
+    return [p.name for p in contacts[vertex.contact.type].parameters(parent, shapes[vertex.shape], *faces)]
+
+
+def held(target) -> dict[str, int]:
+    """Return which likelihood numbers compiled steps cannot change, and where their values are."""
+    names = dict.fromkeys(target.template.names, 0)
+    return {
+        address.removeprefix("likelihood."): offset
+        for offset, address in enumerate(target.space.addresses)
+        if place_of(target, names, address)[0] == HELD
+    }
+
+
+def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
+    """Return the arrays of a chain that stands at the template, not loaded yet.
+
+    Parameters
+    ----------
+    window : the most places that a kernel of the mixture weighs at once. cycle : kernels take turns.
+    """
+    graph = target.template
+    count, solids = len(graph.vertices), len(graph.solid_names)
+    size, directions = len(target.space.addresses), int(target.space.directions[-1])
+    numbers = np.zeros((2, count + 1, SHAPES + 3))
+    for n, vertex in enumerate(graph.vertices):
+        contact = vertex.contact
+        faces = contact.parent_face, contact.child_face
+        parameters = contacts[contact.type].parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)
+        phi = [contact.values.get(p.name, p.default or 0.0) for p in parameters]
+        psi = np.nan_to_num(vertex.psi)  # an unknown one may be missing from the template
+        numbers[:, n, : len(phi)] = phi
+        numbers[:, n, SHAPES : SHAPES + len(psi)] = psi
+    if root_code(target) != poses.FIXED_ROOT:
+        coordinates = dict(target.root_prior.values(graph.root_pose))
+        for key, value in zip(("qw", "qx", "qy", "qz"), coordinates.pop("root.quat_wxyz", ()), strict=False):
+            coordinates[f"root.{key}"] = value
+        for slot, key in enumerate(ROOT_SLOTS[root_code(target)]):
+            numbers[:, count, slot] = coordinates[f"root.{key}"]
+    pose = np.tile(np.eye(4), (2, count + 1, 1, 1))
+    pose[:, count] = graph.root_pose
+    return Chain(
+        values=np.full((2, size + 3), -np.inf),
+        numbers=numbers,
+        pose=pose,
+        marks=np.zeros((3, count + 1), np.int64),
+        moved_pose=np.tile(np.eye(4), (solids, 1, 1)),
+        moved_size=np.zeros((solids, 3)),
+        tangents=np.zeros((2, max(directions, 3))),
+        row=np.zeros((max(window, 1), size + 3)),
+        relative=np.eye(4),
+        flags=np.array([0, 0, cycle], np.int64),
+    )

@@ -1,0 +1,129 @@
+"""Prior, moves and differences on the flat values: `space.py` compiled, number for number."""
+
+import math
+
+from derender.compilation.cache import njit
+from derender.compilation.call import call_for_number
+from derender.posterior import space
+from derender.posterior.compiled.layout import CODE, DENSITY_AT, DIRECTION, DRAW_AT, OFFSET, PERIOD, ROTATION
+from derender.scene.distributions import uniform_rotation
+
+wrap = njit(cache=True, nogil=True)(space.wrap)
+turn = njit(cache=True, nogil=True)(space.turn)
+turn_between = njit(cache=True, nogil=True)(space.turn_between)
+_rotation_density = njit(uniform_rotation.density)
+_draw_rotation = njit(uniform_rotation.draw)
+
+
+@njit(cache=True, nogil=True)
+def log_prior(unknowns, laws, values):
+    """Return the log prior density of (P,) values."""
+    total = 0.0
+    for i in range(len(laws)):
+        code, start = unknowns[CODE, i], unknowns[OFFSET, i]
+        if code == ROTATION:
+            total += _rotation_density(values[start : start + 4], laws[i])
+        else:
+            total += call_for_number(unknowns[DENSITY_AT, i], values[start], laws[i])
+        if not total > -math.inf:
+            return -math.inf
+    return total
+
+
+@njit(cache=True, nogil=True)
+def resample(rng, unknowns, laws, members, values):
+    """Draw some unknowns in place from their priors."""
+    for i in members:
+        code, start = unknowns[CODE, i], unknowns[OFFSET, i]
+        if code == ROTATION:
+            w, x, y, z = _draw_rotation(rng, laws[i])
+            values[start], values[start + 1], values[start + 2], values[start + 3] = w, x, y, z
+        else:
+            values[start] = call_for_number(unknowns[DRAW_AT, i], rng, laws[i])
+
+
+@njit(cache=True, nogil=True)
+def move(unknowns, laws, members, values, tangent, scale, moved):
+    """Write into `moved` where `values` are after a step of some unknowns by scale * tangent."""
+    direction = 0
+    step = tangent[:3].copy() if len(tangent) >= 3 else tangent.copy()
+    for i in members:
+        code, start, period = unknowns[CODE, i], unknowns[OFFSET, i], laws[i, PERIOD]
+        if code == ROTATION:
+            for k in range(3):
+                step[k] = scale * tangent[direction + k]
+            w, x, y, z = turn(values[start : start + 4], step)
+            moved[start], moved[start + 1], moved[start + 2], moved[start + 3] = w, x, y, z
+            direction += 3
+        else:
+            value = values[start] + scale * tangent[direction]
+            moved[start] = value if period == 0.0 else wrap(value, period)
+            direction += 1
+
+
+@njit(cache=True, nogil=True)
+def difference(unknowns, laws, members, values, origin, tangent):
+    """Write into `tangent` the shortest step of some unknowns from `origin` to `values`."""
+    direction = 0
+    for i in members:
+        code, start, period = unknowns[CODE, i], unknowns[OFFSET, i], laws[i, PERIOD]
+        if code == ROTATION:
+            x, y, z = turn_between(origin[start : start + 4], values[start : start + 4])
+            tangent[direction], tangent[direction + 1], tangent[direction + 2] = x, y, z
+            direction += 3
+        else:
+            step = values[start] - origin[start]
+            if period != 0.0:
+                step = wrap(step + 0.5 * period, period) - 0.5 * period
+            tangent[direction] = step
+            direction += 1
+
+
+@njit(cache=True, nogil=True)
+def log_proposal(unknowns, laws, members, tangent, factor, solved, degrees):
+    """Return the log density of an independence proposal up to a constant; see kernels.independence."""
+    size = directions(unknowns, members)
+    squared = 0.0
+    for i in range(size):
+        rest = tangent[i]
+        for j in range(i):
+            rest -= factor[i * size + j] * solved[j]
+        solved[i] = rest / factor[i * size + i]
+        squared += solved[i] * solved[i]
+    log_density = -0.5 * (degrees + size) * math.log1p(squared / degrees)
+    direction = 0
+    for i in members:
+        if unknowns[CODE, i] == ROTATION:
+            angle = math.sqrt(tangent[direction] ** 2 + tangent[direction + 1] ** 2 + tangent[direction + 2] ** 2)
+            if angle > math.pi:
+                return -math.inf
+            if angle > 1e-9:
+                log_density -= 2.0 * math.log(math.sin(0.5 * angle) / (0.5 * angle))
+            direction += 3
+        else:
+            period = laws[i, PERIOD]
+            if period != 0.0 and abs(tangent[direction]) > 0.5 * period:
+                return -math.inf
+            direction += 1
+    return log_density
+
+
+@njit(cache=True, nogil=True)
+def directions(unknowns, members):
+    """Return how many directions some unknowns have."""
+    size = 0
+    for i in members:
+        size += unknowns[DIRECTION, i + 1] - unknowns[DIRECTION, i]
+    return size
+
+
+@njit(cache=True, nogil=True)
+def shaped(rng, factor, size, normal, tangent):
+    """tangent = factor @ normal for a (size, size) lower triangle stored flat, the normals drawn here."""
+    for i in range(size):
+        normal[i] = rng.standard_normal()
+    for i in range(size):
+        total = 0.0
+        for j in range(i + 1):
+            total += factor[i * size + j] * normal[j]
+        tangent[i] = total

@@ -1,0 +1,74 @@
+"""Drawing scenes and observations from a document: the whole generative model, prior and likelihood."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.document import Document, LikelihoodPrior, document_text, write_document
+from derender.scene.graph import SceneGraph
+
+WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One draw from a document.
+
+    Attributes
+    ----------
+    graph : the scene.
+    camera, likelihood : as in the document, the likelihood's numbers drawn too.
+    made : seed and command.
+    rng : what its image's noise comes from.
+    """
+
+    graph: SceneGraph
+    camera: Camera
+    likelihood: LikelihoodPrior | None
+    made: Mapping[str, Any]
+    rng: np.random.Generator
+
+    def text(self, camera: Camera | None = None) -> str:
+        """Return the scene's YAML; `camera` replaces the document's."""
+        return document_text(self.graph, camera or self.camera, self.likelihood, self.made)
+
+    def write(self, path: Path, camera: Camera | None = None) -> None:
+        """Write the scene's YAML, whole or not at all."""
+        write_document(path, self.graph, camera or self.camera, self.likelihood, self.made)
+
+    def write_image(self, path: Path, renderer: Any, noise: bool, camera: Camera | None = None) -> None:
+        """Render and write the depth image, with noise drawn from the likelihood (Eq. 6) if `noise`."""
+        from derender.camera.depth_file import write_depth
+
+        camera = camera or self.camera
+        depth, label = renderer.render_depth(self.graph.solids(), camera)
+        if noise:
+            depth = observe(self.rng, depth, self.likelihood or LikelihoodPrior())
+        write_depth(path, depth, camera, dict(self.made), label)
+
+
+def draw_documents(document: Document, count: int, seed: int, made: Mapping[str, Any]) -> Iterator[Draw]:
+    """Yield `count` draws; draw k depends on the seed and on k alone."""
+    camera = document.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        graph = document.prior.sample(rng)
+        likelihood = document.likelihood
+        if likelihood is not None:
+            likelihood = replace(likelihood, values=likelihood.sample(rng))
+        yield Draw(graph, camera, likelihood, {**made, "draw": number}, rng)
+
+
+def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior) -> np.ndarray:
+    """Return an observation (H, W) of a clean depth image, drawn from the likelihood; NaN stays without a return.
+
+    What an image is worth in independent pixels is left out: it is no property of the pixels that a camera makes.
+    """
+    from derender.render.likelihoods import likelihoods
+
+    values = {name: value for name, value in likelihood.sample(rng).items() if name != "effective_pixels"}
+    return likelihoods[likelihood.type].sample(rng, depth, values)

@@ -1,0 +1,94 @@
+"""A density over places of one object, fitted to those that warm-up saw: it follows every mode, however narrow."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.posterior.space import wrap
+
+DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
+NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape
+LEAST = 1e-5  # radians and metres, a floor of the spread
+UNSEEN = (0.2, 0.02)  # spread of angles and of lengths about the places where there are few
+
+
+class PlaceMixture(NamedTuple):
+    """Multivariate t distributions with 5 degrees of freedom and equal weights, one about each of K places.
+
+    A place is D numbers, lengths and angles, such as (angle, x, y) of each of some objects.
+
+    Attributes
+    ----------
+    centres : (K, D) float64.
+    factors : (K, D, D) float64, lower triangular. inverses : theirs.
+    periods : (D,) float64, of angles, which live on circles; 0 of lengths.
+    """
+
+    centres: np.ndarray
+    factors: np.ndarray
+    inverses: np.ndarray
+    periods: np.ndarray
+
+    def density(self, place: np.ndarray) -> float:
+        """Return q(place) up to a constant; steps of more than half a period are never proposed."""
+        steps = shortest(place - self.centres, self.periods)
+        white = np.einsum("kij,kj->ki", self.inverses, steps)
+        determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
+        powers = (1.0 + np.sum(white * white, axis=1) / DEGREES) ** (-0.5 * (DEGREES + len(place)))
+        return float(np.sum(determinants * powers))
+
+    def too_far(self, tangent: np.ndarray) -> bool:
+        """Return whether a step turns by more than half a period: it is never proposed."""
+        return bool(np.any((self.periods > 0.0) & (np.abs(tangent) > 0.5 * self.periods)))
+
+    def wrapped(self, place: np.ndarray) -> np.ndarray:
+        """Return the place with its angles in [0, period)."""
+        return np.array([wrap(x, period) if period else x for x, period in zip(place, self.periods, strict=True)])
+
+    def flat(self) -> np.ndarray:
+        """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""
+        below = np.tril_indices(len(self.periods))
+        determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
+        rows = [self.centres, self.factors[:, *below], self.inverses[:, *below], determinants[:, None]]
+        return np.concatenate(rows, axis=1).T.ravel()
+
+
+def shortest(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """Return (..., D) steps with those of angles taken the short way."""
+    turns = periods > 0.0
+    half = 0.5 * periods[turns]
+    steps[..., turns] = (steps[..., turns] + half) % periods[turns] - half
+    return steps
+
+
+def fitted(centres: np.ndarray, periods: tuple[float, ...]) -> PlaceMixture:
+    """Return the mixture about (K, D) places; each component has the covariance of its nearest neighbours.
+
+    So each is as wide and as slanted as the posterior is there. Near is meant in units of the components' harmonic mean
+    covariance, found with a first round in units of all places'.
+    """
+    return _fitted(np.ascontiguousarray(centres).tobytes(), periods)
+
+
+@functools.lru_cache(128)
+def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
+    size, around = len(periods), np.array(periods)
+    centres = np.frombuffer(content).reshape(-1, size)
+    steps = shortest(centres[None] - centres[:, None], around)
+    near = min(max(NEIGHBOURS, 2 * size), len(centres) - 1)
+    if near <= size:
+        covariances = np.tile(np.diag(np.square(np.where(around > 0.0, *UNSEEN))), (len(centres), 1, 1))
+    else:
+        floor = LEAST**2 * np.eye(size)
+        all_steps = steps.reshape(-1, size)
+        metric = all_steps.T @ all_steps / (2.0 * len(centres) ** 2) + floor
+        for _ in range(2):
+            white = np.linalg.inv(np.linalg.cholesky(metric)) @ all_steps.T
+            distances = np.sum(white * white, axis=0).reshape(len(centres), -1)
+            nearest = np.argpartition(distances, near, axis=1)[:, : near + 1]
+            close = np.take_along_axis(steps, nearest[..., None], axis=1)
+            covariances = close.transpose(0, 2, 1) @ close / near + floor
+            metric = np.linalg.inv(np.linalg.inv(covariances).mean(axis=0))
+    factors = np.linalg.cholesky(covariances)
+    return PlaceMixture(centres, factors, np.linalg.inv(factors), around)

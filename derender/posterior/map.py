@@ -1,0 +1,294 @@
+"""Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Figure 5).
+
+Two ways up. `gauss-newton` (the default): from each start a coarse image is scanned and descended, then the full one,
+by
+Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the paper's steps of fixed length.
+Both keep every state inside the domain, angles going round their period.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.posterior.ascent.descent import cost_at, costs_at, equations_at, fixed_step, levenberg
+from derender.posterior.ascent.placement import new_placement
+from derender.registry import suggest
+from derender.render.blur import blur_taps
+from derender.render.raycast.normal_equations import new_misfit
+from derender.render.raycast.records import MOTION
+from derender.scene.graph import SceneGraph
+
+METHODS = ("gauss-newton", "gradient")
+GRADIENTS = ("exact", "finite-difference")
+COARSE_ROWS = 16  # of the image that a start is looked for in
+LATTICE, GENERATORS = 24, (1, 5, 11, 7)  # points of the scan, and their rank-1 lattice in up to four parameters
+KEPT = 2  # places of the scan that are descended from
+COARSE_STEPS, COARSE_STEPS_ALONE = 4, 12  # with a scan before, and without
+DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
+
+
+class Maximum(NamedTuple):
+    """Where one ascent ended.
+
+    Attributes
+    ----------
+    values : (P,) float64. log_density : log likelihood plus log of the normal priors, at `values`.
+    path : (T + 1, P) the states on the way at full resolution, the last one `values`; log_densities : (T + 1,) theirs.
+    iterations : steps taken, those on the coarse image included.
+    """
+
+    values: np.ndarray
+    log_density: float
+    path: np.ndarray
+    log_densities: np.ndarray
+    iterations: int
+
+
+class Laplace(NamedTuple):
+    """Normal approximation about a place. values : (P,). log_density : float. gradient : (P,) of the log density.
+    precision : (P, P) Gauss-Newton, prior included. covariance : its inverse (the pseudo-inverse where it is
+        singular)."""
+
+    values: np.ndarray
+    log_density: float
+    gradient: np.ndarray
+    precision: np.ndarray
+    covariance: np.ndarray
+
+
+class MapProblem:
+    """The posterior density of some numbers of a scene graph given one depth image, and ways to its top.
+
+    Parameters
+    ----------
+    graph : SceneGraph with compiled contacts. addresses : the free numbers, such as "red.contact.theta", "red.side".
+    camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
+    sigma : metres, a number or (height, width). blur : pixels. background : metres where nothing is hit (Eq. 6).
+    limit : nats at which a pixel counts as an outlier; infinite for Eq. 6 itself.
+    ranges : {address: (lower, upper)} narrower than the parameters' own; an angle so given no longer goes round.
+    normal_priors : {address: (mean, standard deviation)}; all other priors are uniform.
+    edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
+
+    Raises
+    ------
+    DerenderError : an unknown address, a contact type without compiled form.
+    """
+
+    def __init__(self, graph: SceneGraph, addresses: Sequence[str], camera, observed, *, sigma=0.005, blur=1.0,
+                 background=10.0, limit=math.inf, ranges=None, normal_priors=None, edges=True) -> None:  # fmt: skip
+        self.graph, self.addresses, self.edges = graph, tuple(addresses), edges
+        self.placement, self.values, self.domain = new_placement(graph, self.addresses)
+        count = len(self.addresses)
+        for address, (low, high) in (ranges or {}).items():
+            p = self.addresses.index(address)
+            whole = self.domain.period[p] > 0 and abs(high - low - self.domain.period[p]) < 1e-9
+            self.domain.lower[p], self.domain.upper[p] = low, high
+            self.domain.period[p] = self.domain.period[p] if whole else 0.0
+        self._mean, self._precision = np.zeros(count), np.zeros(count)
+        for address, (mean, deviation) in (normal_priors or {}).items():
+            p = self.addresses.index(address)
+            self._mean[p], self._precision[p] = mean, 1.0 / deviation**2
+        observed = np.asarray(observed, float)
+        seen = np.isfinite(observed) & (observed > 0)
+        spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
+        self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
+        scene = graph.solids()
+        kinds = scene.kind
+        self._fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit, scene)
+        factor = max(1, min(camera.width, camera.height) // COARSE_ROWS)
+        small = camera.downscaled(factor)
+        means, deviations = _blocks(np.where(seen, observed, np.nan), spread, factor)
+        taps = blur_taps(blur / factor)
+        self._coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit, scene)
+
+    def scene(self, values: np.ndarray) -> SceneGraph:
+        """Return the graph with these (P,) values."""
+        return self.graph.with_numbers(dict(zip(self.addresses, map(float, values), strict=True)))
+
+    def log_density(self, values: np.ndarray) -> float:
+        """Return Eq. 6's log likelihood on the antialiased image, plus the normal priors' log density up to a
+        constant."""
+        poses, sizes = self._scratch()
+        values = np.array(values, np.float64)
+        return self._constant - cost_at(self._fine, self.placement, values, self._mean, self._precision, poses, sizes)
+
+    def laplace(self, values: np.ndarray) -> Laplace:
+        """Return gradient and Gauss-Newton precision of the log density at `values`, and the covariance."""
+        poses, sizes = self._scratch()
+        count = len(self.addresses)
+        motions, gradient, hessian = np.zeros((count, len(poses), MOTION)), np.zeros(count), np.zeros((count, count))
+        values = np.array(values, np.float64)
+        law = self._mean, self._precision, poses, sizes
+        value = cost_at(self._fine, self.placement, values, *law)
+        equations_at(self._fine, self.placement, values, *law, motions, self.edges, gradient, hessian)
+        return Laplace(values, self._constant - value, -gradient, hessian, np.linalg.pinv(hessian, hermitian=True))
+
+    def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return (count, P) starts, uniform over finite ranges; a number without one stays as the graph has it."""
+        domain = self.domain
+        low = np.where(domain.period > 0, 0.0, domain.lower)
+        length = np.where(domain.period > 0, domain.period, domain.upper - domain.lower)
+        drawn = rng.uniform(size=(count, len(self.addresses)))
+        finite = np.isfinite(low) & np.isfinite(length)
+        return np.where(finite, np.where(finite, low, 0) + np.where(finite, length, 0) * drawn, self.values)
+
+    def maximise(self, starts=None, method: str = "gauss-newton", gradient: str = "exact", iterations: int = 12,
+                 step: float = 0.05, tolerance: float = 0.5, explore: bool = True) -> list[Maximum]:  # fmt: skip
+        """Ascend from each start (S, P), by default from the graph's own values, and return the ends in that order.
+
+        Parameters
+        ----------
+        method : one of METHODS. gradient : one of GRADIENTS; differences go with `method="gradient"` alone.
+        iterations : most steps at full resolution. step : alpha of the fixed steps. tolerance : nats.
+        explore : look for the right basin on the coarse image first (gauss-newton).
+        """
+        for what, value, known in (("method", method, METHODS), ("gradient", gradient, GRADIENTS)):
+            if value not in known:
+                raise DerenderError(f"no {what} is called {value!r}", remedy=suggest(value, known))
+        starts = self.values[None] if starts is None else np.atleast_2d(np.asarray(starts, float))
+        difference = DIFFERENCE if gradient == "finite-difference" else 0.0
+        if method == "gradient" or difference:
+            return [self._fixed(start, iterations, step, difference) for start in starts]
+        return [self._newton(start, iterations, tolerance, explore) for start in starts]
+
+    def best(self, rng: np.random.Generator, starts: int = 10, **settings) -> Maximum:
+        """Return the highest of the ascents from this many random starts and from the graph's own values."""
+        places = np.vstack([self.values, self.random_starts(rng, starts)])
+        return max(self.maximise(places, **settings), key=lambda maximum: maximum.log_density)
+
+    def _newton(self, start, iterations, tolerance, explore) -> Maximum:
+        count = len(self.addresses)
+        values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
+        path, costs = np.zeros((iterations + 1, count)), np.zeros(iterations + 1)
+        scratch = np.zeros(count), np.zeros((count, count))
+        _, accepted, _ = levenberg(  # type: ignore[call-arg]
+            self._fine,
+            self.placement,
+            values,
+            *self._law,
+            iterations,
+            tolerance,
+            self.edges,
+            path,
+            costs,
+            *scratch,
+        )
+        densities = self._constant - costs[: accepted + 1]
+        return Maximum(values, float(densities[-1]), path[: accepted + 1].copy(), densities, before + accepted)
+
+    @property
+    def _law(self):
+        return *self.domain, self._mean, self._precision
+
+    def _explore(self, start) -> tuple[np.ndarray, int]:
+        """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
+
+        The lattice begins at `start`, so that a random start makes it random; wrong basins are few on a coarse image.
+        """
+        count = len(self.addresses)
+        start = self.domain.bring(np.asarray(start, float))
+        low = np.where(self.domain.period > 0, 0.0, self.domain.lower)
+        length = np.where(self.domain.period > 0, self.domain.period, self.domain.upper - self.domain.lower)
+        places, steps = start[None], COARSE_STEPS_ALONE
+        if count <= len(GENERATORS) and np.all(np.isfinite(length)):
+            shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
+            places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
+        costs = costs_at(self._coarse, self.placement, np.ascontiguousarray(places), self._mean, self._precision)
+        path, heights = np.zeros((steps + 1, count)), np.zeros(steps + 1)
+        matrices = np.zeros(count), np.zeros((count, count))
+        ends = []
+        for number in np.argsort(costs)[:KEPT]:
+            values = places[number].copy()
+            height, accepted, _ = levenberg(  # type: ignore[call-arg]
+                self._coarse, self.placement, values, *self._law, steps, 5.0, True, path, heights, *matrices
+            )
+            ends.append((height, accepted, values))
+        _, accepted, values = min(ends, key=lambda end: end[0])
+        return values, accepted
+
+    def _fixed(self, start, iterations, step, difference) -> Maximum:
+        values, domain = np.array(start, np.float64), self.domain
+        path, costs = np.zeros((iterations + 1, len(values))), np.zeros(iterations + 1)
+        fixed_step(self._fine, self.placement, values, domain.lower, domain.upper, domain.period, self._mean,
+                   self._precision, iterations, step, self.edges, difference, path, costs)  # fmt: skip
+        densities = self._constant - costs
+        return Maximum(path[-1], float(densities[-1]), path, densities, iterations)
+
+    def _scratch(self):
+        count = len(self._fine.kinds)
+        return np.zeros((count, 4, 4)), np.zeros((count, 3))
+
+
+def refine(graph: SceneGraph, camera, observed, addresses: Sequence[str], *, limit: float = 8.0, iterations: int = 8,
+           **settings) -> tuple[SceneGraph, float, Laplace]:  # fmt: skip
+    """Improve some numbers of a graph jointly from where they are, robustly: (graph, gain in nats, Laplace there).
+
+    The graph comes back unchanged, with gain 0, where nothing better is found. settings : those of MapProblem.
+    """
+    problem = MapProblem(graph, addresses, camera, observed, limit=limit, **settings)
+    before = problem.log_density(problem.values)
+    (maximum,) = problem.maximise(iterations=iterations, explore=False)
+    if not maximum.log_density > before:
+        return graph, 0.0, problem.laplace(problem.values)
+    return problem.scene(maximum.values), maximum.log_density - before, problem.laplace(maximum.values)
+
+
+def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return means of depth, NaN left out, and of sigma over factor x factor blocks; a rest at the edge is cut off."""
+    height, width = depth.shape[0] // factor, depth.shape[1] // factor
+    shape = (height, factor, width, factor)
+    depth = depth[: height * factor, : width * factor].reshape(shape)
+    sigma = sigma[: height * factor, : width * factor].reshape(shape)
+    seen = np.isfinite(depth)
+    total, number = np.where(seen, depth, 0.0).sum(axis=(1, 3)), seen.sum(axis=(1, 3))
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan), sigma.mean(axis=(1, 3))
+
+
+def climb(target, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None) -> np.ndarray:
+    """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
+
+    The ascents move contact and shape numbers on the antialiased image under uniform priors in the target's ranges; the
+    target's own density decides, so neither approximation can make things worse. Rotations, the root, faces and the
+    likelihood's unknowns stay. Scenes that have no compiled derivative come back as they are.
+    """
+    space, best = target.space, np.array(values, np.float64)
+    chosen, ranges = [], {}
+    for unknown, offset in zip(space.unknowns, space.offsets, strict=False):
+        name = unknown.address.partition(".")[0]
+        if unknown.distribution.size == 1 and not unknown.distribution.discrete and name not in ("root", "likelihood"):
+            chosen.append(int(offset))
+            ranges[unknown.address] = unknown.distribution.support
+    if not chosen:
+        return best
+    numbers = target.by_address(best)
+    likelihood = {**target.images.values, **{key.removeprefix("likelihood."): value for key, value in numbers.items()}}
+    try:
+        problem = MapProblem(target.graph(best), list(ranges), target.images.camera, target.images.observed,
+                             sigma=likelihood.get("sigma", 0.005), blur=likelihood.get("blur", 0.0),
+                             background=likelihood.get("background", 10.0), ranges=ranges,
+                             limit=math.inf if target.images.type == "gaussian" else 8.0)  # fmt: skip
+    except DerenderError:
+        return best
+    density = target.log_prior(best) + target.log_likelihood(best)
+    starts = np.vstack([problem.values, problem.random_starts(rng or np.random.default_rng(0), 4)])
+    if gradient == "exact":
+        found = problem.maximise(starts[:1], explore=False) + problem.maximise(starts)
+        ends = [maximum.values for maximum in found]
+    else:
+        ends = [
+            state
+            for maximum in problem.maximise(starts[:1], "gradient", gradient, step=0.005)
+            for state in maximum.path
+        ]
+    for end in ends:
+        trial = best.copy()
+        trial[chosen] = end
+        log_prior = target.log_prior(trial)
+        if log_prior > -math.inf:
+            value = log_prior + target.log_likelihood(trial)
+            if value > density:
+                best, density = trial, value
+    return best

@@ -1,0 +1,193 @@
+"""Pilot chains: before any draw is kept, all chains look together for where the posterior is and how to walk on it.
+
+Tempered populations find good places; scouts turn one object of the best at a time. From there each chain climbs a
+ladder of temperatures (Geyer 1991): on the rungs above the first the likelihood is raised to a power below one, narrow
+modes are wide there, and neighbours exchange their places by the Metropolis rule. What the first rung has seen by the
+end fixes the tuning that every chain starts with. What one chain missed another found: only together do they know all
+modes.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.posterior.adaptation import centre_of, covariance_of, first_tuning, rescale
+from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.smc import tempered
+from derender.posterior.space import Space
+
+LOCAL = ("drift", "slide", "window", "slide-window", "turn", "choose")  # kernels that move a starting population
+ALONE = ("drift", "slide")  # kernels with which a scout moves one object
+GOOD = 20.0  # nats below the best place found: as good a start
+START_STEPS = 40  # of the mixture, for each particle and temperature
+SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
+ANGLES = 8  # at which a scout sets an object down
+HEATS = (0.03, 0.03, 0.06, 0.06, 0.12, 0.25, 0.5, 1.0)  # temperatures at which it then walks
+SCOUT_STEPS, MOST_SCOUTS = 20, 3  # at each of them; and how often scouts set out again from a better place
+LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
+STAGES = (10, 20, 40, 80)  # rounds of each; then all rungs are fitted anew to what all chains saw in its later half
+STRETCH = 5  # rounds between two exchanges
+RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
+MOST_STAGES = 6
+COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first rung's, others', and from each hotter rung
+
+
+class Found(NamedTuple):
+    """What pilots found. places : (n, P), typical ones; tuning : fitted to them."""
+
+    places: np.ndarray
+    tuning: Tuning
+
+
+class Climb(NamedTuple):
+    """One chain's stage. last : (R, P), where each rung ended; seen : (R, n, P); density : mean log posterior of the
+    first rung; scales : step scales of each rung.
+    """
+
+    last: np.ndarray
+    seen: np.ndarray
+    density: float
+    scales: list[dict[str, float]]
+
+
+def fly(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,
+        thin: int, population: int, particles: int) -> Found | None:  # fmt: skip
+    """Return what pilots found, or None where nothing possible was.
+
+    Parameters
+    ----------
+    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only; singles : the
+        same, of those that move one object only, by its name.
+    thin : steps in a round. population, particles : of each start, see `smc.tempered`.
+    """
+
+    def each(work, *columns) -> list:
+        with ThreadPoolExecutor(jobs) as pool:
+            return list(pool.map(work, range(len(backends)), *columns))
+
+    def explore(number: int):
+        rng = np.random.default_rng([seed, 3, number])
+        parts = movers[number].parts
+        found = tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
+        best = int(np.argmax(found.densities.sum(axis=1)))
+        values, densities = scouted(rng, space, singles[number], found.values[best], found.densities[best])
+        return found._replace(values=np.concatenate([found.values, values]),
+                              densities=np.concatenate([found.densities, densities]))  # fmt: skip
+
+    explored = each(explore)
+    densities = np.concatenate([found.densities.sum(axis=1) for found in explored])
+    good = densities > np.max(densities) - GOOD
+    if not good.any():
+        return None
+    pools = [np.concatenate([found.stops[-1 - r].values for found in explored]) for r in range(len(LADDER))]
+    pools[0] = np.concatenate([found.values for found in explored])[good]
+    rungs = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
+    rungs = refitted(space, rungs, pools, [[{}]] * len(rungs))
+    rngs = [np.random.default_rng([seed, 4, number]) for number in range(len(backends))]
+    starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
+    stage, density, rising = 0, -math.inf, True
+    while stage < len(STAGES) or (rising and stage < MOST_STAGES):
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(backends[0].program, rungs))
+        rounds = STAGES[min(stage, len(STAGES) - 1)]
+        climbs = each(lambda n, rng, start, rounds=rounds, rungs=rungs:
+                      climb(rng, backends[n], parts, rungs, start, rounds, thin), rngs, starts)  # fmt: skip
+        starts = [one.last for one in climbs]
+        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(rungs))]
+        rungs = refitted(space, rungs, pools, [[one.scales[r] for one in climbs] for r in range(len(rungs))])
+        stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
+        rising = density > former + RISE
+    backends[0].program(rungs[0])
+    return Found(pools[0], rungs[0])
+
+
+def scouted(rng, space: Space, singles: dict[str, Any], values, density) -> tuple[np.ndarray, np.ndarray]:
+    """Return better places (n, P) than `values`, and their densities (n, 2), where one object stands at another angle.
+
+    What is half hidden is easily taken for turned; a whole scene hardly comes out of that, where each of the others has
+    found its place beside it. Each object is set down at some angles and walks alone while it cools; of those that end
+    better the best is where scouts set out again.
+    """
+    kept, densities = np.empty((0, len(values))), np.empty((0, 2))
+    for _ in range(MOST_SCOUTS):
+        ends = [end for name, backend in singles.items() for end in turned(rng, space, name, backend, values)]
+        better = [end for end in ends if end[1].sum() > density.sum() + RISE]
+        if not better:
+            break
+        kept = np.concatenate([kept, [end[0] for end in better]])
+        densities = np.concatenate([densities, [end[1] for end in better]])
+        values, density = max(better, key=lambda end: end[1].sum())
+    return kept, densities
+
+
+def turned(rng, space: Space, name: str, backend: Any, values: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return where an object of `values` ends, and the densities there, set down at some angles."""
+    target, ends = backend.target, []
+    place, period = target.placement(values, name), target.placement_periods(name)[0]
+    for angle in place[0] + period * (np.arange(ANGLES) + rng.random()) / ANGLES:
+        put = target.put(values, {name: np.array([angle, *place[1:]])})
+        if put is None or target.log_prior(put[0]) == -math.inf:
+            continue
+        moved, tuning = put[0], first_tuning(space, put[0])
+        for heat in HEATS:
+            tuning = tuning._replace(temperature=heat)
+            stretch = backend.sweep(rng, moved, tuning, 1, SCOUT_STEPS)
+            moved, densities = stretch.values[-1], stretch.densities[-1]
+            tuning = tuning._replace(scale=rescale(tuning.scale, backend.parts, stretch.counts, 3.0))
+        ends.append((moved, densities))
+    return ends
+
+
+def climb(rng, backend: Any, parts: list[Part], rungs: list[Tuning], start, rounds: int, thin: int) -> Climb:
+    """Walk on all rungs from `start` (R, P) and let neighbours exchange places, with
+
+    log ratio = (temperature - temperature') * (log likelihood' - log likelihood).
+    """
+    places, logs = start.copy(), np.zeros((len(rungs), 2))
+    seen: list[list[np.ndarray]] = [[] for _ in rungs]
+    tunings, densities = list(rungs), []
+    for turn in range(0, rounds, STRETCH):
+        gain = 3.0 / math.sqrt(1.0 + turn / STRETCH)
+        for r, tuning in enumerate(tunings):
+            stretch = backend.sweep(rng, places[r], tuning, STRETCH, thin, turn * thin)
+            places[r], logs[r] = stretch.values[-1], stretch.densities[-1]
+            tunings[r] = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, gain))
+            seen[r].append(stretch.values)
+            if r == 0:
+                densities.append(stretch.densities.sum(axis=1).mean())
+        for r in range(len(rungs) - 1):
+            log_ratio = (rungs[r].temperature - rungs[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
+            if math.log(1.0 - rng.random()) < log_ratio:
+                places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
+    later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
+    return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])
+
+
+def refitted(space: Space, rungs: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
+    """Return the rungs' tunings as fitted to the places (n, P) and step scales that all chains found on each.
+
+    A rung's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
+    time, which is far likelier than by an exchange of whole scenes.
+    """
+    result = []
+    for r, rung in enumerate(rungs):
+        archive = [spread_out(pools[r], HOT if r else COLD), *(spread_out(pool, BORROWED) for pool in pools[r + 1 :])]
+        names = {name for scale in scales[r] for name in scale}
+        means = {n: float(np.exp(np.mean([np.log(scale.get(n, 1.0)) for scale in scales[r]]))) for n in sorted(names)}
+        result.append(shaped(space, rung._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
+    return result
+
+
+def shaped(space: Space, tuning: Tuning, recent: np.ndarray) -> Tuning:
+    """Return the tuning with centre and covariance fitted to where chains have been of late."""
+    if len(recent) < 20:
+        return tuning
+    centre = centre_of(space, recent)
+    return tuning._replace(mean=centre, covariance=covariance_of(space, recent, centre))
+
+
+def spread_out(places: np.ndarray, most: int = COLD) -> np.ndarray:
+    """Return at most so many of the places, evenly spaced."""
+    return places[np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int)]

@@ -1,0 +1,205 @@
+"""The sampler of a fixed structure: start, warm-up that adapts, draws that do not; readable or compiled underneath."""
+
+import functools
+import json
+import math
+from collections.abc import Mapping
+from copy import copy
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from derender.posterior.adaptation import first_tuning, rescale
+from derender.posterior.kernels.base import Part, Target, Tuning, evaluate, kernels
+from derender.posterior.pilots import ALONE, LOCAL, fly, shaped
+from derender.sampling.chains import Segment
+
+
+class Stretch(NamedTuple):
+    """What a backend returns. values : (n, P); densities : (n, 2), log prior and log likelihood; counts : (K, 2)."""
+
+    values: np.ndarray
+    densities: np.ndarray
+    counts: np.ndarray
+
+
+class Backend(Protocol):
+    """Runs a mixture. A new one, or a twin, for each stretch: nothing of it outlives the values that it returns."""
+
+    def twin(self) -> "Backend":
+        """Return another one in which nothing has happened yet."""
+
+    def evaluate(self, values: np.ndarray) -> tuple[float, float]:
+        """Return log prior and log likelihood."""
+
+    def program(self, tuning: Tuning) -> Any:
+        """Return what a sweep needs of a tuning. Made once in one thread, its fits are there for all."""
+
+    def sweep(self, rng, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+        """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
+
+
+class ReadableBackend:
+    """The kernels of `posterior.kernels` as they stand: any target, a few thousand steps a second."""
+
+    def __init__(self, target: Target, parts: list[Part], cycle: bool = False) -> None:
+        self.target, self.parts, self.cycle = target, parts, cycle
+
+    def twin(self):
+        return self
+
+    def evaluate(self, values):
+        state = evaluate(self.target, values)
+        return state.log_prior, state.log_likelihood
+
+    def program(self, tuning):
+        return [kernels[part.type].build(self.target, part.block, tuning, part.options) for part in self.parts]
+
+    def sweep(self, rng, values, tuning, draws, thin, taken=0):
+        built = self.program(tuning)
+        cumulative = np.cumsum([part.weight for part in self.parts])
+        counts = np.zeros((len(built), 2), np.int64)
+        state = evaluate(self.target, np.array(values, float))
+        kept, densities = np.empty((draws, len(values))), np.empty((draws, 2))
+        for draw in range(draws):
+            for _ in range(thin):
+                if self.cycle:
+                    number = taken % len(built)
+                else:
+                    threshold = rng.random() * cumulative[-1]
+                    number = int(np.searchsorted(cumulative[:-1], threshold, side="right"))
+                taken += 1
+                state, info = built[number](rng, state)
+                counts[number] += (1, info.accepted)
+            kept[draw] = state.values
+            densities[draw] = state.log_prior, state.log_likelihood
+        return Stretch(kept, densities, counts)
+
+
+class MixtureSampler:
+    """A mixture or cycle of kernels on a target, for `chains.run_chain`.
+
+    Parameters
+    ----------
+    target : the posterior; if it has `backend(parts, cycle)`, that runs the kernels, else the readable ones do.
+    parts : the mixture.
+    thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
+    particles : draws from the prior of which importance resampling takes the start.
+    population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, the start
+        is the resampled draw.
+    """
+
+    segment = 100
+
+    def __init__(
+        self,
+        target: Any,
+        parts: list[Part],
+        thin: int = 20,
+        cycle: bool = False,
+        particles: int = 100,
+        population: int = 16,
+    ) -> None:
+        self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
+        self.particles, self.population = particles, population
+        self.places: np.ndarray | None = None
+        self.learned: Tuning | None = None
+
+    @functools.cached_property
+    def _first(self) -> Backend:
+        return self._made(self.parts)
+
+    def _made(self, parts: list[Part]) -> Backend:
+        """Return what runs some kernels: compiled where the target has that."""
+        make = getattr(self.target, "backend", None)
+        return make(parts, self.cycle) if make else ReadableBackend(self.target, parts, self.cycle)
+
+    def backend(self) -> Backend:
+        """Return what runs the mixture, for one thread and one stretch."""
+        return self._first.twin()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_first"}
+
+    def prepared(self, seed: int, chains: int, jobs: int) -> "MixtureSampler":
+        """Return the sampler with what pilots of `chains` chains found together; they depend on the seed alone."""
+        if self.population <= 1:
+            return self
+        space, alone = self.target.space, {}
+        for block in (block for block in space.blocks if block.name in space.relocations):
+            own = [part for part in self.parts if part.type in ALONE and part.block.name == block.name]
+            if own:
+                alone[block.objects[0]] = self._made(own)
+        local = self._made([part for part in self.parts if part.type in LOCAL] or self.parts)
+        backends = [self.backend() for _ in range(chains)]
+        movers = [local.twin() for _ in range(chains)]
+        singles = [{name: one.twin() for name, one in alone.items()} for _ in range(chains)]
+        found = fly(space, backends, self.parts, movers, singles, seed, jobs, self.thin, self.population,
+                    self.particles)  # fmt: skip
+        if found is None:  # nothing possible: each chain starts from the prior on its own
+            return self
+        sampler = copy(self)
+        sampler.places, sampler.learned = found
+        return sampler
+
+    def start(self, rng):
+        space = self.target.space
+        if self.places is not None:
+            values = self.places[int(rng.random() * len(self.places))]
+        else:
+            values = importance_resampling(rng, space, self.backend(), self.particles)
+        tuning = self.learned or first_tuning(space, values)
+        return _pack(values, tuning, np.empty((0, len(values))), self.parts)
+
+    def warm_up(self, rng, state, done, rounds, total):
+        values, tuning, history, counts, taken = _unpack(state)
+        backend = self.backend()
+        stop = done + rounds
+        while done < stop:
+            stretch_rounds = min(25, stop - done)
+            stretch = backend.sweep(rng, values, tuning, stretch_rounds, self.thin, taken)
+            values = stretch.values[-1]
+            taken += stretch_rounds * self.thin
+            done += stretch_rounds
+            gain = 3.0 / math.sqrt(1.0 + 10.0 * done / total)
+            tuning = tuning._replace(scale=rescale(tuning.scale, self.parts, stretch.counts, gain))
+            history = np.concatenate([history, stretch.values])
+            tuning = shaped(self.target.space, tuning, history[len(history) // 2 :])
+        return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
+
+    def advance(self, rng, state, draws):
+        values, tuning, history, counts, taken = _unpack(state)
+        stretch = self.backend().sweep(rng, values, tuning, draws, self.thin, taken)
+        taken += draws * self.thin
+        state = _pack(stretch.values[-1], tuning, history, self.parts, counts + stretch.counts, taken)
+        return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
+
+
+def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:
+    """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (section 3)."""
+    drawn = [space.sample(rng) for _ in range(particles)]
+    logs = np.array([backend.evaluate(values)[1] for values in drawn])
+    weights = np.exp(logs - np.max(logs))
+    chosen = np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right")
+    return drawn[min(int(chosen), particles - 1)]
+
+
+def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -> dict[str, np.ndarray]:
+    """Return the state as arrays by name."""
+    return {
+        "values": values,
+        "mean": tuning.mean,
+        "covariance": tuning.covariance,
+        "scale": np.frombuffer(json.dumps(dict(tuning.scale)).encode(), np.uint8),
+        "temperature": np.array(tuning.temperature),
+        "archive": tuning.places,
+        "history": history,
+        "counts": np.zeros((len(parts), 2), np.int64) if counts is None else counts,
+        "taken": np.array(taken),
+    }
+
+
+def _unpack(state: Mapping[str, np.ndarray]):
+    scale = json.loads(bytes(state["scale"]))
+    tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]), state["archive"])
+    return state["values"], tuning, state["history"], state["counts"], int(state["taken"])

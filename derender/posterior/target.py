@@ -1,0 +1,247 @@
+"""The posterior of a scene of fixed structure given a depth image: what kernels walk on."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from derender.posterior.kernels.base import Part
+from derender.posterior.scene_space import bases_of, fold, scene_space, theta_fold
+from derender.posterior.space import Block, wrap
+from derender.scene.contacts import contacts
+from derender.scene.graph import SceneGraph
+from derender.scene.polygon import area_element
+from derender.scene.pose import inverse, rotation_z, translation
+
+TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
+MOST_ARCHIVES = 16  # of which the placements are remembered
+NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
+
+
+class Images(Protocol):
+    """What the target asks of `render`: a likelihood bound to one observed image. values : its fixed numbers."""
+
+    values: dict[str, float]
+
+    def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
+        """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
+
+
+class SceneTarget:
+    """Posterior density over the unknowns of one structure.
+
+    Parameters
+    ----------
+    prior : the document's prior.
+    graph : a scene of the structure, whose other numbers are fixed.
+    images : the likelihood bound to the observed image.
+    likelihood : priors of the likelihood's unknowns by name.
+    """
+
+    def __init__(self, prior, graph: SceneGraph, images: Images, likelihood=None) -> None:
+        self.prior, self.template, self.images = prior, graph, images
+        self.likelihood = dict(likelihood or {})
+        self.space = scene_space(prior, graph, self.likelihood)
+        self.root_prior = getattr(prior, "root", None)
+        self.constraints = tuple(getattr(prior, "constraints", ()))
+        self._index = {address: i for i, address in enumerate(self.space.addresses)}
+        self.folds = {
+            unknown.address: theta_fold(graph, unknown)
+            for unknown in self.space.unknowns
+            if unknown.address.endswith(".contact.theta")
+        }
+        self.bases = bases_of(graph, self.space.relocations, set(self.space.addresses))
+        self.uncompiled = ""  # what had no compiled form when a backend was asked for
+        self._placements: dict[bytes, dict[str, np.ndarray]] = {}
+        self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
+
+    def backend(self, parts: list[Part], cycle: bool = False):
+        """Return the compiled backend, or the readable one where the model or the mixture has no compiled form."""
+        from derender.posterior.compiled.backend import CompiledBackend
+        from derender.posterior.compiled.model import NotCompiled
+        from derender.posterior.sampler import ReadableBackend
+
+        try:
+            return CompiledBackend(self, parts, cycle)
+        except NotCompiled as reason:
+            self.uncompiled = str(reason)
+            return ReadableBackend(self, parts, cycle)
+
+    def derivative(self):
+        """Return a new derivative of the log posterior, for one thread.
+
+        Raises DerenderError where the scene has none.
+        """
+        from derender.posterior.derivative import SceneDerivative
+
+        return SceneDerivative(self)
+
+    def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
+        """Return the values by address."""
+        return {address: float(value) for address, value in zip(self.space.addresses, values, strict=True)}
+
+    def root_pose(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the (4, 4) pose of the root."""
+        if not self._root_free:
+            return self.template.root_pose
+        coordinates: dict[str, Any] = {}
+        for i, unknown in enumerate(self.space.unknowns):
+            if unknown.address.startswith("root."):
+                start = self.space.offsets[i]
+                size = unknown.distribution.size
+                value = tuple(float(v) for v in values[start : start + size]) if size > 1 else float(values[start])
+                coordinates[unknown.address] = value
+        return self.root_prior.pose(coordinates)
+
+    def graph(self, values: Sequence[float] | np.ndarray) -> SceneGraph:
+        """Return the scene of some values."""
+        numbers = {
+            address: value
+            for address, value in self.by_address(values).items()
+            if address.partition(".")[0] not in ("root", "likelihood")
+        }
+        graph = self.template.with_numbers(numbers)
+        return replace(graph, root_pose=self.root_pose(values)) if self._root_free else graph
+
+    def log_prior(self, values: np.ndarray) -> float:
+        """Return the log prior: the unknowns' own, and the prior's constraints where it has any."""
+        log_prior = self.space.log_prior(values)
+        if self.constraints and log_prior > -math.inf:
+            from derender.scene.priors.terms import total_log_density
+
+            log_prior += total_log_density(self.constraints, self.graph(values))
+        return log_prior
+
+    def log_likelihood(self, values: np.ndarray) -> float:
+        """Return the log likelihood of values inside the prior's support."""
+        parameters = {
+            address.removeprefix("likelihood."): value
+            for address, value in self.by_address(values).items()
+            if address.startswith("likelihood.")
+        }
+        return self.images.log_likelihood(self.graph(values), parameters)
+
+    def keep_children(self, values: np.ndarray, moved: np.ndarray, block: Block) -> tuple[np.ndarray, float] | None:
+        """Return `moved` with contacts of the block's object's descendants such that all of them stay in the world.
+
+        Also the log of the product of |d phi' / d phi| over them; None where a child would leave its contact.
+        """
+        (name,), before = block.objects, self.graph(values)
+        return self._touching_anew(before, moved, {name: self.graph(moved).poses()[name]}, name)
+
+    def _touching_anew(
+        self, before: SceneGraph, moved: np.ndarray, there: Mapping[str, np.ndarray], settled: str = ""
+    ) -> tuple[np.ndarray, float] | None:
+        """Return `moved` with contacts such that objects stand `there` (in the camera), all others as `before`.
+
+        settled : one of them whose own contact in `moved` puts it there already.
+
+        Also the log of the product of |d phi' / d phi| at fixed motion in the world. In metres and radians contacts
+        move rigidly, which has Jacobian 1; (u, v) instead of metres adds the ratio of the touching areas (Figure 2).
+        An angle is folded into its period, which turns the object's axes by a symmetry of it, so that its children get
+        new contacts too. None where one would leave its contact.
+        """
+        poses = {**before.poses(), **there}
+        turned = {settled}
+        kept = moved.copy()
+        log_jacobian = 0.0
+        for vertex in before.vertices:
+            name = vertex.name
+            if name == settled or not (name in there or vertex.parent in turned):
+                continue
+            contact, kind = vertex.contact, contacts[vertex.contact.type]
+            on, by = before.body(vertex.parent), vertex.body
+            relative = inverse(poses[vertex.parent]) @ poses[name]
+            found = kind.invert(relative, on, by, contact.parent_face, contact.child_face)
+            slack = [abs(value - contact.values.get(key, 0.0)) for key, value in found.slack.items()]
+            if found.outside > 1e-9 or found.angle > NEAR or max(slack, default=0.0) > NEAR:
+                return None
+            phi = dict(found.phi)
+            phi["theta"] = fold(phi["theta"], *self.folds[f"{name}.contact.theta"])
+            if name in there or abs(fold(found.phi["theta"] - phi["theta"], 0.0, math.tau)) > 1e-6:
+                turned.add(name)
+                numbers = {**contact.values, **phi}
+                pose = kind.relative_pose(numbers, on, by, contact.parent_face, contact.child_face)
+                poses[name] = poses[vertex.parent] @ pose
+            for key, value in phi.items():
+                kept[self._index[f"{name}.contact.{key}"]] = value
+            if "u" in phi:
+                outlines = on.face(contact.parent_face).outline, by.face(contact.child_face).outline
+                log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *outlines))
+                log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
+        return kept, log_jacobian
+
+    def placement_periods(self, name: str) -> tuple[float, ...]:
+        """Return the periods of the numbers of an object's placement, 0 of lengths."""
+        return self.folds[f"{name}.contact.theta"][1], 0.0, 0.0
+
+    def _frames(self, graph: SceneGraph, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return (4, 4) to the camera: the face below everything, and the turned face that the object stands on."""
+        base, face = self.bases[name]
+        vertex, poses = graph.vertex(name), graph.poses()
+        below = poses[base] @ graph.body(base).face(face).frame
+        return below, poses[name] @ vertex.body.face(vertex.contact.child_face).frame @ TURNED
+
+    def placement(self, values: np.ndarray, name: str) -> np.ndarray:
+        """Return w = (angle, x, y) of an object on the lowest parallel face below it."""
+        return self._place(self.graph(values), name)
+
+    def _place(self, graph: SceneGraph, name: str) -> np.ndarray:
+        below, own = self._frames(graph, name)
+        relative = inverse(below) @ own
+        angle = wrap(math.atan2(relative[1, 0], relative[0, 0]), self.placement_periods(name)[0])
+        return np.array([angle, relative[0, 3], relative[1, 3]])
+
+    def placements(self, name: str, archive: np.ndarray) -> np.ndarray:
+        """Return (K, 3), the placement of an object in each of (K, P) values."""
+        content = archive.tobytes()
+        if content not in self._placements:
+            graphs = [self.graph(values) for values in archive]
+            found = {one: np.array([self._place(graph, one) for graph in graphs]) for one in self.bases}
+            if len(self._placements) >= MOST_ARCHIVES:
+                self._placements.clear()
+            self._placements[content] = found
+            return found[name]
+        return self._placements[content][name]
+
+    def put(self, values: np.ndarray, places: Mapping[str, np.ndarray]) -> tuple[np.ndarray, float] | None:
+        """Return the values with objects at other placements, at their heights, and all others where they are.
+
+        Also the log of the product of |d phi' / d phi| at fixed w; None where one would lose its contact.
+        """
+        graph = self.graph(values)
+        there = {}
+        for name, place in places.items():
+            below, own = self._frames(graph, name)
+            height = (inverse(below) @ own)[2, 3]
+            face = graph.vertex(name).body.face(graph.vertex(name).contact.child_face)
+            put = below @ translation(place[1], place[2], height) @ rotation_z(place[0])
+            there[name] = put @ TURNED @ inverse(face.frame)
+        return self._touching_anew(graph, values, there)
+
+
+def default_parts() -> list[dict[str, Mapping[str, Any]]]:
+    """Return the default mixture as data, as a prior file would write it.
+
+    Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
+    """
+    return [
+        {"relocate": {"weight": 0.3}},
+        {"relocate-stack": {"weight": 0.15}},
+        {"turn": {"weight": 0.1}},
+        {"drift": {"weight": 0.2}},
+        {"slide": {"weight": 0.2}},
+        {"drift-all": {"weight": 0.1}},
+        {"window": {"weight": 0.02}},
+        {"slide-window": {"weight": 0.03}},
+        {"independence": {"weight": 0.01}},
+        {"choose": {"weight": 0.02}},
+        {"jump": {"weight": 0.01}},
+        {"flip": {"weight": 0.01}},
+        {"resimulate": {"weight": 0.02}},
+    ]
+
+
+__all__ = ["Images", "SceneTarget", "default_parts"]

@@ -1,0 +1,8 @@
+"""The library of likelihoods of depth images. A new one is a file with a class under `@likelihoods.register(name)`."""
+
+from derender.render.likelihoods.base import Likelihood, likelihoods
+
+# The built-in types register themselves when they are imported.
+from derender.render.likelihoods import gaussian, robust  # isort: skip
+
+__all__ = ["Likelihood", "gaussian", "likelihoods", "robust"]

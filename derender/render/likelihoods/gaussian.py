@@ -1,0 +1,44 @@
+"""Independent normals around the blurred depth image: Eq. 6."""
+
+import math
+
+import numpy as np
+
+from derender.render.likelihoods.base import (
+    BACKGROUND,
+    BLUR,
+    EFFECTIVE_PIXELS,
+    SIGMA,
+    Likelihood,
+    blurred_depth,
+    has_return,
+    likelihoods,
+    temper,
+)
+
+
+@likelihoods.register("gaussian")
+class Gaussian(Likelihood):
+    """Norm(observed; b(d), sigma) in every pixel with a return; a pixel without one is evidence of nothing."""
+
+    parameters = (SIGMA, BLUR, BACKGROUND, EFFECTIVE_PIXELS)
+    code = 0
+
+    def counted_pixels(self, observed):
+        return int(has_return(observed).sum())
+
+    def row(self, values, pixels):
+        return np.array([values["sigma"], values["background"], temper(values, pixels), 0.0])
+
+    def per_pixel(self, observed, depth, values=None):
+        values = self.complete(values)
+        seen = has_return(observed)
+        spread = values["sigma"] / math.sqrt(temper(values, self.counted_pixels(observed)))
+        residual = np.where(seen, observed, 0.0) - blurred_depth(depth, values)
+        density = -0.5 * (residual / spread) ** 2 - math.log(spread) - 0.5 * math.log(2.0 * math.pi)
+        return np.where(seen, density, 0.0)
+
+    def sample(self, rng, depth, values=None):
+        values = self.complete(values)
+        spread = values["sigma"] / math.sqrt(temper(values, depth.size))
+        return blurred_depth(depth, values) + rng.normal(scale=spread, size=depth.shape)

@@ -1,0 +1,318 @@
+"""Log likelihoods of posed solids at a million pixels a millisecond, in full or only where something moved.
+
+From compiled code (`state` is an EngineState; every function takes microseconds and allocates nothing; large callers
+use propose_in and settle_in, which compile faster):
+
+    load_state(state, poses, sizes)                           -> log likelihood of a scene, now the current one
+    propose_state(state, count, indices, poses, sizes)        -> log likelihood with solids indices[:count] moved
+    settle_state(state, CANDIDATE) accepts it, (state, CURRENT) rejects it: before the next proposal
+    log_likelihood_of(state, state.total[CURRENT])             again, after parameters[SIGMA] was changed (gaussian)
+    rescore_state(state)                                       the same after any parameter but the background changed
+
+`poses` and `sizes` are given for the moved solids, in the order of `indices`. The work is proportional to the union of
+the old and new rectangles of what moved plus the blur's margin. Each pixel's value is computed by the same instructions
+in either way, so an incremental value equals the full one but for the order of float64 sums.
+"""
+
+import math
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.compilation.call import address_of, call_for_nothing, call_for_number
+from derender.render.raycast.depth import bound_address, rasterise_address
+from derender.render.raycast.filter import blur_for
+from derender.render.raycast.lane_names import LANES
+from derender.render.raycast.region import DRAWN, SCORED, add_region, draw_region, score_region, whole_image
+from derender.render.raycast.score import score_gaussian, score_robust
+from derender.render.raycast.state import (
+    ACCEPTED,
+    BLUR,
+    BOUND,
+    CANDIDATE,
+    CURRENT,
+    DEPTH,
+    DRAW,
+    GAUSSIAN,
+    HEIGHT,
+    LIKELIHOOD,
+    MESHES,
+    OBSERVED,
+    PAD,
+    PENDING,
+    PROPOSE,
+    RADIUS,
+    RASTERISE,
+    RATE,
+    REGIONS,
+    SCORE,
+    SETTLE,
+    SIGMA,
+    STALE,
+    TEMPER,
+    WIDTH,
+    new_state,
+    set_reach,
+    taps_of,
+)
+from derender.scene.solids import MESH
+
+REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _log_likelihood(settings, parameters, total):
+    if settings[LIKELIHOOD] != GAUSSIAN:
+        return total
+    sigma, temper, observed = parameters[SIGMA], parameters[TEMPER], parameters[OBSERVED]
+    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi) - 0.5 * math.log(temper)
+    return -0.5 * temper * total / (sigma * sigma) - observed * constant
+
+
+@njit(cache=True, nogil=True)
+def log_likelihood_of(state, total):
+    """The log likelihood whose scores sum to `total` (Eq. 6; under a temper exponent, of the normalised power)."""
+    return _log_likelihood(state.settings, state.parameters, total)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _prepare(state, half, k):
+    """Find the bounds and the rectangle of solid k; draw it if it is a mesh."""
+    settings, parameters, rectangle = state.settings, state.parameters, state.rectangle[half, k]
+    call_for_nothing(
+        settings[BOUND],
+        state.kind[0, k],
+        state.pose[half, k],
+        state.size[half, k],
+        parameters,
+        settings[WIDTH],
+        settings[HEIGHT],
+        state.prepared[half, k],
+        rectangle,
+    )
+    if state.kind[0, k] == MESH and rectangle[0] < rectangle[1]:
+        image = state.images[MESHES + 2 * state.kind[2, k] + half]
+        for row in range(rectangle[2], rectangle[3]):
+            for column in range(rectangle[0], rectangle[1]):
+                image[row, column] = 0.0
+        mesh = state.kind[1, k]
+        call_for_nothing(
+            settings[RASTERISE],
+            image,
+            state.vertices,
+            state.triangles,
+            state.starts[mesh],
+            state.starts[mesh + 1],
+            state.size[half, k],
+            state.extents[mesh],
+            state.pose[half, k],
+            parameters,
+            rectangle,
+            state.points,
+        )
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _rescore(settings, parameters, total, taps, images, strip, region):
+    whole_image(settings, region)
+    total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
+    settings[STALE] = 1
+    return _log_likelihood(settings, parameters, total[CURRENT])
+
+
+@njit(cache=True, nogil=True)
+def rescore_state(state):
+    """Blur and score the current scene anew without drawing it; returns its log likelihood."""
+    return _rescore(
+        state.settings, state.parameters, state.total, state.taps, state.images, state.strip, state.regions[SCORED, 0]
+    )
+
+
+@njit(cache=True, nogil=True)
+def load_state(state, poses, sizes):
+    """Make a scene the current one and return its log likelihood: the full evaluation.
+
+    poses : (N, 4, 4), sizes : (N, 3) float64, of all the solids in their order.
+    """
+    settings, region = state.settings, state.regions[DRAWN, 0]
+    for k in range(state.kind.shape[1]):
+        for i in range(4):
+            for j in range(4):
+                state.pose[CURRENT, k, i, j] = poses[k, i, j]
+        for i in range(3):
+            state.size[CURRENT, k, i] = sizes[k, i]
+        _prepare(state, CURRENT, k)
+    settings[PENDING], settings[REGIONS] = 0, 0
+    whole_image(settings, region)
+    call_for_nothing(
+        settings[DRAW],
+        settings,
+        state.parameters,
+        state.images,
+        state.kind,
+        state.prepared,
+        state.rectangle,
+        CURRENT,
+        region,
+    )
+    return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _copy_pixels(images, source, target, left, right, top, bottom):
+    """Copy columns left:right and rows top:bottom of one image to another."""
+    for row in range(top, bottom):
+        for column in range(left, right):
+            images[target, row, column] = images[source, row, column]
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
+    """Copy what is known of solid k from one half to the other."""
+    target = 1 - source
+    for i in range(4):
+        for j in range(4):
+            pose[target, k, i, j] = pose[source, k, i, j]
+        rectangle[target, k, i] = rectangle[source, k, i]
+    for i in range(3):
+        size[target, k, i] = size[source, k, i]
+    for i in range(prepared.shape[2]):
+        prepared[target, k, i] = prepared[source, k, i]
+    if kind[0, k] == MESH:
+        first, r = MESHES + 2 * kind[2, k], rectangle[source, k]
+        _copy_pixels(images, first + source, first + target, r[0], r[1], r[2], r[3])
+
+
+@njit(cache=True, nogil=True)
+def propose_state(state, count, indices, poses, sizes):
+    """Return the log likelihood with some solids moved or resized; `settle_state` must follow.
+
+    count : how many. indices : (>= count,) int64, no solid twice. poses : (>= count, 4, 4), sizes : (>= count, 3).
+    """
+    settings, images, kind, total = state.settings, state.images, state.kind, state.total
+    pose, size, prepared, rectangle, regions = state.pose, state.size, state.prepared, state.rectangle, state.regions
+    if settings[STALE] != 0:  # after a full evaluation the candidate half has to catch up
+        for k in range(kind.shape[1]):
+            _copy_solid(images, kind, pose, size, prepared, rectangle, CURRENT, k)
+        _copy_pixels(images, DEPTH + CURRENT, DEPTH + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
+        _copy_pixels(images, SCORE + CURRENT, SCORE + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
+        settings[STALE] = 0
+    settings[PENDING], settings[REGIONS] = count, 0
+    for n in range(count):
+        k = indices[n]
+        state.lists[0, n] = k
+        for i in range(4):
+            for j in range(4):
+                pose[CANDIDATE, k, i, j] = poses[n, i, j]
+        for i in range(3):
+            size[CANDIDATE, k, i] = sizes[n, i]
+        _prepare(state, CANDIDATE, k)
+        add_region(settings, regions, rectangle[CURRENT, k])
+        add_region(settings, regions, rectangle[CANDIDATE, k])
+    change = 0.0
+    for n in range(settings[REGIONS]):
+        call_for_nothing(
+            settings[DRAW], settings, state.parameters, images, kind, prepared, rectangle, CANDIDATE, regions[DRAWN, n]
+        )
+    for n in range(settings[REGIONS]):
+        new, old = score_region(
+            settings, state.parameters, state.taps, images, state.strip, CANDIDATE, regions[SCORED, n]
+        )
+        change += new - old
+    total[CANDIDATE] = total[CURRENT] + change
+    return _log_likelihood(settings, state.parameters, total[CANDIDATE])
+
+
+@njit(cache=True, nogil=True)
+def settle_state(state, source):
+    """Copy what the proposal changed from one half to the other: CANDIDATE accepts it, CURRENT rejects it."""
+    settings, images, regions, total = state.settings, state.images, state.regions, state.total
+    for n in range(settings[PENDING]):
+        _copy_solid(
+            images, state.kind, state.pose, state.size, state.prepared, state.rectangle, source, state.lists[0, n]
+        )
+    width, target = settings[WIDTH], 1 - source
+    for n in range(settings[REGIONS]):
+        drawn, scored = regions[DRAWN, n], regions[SCORED, n]
+        left = 0 if drawn[0] == 0 else drawn[0] + PAD  # with the replicated edges
+        right = (drawn[1] if drawn[1] < width else width + LANES) + PAD
+        _copy_pixels(images, DEPTH + source, DEPTH + target, left, right, drawn[2], drawn[3])
+        _copy_pixels(images, SCORE + source, SCORE + target, scored[0] + PAD, scored[1] + PAD, scored[2], scored[3])
+    settings[PENDING], settings[REGIONS] = 0, 0
+    if source == CANDIDATE:
+        total[CURRENT] = total[CANDIDATE]
+        settings[ACCEPTED] += 1
+        if settings[ACCEPTED] % REFRESH == 0:
+            fresh = 0.0
+            for row in range(settings[HEIGHT]):
+                for column in range(PAD, PAD + width):
+                    fresh += images[SCORE + CURRENT, row, column]
+            total[CURRENT] = fresh
+
+
+def new_engine(camera, observed, solids, kind, parameters, blur):
+    """Return the state of one chain, see `state.new_state`, with the addresses of what its kernels call.
+
+    So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
+    """
+    state = new_state(camera, observed, solids, kind, parameters, blur)
+    settings, images, index = state.settings, state.images, CURRENT
+    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(state, images[0])
+    settings[DRAW] = address_of(
+        draw_region,
+        settings,
+        state.parameters,
+        images,
+        state.kind,
+        state.prepared,
+        state.rectangle,
+        index,
+        state.regions[0, 0],
+    )
+    settings[BLUR] = _blur_address(state)
+    settings[RATE] = address_of(
+        score_gaussian if kind == GAUSSIAN else score_robust, state.parameters, images, *6 * [index]
+    )
+    return state
+
+
+def _blur_address(state) -> int:
+    kernel, image, index = blur_for(int(state.settings[RADIUS])), state.images[0], CURRENT
+    return address_of(kernel, image, image, state.strip, state.taps, *5 * [index])
+
+
+def with_blur(state, blur: float):
+    """Return the state with another blur, which shares all else with it; score or load the scene again after it."""
+    taps = taps_of(blur)
+    if len(taps) == len(state.taps):
+        state.taps[:] = taps
+        return state
+    state = state._replace(taps=taps)
+    set_reach(state.settings, len(taps) - 1)
+    state.settings[BLUR] = _blur_address(state)
+    return state
+
+
+def for_steps(state):
+    """Let other kernels call a state's by `propose_in` and `settle_in`, in this process; return it."""
+    if not state.settings[PROPOSE]:
+        index = np.int64(0)
+        state.settings[PROPOSE] = address_of(propose_state, state, index, state.lists[0], state.pose[0], state.size[0])
+        state.settings[SETTLE] = address_of(settle_state, state, index)
+    return state
+
+
+@njit(inline="always")
+def propose_in(state, count, indices, poses, sizes):
+    """As `propose_state`, for kernels: the engine is not compiled into them."""
+    if state.settings[PROPOSE] == 0:
+        raise ValueError("this state has no addresses: see for_steps")
+    return call_for_number(state.settings[PROPOSE], state, count, indices, poses, sizes)
+
+
+@njit(inline="always")
+def settle_in(state, source):
+    """As `settle_state`, for kernels: the engine is not compiled into them."""
+    if state.settings[SETTLE] == 0:
+        raise ValueError("this state has no addresses: see for_steps")
+    call_for_nothing(state.settings[SETTLE], state, source)

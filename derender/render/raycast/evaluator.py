@@ -1,0 +1,156 @@
+"""The engine for Python: log likelihoods of scenes of one image, in full or incrementally."""
+
+from collections.abc import Mapping
+from copy import copy
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.render.likelihoods import likelihoods
+from derender.render.raycast.engine import (
+    for_steps,
+    load_state,
+    new_engine,
+    propose_state,
+    rescore_state,
+    settle_state,
+    with_blur,
+)
+from derender.render.raycast.score import pixel_log_densities
+from derender.render.raycast.state import CANDIDATE, CURRENT, OBSERVED, PAD, SIGMA, EngineState
+from derender.scene.solids import Solids
+
+
+class DepthEvaluator:
+    """Evaluates scenes against one observed image. Each chain has its own.
+
+    Parameters
+    ----------
+    camera : Camera.
+    observed : (height, width) metres; NaN, 0 or infinite where nothing returned.
+    likelihood : registered name.
+    values : the likelihood's numbers by name; what is left out has its default.
+
+    Attributes
+    ----------
+    state : EngineState of the scene loaded last; None before.
+
+    Raises
+    ------
+    DerenderError : an image of another size than the camera's, or likelihood values out of range.
+    """
+
+    def __init__(
+        self, camera, observed: np.ndarray, likelihood: str = "gaussian", values: Mapping[str, float] | None = None
+    ) -> None:
+        observed = np.asarray(observed, np.float64)
+        if observed.shape != (camera.height, camera.width):
+            raise DerenderError(
+                f"the image has {observed.shape[1]} x {observed.shape[0]} pixels and the camera "
+                f"{camera.width} x {camera.height}",
+                remedy="give the camera of this image",
+            )
+        self.camera = camera
+        self.observed = observed
+        self.likelihood = likelihoods[likelihood]
+        self.values = self.likelihood.complete(values)
+        self._counted = self.likelihood.counted_pixels(observed)
+        self.state: EngineState | None = None
+        self._meshes: tuple = ()
+
+    def copy(self) -> "DepthEvaluator":
+        """Return another evaluator of the same image that goes on from here: cheaper than a new one."""
+        other = copy(self)
+        if self.state is not None:
+            other.state = EngineState(*(array.copy() for array in self.state))
+        return other
+
+    def log_likelihood(self, solids: Solids, values: Mapping[str, float] | None = None) -> float:
+        """Return the log likelihood of a scene: the full evaluation. The scene becomes the current one.
+
+        values : changed numbers of the likelihood; they stay.
+        """
+        if values and any(self.values.get(name) != value for name, value in values.items()):
+            self.set_values(values, rescore=False)
+        return self.load(solids)
+
+    def load(self, solids: Solids) -> float:
+        """Make a scene the current one; return its log likelihood. Another structure than the last gets a new state."""
+        state = self.state
+        if state is None or not self._fits(state, solids):
+            state = new_engine(
+                self.camera, self.observed, solids, self.likelihood.code, self._row(), self.values["blur"]
+            )
+            self.state = state
+            self._meshes = solids.meshes
+        return load_state(
+            state, np.ascontiguousarray(solids.pose, np.float64), np.ascontiguousarray(solids.size, np.float64)
+        )
+
+    def _row(self) -> np.ndarray:
+        return self.likelihood.row(self.values, self._counted)
+
+    def _fits(self, state: EngineState, solids: Solids) -> bool:
+        same_meshes = len(self._meshes) == len(solids.meshes) and all(
+            a[0] is b[0] and a[1] is b[1] for a, b in zip(self._meshes, solids.meshes, strict=True)
+        )
+        return same_meshes and np.array_equal(state.kind[0], solids.kind) and np.array_equal(state.kind[1], solids.mesh)
+
+    def set_values(self, values: Mapping[str, float], rescore: bool = True) -> float | None:
+        """Change numbers of the likelihood; return the current scene's log likelihood under them (None without one).
+
+        Nothing is drawn again unless the background changed, and then, without `rescore`, by the next `load` alone.
+        """
+        former, self.values = self.values, self.likelihood.complete({**self.values, **values})
+        if self.state is None:
+            return None
+        if self.values["blur"] != former["blur"]:
+            self.state = with_blur(self.state, self.values["blur"])
+        state, row = self.state, self._row()
+        observed = state.parameters[OBSERVED]
+        state.parameters[SIGMA : SIGMA + len(row)] = row
+        state.parameters[OBSERVED] = observed
+        if not rescore:
+            return None
+        if self.values["background"] != former["background"]:
+            return load_state(state, state.pose[CURRENT].copy(), state.size[CURRENT].copy())
+        return rescore_state(state)
+
+    def propose(self, indices, poses, sizes) -> float:
+        """Return the log likelihood with solids `indices` at `poses` (n, 4, 4) and `sizes` (n, 3); settle it after."""
+        indices = np.ascontiguousarray(indices, np.int64)
+        return propose_state(
+            self._loaded(),
+            len(indices),
+            indices,
+            np.ascontiguousarray(poses, np.float64),
+            np.ascontiguousarray(sizes, np.float64),
+        )
+
+    def accept(self) -> None:
+        """Make the proposed scene the current one."""
+        settle_state(self._loaded(), CANDIDATE)
+
+    def reject(self) -> None:
+        """Forget the proposed scene."""
+        settle_state(self._loaded(), CURRENT)
+
+    def per_pixel(self) -> np.ndarray:
+        """Return the log density of each pixel under the current scene, (height, width) float64."""
+        state = self._loaded()
+        result = np.zeros((self.camera.height, self.camera.width))
+        pixel_log_densities(state.settings, state.parameters, state.images, result)
+        return result
+
+    def model_depth(self) -> np.ndarray:
+        """Return the clean model image of the current scene, with the background wall: (height, width) float32."""
+        return self._loaded().images[1, :, PAD : PAD + self.camera.width].copy()
+
+    def for_steps(self) -> EngineState:
+        """Return the state for compiled code that calls the engine's kernels."""
+        return for_steps(self._loaded())
+
+    def _loaded(self) -> EngineState:
+        if self.state is None:
+            raise ValueError("load a scene first")
+        return self.state

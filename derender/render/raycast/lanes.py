@@ -1,0 +1,165 @@
+"""Sixteen float32 side by side as one value in compiled code: what numba's own vectoriser cannot promise.
+
+Inside an njit function `load(array, row, column)` gives sixteen neighbours, and add, multiply_add, maximum, ... work
+on all of them at once; LLVM maps them to AVX-512, AVX2, SSE or NEON. There is no scalar remainder loop and no
+reassociation, so a pixel's value never depends on where in a row, or in which call, it was computed: the incremental
+and the full evaluation agree to the last bit. Arrays are C-contiguous float32; rows must be padded so that sixteen
+may be read. Functions of a number are in `lane_functions`, the blur's in `lane_blur`.
+"""
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.datamodel import models
+from numba.extending import intrinsic, register_model
+
+from derender.render.raycast import lane_code as code
+from derender.render.raycast.lane_names import LANES
+
+
+class _LanesType(types.Type):
+    """The numba type of sixteen float32 or float64."""
+
+
+float_lanes = _LanesType("float32x16")
+double_lanes = _LanesType("float64x16")
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager, numba_type):
+        super().__init__(manager, numba_type, code.FLOATS if numba_type.name == float_lanes.name else code.DOUBLES)
+
+
+def _check(array):
+    return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == types.float32 and array.layout == "C"
+
+
+@intrinsic
+def load(typing, array, row, column):
+    """Sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
+    if not _check(array):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        return code.load(builder, code.address(context, builder, signature.args[0], *arguments))
+
+    return float_lanes(array, types.int64, types.int64), generate
+
+
+@intrinsic
+def store(typing, array, row, column, value):
+    """Write sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
+    if not _check(array):
+        return None
+
+    def generate(context, builder, signature, arguments):
+        builder.store(arguments[3], code.address(context, builder, signature.args[0], *arguments[:3]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64, float_lanes), generate
+
+
+@intrinsic
+def splat(typing, value):
+    """Sixteen copies of a number."""
+
+    def generate(context, builder, signature, arguments):
+        return code.splat(builder, arguments[0])
+
+    return float_lanes(types.float32), generate
+
+
+@intrinsic
+def steps_from(typing, start):
+    """start, start + 1, ..., start + 15 (exact up to 2^24)."""
+
+    def generate(context, builder, signature, arguments):
+        ramp = ir.Constant(code.FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
+        return builder.fadd(code.splat(builder, builder.sitofp(arguments[0], ir.FloatType())), ramp)
+
+    return float_lanes(types.int64), generate
+
+
+def _binary(name, emit, doc):
+    """Make an intrinsic of two lanes."""
+
+    def typed(typing, a, b):
+        def generate(context, builder, signature, arguments):
+            return emit(builder, *arguments)
+
+        return float_lanes(float_lanes, float_lanes), generate
+
+    typed.__name__, typed.__doc__ = name, doc
+    return intrinsic(typed)
+
+
+def greater_of(builder, a, b):
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
+def less_of(builder, a, b):
+    return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+
+add = _binary("add", lambda builder, a, b: builder.fadd(a, b), "a + b")
+subtract = _binary("subtract", lambda builder, a, b: builder.fsub(a, b), "a - b")
+multiply = _binary("multiply", lambda builder, a, b: builder.fmul(a, b), "a b")
+divide = _binary("divide", lambda builder, a, b: builder.fdiv(a, b), "a / b")
+maximum = _binary("maximum", greater_of, "The greater of a and b; b where a is NaN.")
+minimum = _binary("minimum", less_of, "The lesser of a and b; b where a is NaN.")
+
+
+@intrinsic
+def multiply_add(typing, a, b, c):
+    """a b + c, rounded once where the machine can."""
+
+    def generate(context, builder, signature, arguments):
+        return code.multiply_add(builder, *arguments)
+
+    return float_lanes(float_lanes, float_lanes, float_lanes), generate
+
+
+@intrinsic
+def where_at_least(typing, a, b, yes, no):
+    """`yes` where a >= b, else `no` (also where a or b is NaN)."""
+
+    def generate(context, builder, signature, arguments):
+        a, b, yes, no = arguments
+        return builder.select(builder.fcmp_ordered(">=", a, b), yes, no)
+
+    return float_lanes(float_lanes, float_lanes, float_lanes, float_lanes), generate
+
+
+@intrinsic
+def zero_sum(typing):
+    """Sixteen float64 zeros: the start of a sum."""
+
+    def generate(context, builder, signature, arguments):
+        return ir.Constant(code.DOUBLES, None)
+
+    return double_lanes(), generate
+
+
+@intrinsic
+def accumulate(typing, total, value):
+    """Sixteen float64 running sums plus sixteen float32."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.fadd(arguments[0], builder.fpext(arguments[1], code.DOUBLES))
+
+    return double_lanes(double_lanes, float_lanes), generate
+
+
+@intrinsic
+def sum_lanes(typing, total):
+    """The sum of sixteen float64, in a fixed order."""
+
+    def generate(context, builder, signature, arguments):
+        index = ir.IntType(32)
+        terms = [builder.extract_element(arguments[0], ir.Constant(index, k)) for k in range(LANES)]
+        while len(terms) > 1:
+            half = len(terms) // 2
+            terms = [builder.fadd(terms[k], terms[k + half]) for k in range(half)]
+        return terms[0]
+
+    return types.float64(double_lanes), generate

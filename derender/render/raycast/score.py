@@ -1,0 +1,142 @@
+"""Score a region of blurred pixels: the compiled twins of the likelihoods' `per_pixel`."""
+
+import math
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.render.raycast.lane_names import (
+    LANES,
+    absolute,
+    accumulate,
+    add,
+    divide,
+    exponential,
+    load,
+    logarithm,
+    maximum,
+    multiply,
+    multiply_add,
+    splat,
+    store,
+    subtract,
+    sum_lanes,
+    where_at_least,
+    zero_sum,
+)
+from derender.render.raycast.state import (
+    CURRENT,
+    DEPTH,
+    GAUSSIAN,
+    HEIGHT,
+    LIKELIHOOD,
+    LIKELIHOOD_PARAMETERS,
+    OBSERVED_IMAGE,
+    PAD,
+    SCORE,
+    SIGMA,
+    TEMPER,
+    WIDTH,
+)
+
+# entries of `parameters` for the robust likelihood, as `Robust.row` lays them out
+GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP = range(LIKELIHOOD_PARAMETERS, LIKELIHOOD_PARAMETERS + 7)
+NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients: away from edges, at edges
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def score_gaussian(parameters, images, half, left, right, top, bottom, height):
+    """Turn the blurred depth in images[SCORE + half] into squared residuals.
+
+    Returns their sum and that of the current half's scores in the region.
+    """
+    new, old = zero_sum(), zero_sum()
+    observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
+    zero = splat(np.float32(0))
+    for row in range(top, bottom):
+        for column in range(left, right, LANES):
+            residual = subtract(load(observed, row, column), load(score, row, column))
+            square = maximum(multiply(residual, residual), zero)  # 0 where nothing was observed (NaN)
+            old = accumulate(old, load(current, row, column))
+            store(score, row, column, square)
+            new = accumulate(new, square)
+    return sum_lanes(new), sum_lanes(old)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+def score_robust(parameters, images, half, left, right, top, bottom, height):
+    """Turn the blurred depth in images[SCORE + half] into log densities under the mixture; returns sums as above."""
+    new, old = zero_sum(), zero_sum()
+    observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
+    depth = images[DEPTH + half]
+    temper, outlier = parameters[TEMPER], parameters[OUTLIER]
+    sigma, growth = splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH]))
+    near, far = splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR]))
+    peak = splat(np.float32((1.0 - outlier) / math.sqrt(2.0 * math.pi)))
+    floor = splat(np.float32(outlier / (parameters[FAR] - parameters[NEAR])))
+    lost, lost_edge = parameters[MISSING], parameters[MISSING_EDGE]
+    found_score, found_score_edge = np.float32(temper * math.log1p(-lost)), np.float32(temper * math.log1p(-lost_edge))
+    lost_score, lost_score_edge = np.float32(temper * math.log(lost)), np.float32(temper * math.log(lost_edge))
+    step, exponent = splat(np.float32(parameters[EDGE_STEP])), splat(np.float32(temper))
+    zero, one, half_less, nothing = (
+        splat(np.float32(0)),
+        splat(np.float32(1)),
+        splat(np.float32(-0.5)),
+        splat(np.float32(1e-30)),
+    )
+    for row in range(top, bottom):
+        above, below = max(row - 1, 0), min(row + 1, height - 1)
+        for column in range(left, right, LANES):
+            value, model = load(observed, row, column), load(score, row, column)
+            here = load(depth, row, column)
+            twice = add(here, here)
+            along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
+            down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
+            bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
+            inverse = divide(one, multiply_add(growth, multiply(model, model), sigma))
+            z = multiply(subtract(value, model), inverse)
+            surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
+            inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+            density = multiply(exponent, logarithm(add(surface, inside)))
+            found = add(density, where_at_least(zero, bend, splat(found_score), splat(found_score_edge)))
+            missed = where_at_least(zero, bend, splat(lost_score), splat(lost_score_edge))
+            result = where_at_least(zero, value, missed, found)  # a missing pixel's value is 0
+            if temper < 1.0:
+                result = subtract(
+                    result,
+                    where_at_least(
+                        zero,
+                        bend,
+                        _polynomial(parameters, NORMALISER, model),
+                        _polynomial(parameters, NORMALISER + 8, model),
+                    ),
+                )
+            result = where_at_least(value, zero, result, zero)  # NaN: the padding
+            old = accumulate(old, load(current, row, column))
+            store(score, row, column, result)
+            new = accumulate(new, result)
+    return sum_lanes(new), sum_lanes(old)
+
+
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, inline="always")
+def _polynomial(parameters, first, x):
+    result = splat(np.float32(parameters[first + 7]))
+    for k in range(6, -1, -1):
+        result = multiply_add(result, x, splat(np.float32(parameters[first + k])))
+    return result
+
+
+@njit(cache=True, nogil=True)
+def pixel_log_densities(settings, parameters, images, result):
+    """Write each pixel's log density under the current scene into `result` (H, W) float64; 0 where there is none."""
+    sigma, temper = parameters[SIGMA], parameters[TEMPER]
+    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi) - 0.5 * math.log(temper)
+    for row in range(settings[HEIGHT]):
+        for column in range(settings[WIDTH]):
+            score = images[SCORE + CURRENT, row, column + PAD]
+            if settings[LIKELIHOOD] != GAUSSIAN:
+                result[row, column] = score
+            elif math.isnan(images[OBSERVED_IMAGE, row, column + PAD]):
+                result[row, column] = 0.0
+            else:
+                result[row, column] = -0.5 * temper * score / (sigma * sigma) - constant

@@ -1,0 +1,138 @@
+"""What one chain's engine holds: a NamedTuple of arrays that compiled code passes around. Many may live in a process.
+
+Wherever the first axis is CURRENT / CANDIDATE, the current half is the accepted scene, and the candidate half equals it
+outside the regions of a pending proposal.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.render.blur import blur_taps
+from derender.render.raycast.convex import PREPARED
+from derender.render.raycast.depth import FlatMeshes, camera_array
+from derender.render.raycast.lane_names import LANES
+from derender.scene.solids import MESH, Solids
+
+# numpy integers, not literals: numba would compile every function once for each literal
+CURRENT, CANDIDATE = np.int64(0), np.int64(1)
+# entries of `settings` (int64): the image, then what the pending proposal is
+WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = range(9)
+# of `settings`: the addresses of kernels, see engine.py
+PROPOSE, SETTLE, BOUND, DRAW, BLUR, RATE, RASTERISE = range(9, 16)
+GAUSSIAN, ROBUST = range(2)  # values of settings[LIKELIHOOD]
+# entries of `parameters` (float64): camera, likelihood; those of ROBUST follow, see raycast/score.py
+FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
+LIKELIHOOD_PARAMETERS = 8
+# images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes
+OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
+
+
+class EngineState(NamedTuple):
+    """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
+
+    settings : (16,) int64, see WIDTH ... RASTERISE.
+    parameters : (64,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a pixel's
+        density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the gaussian
+        likelihood `log_likelihood_of` is right at once, with the robust one after `rescore_state`.
+    total : (2,) float64, sums of the scores.
+    taps : (R + 1,) float32, blur weights from the centre outwards.
+    images : (5 + 2 M, H, P) float32; pixel i of a row is at column i + PAD.
+        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under the robust one they are 0),
+        [DEPTH + half] clean model depth, edges replicated,
+        [SCORE + half] each pixel's squared residual (gaussian) or log density (robust),
+        [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only.
+    strip : (H, LANES) float32, scratch for wide blurs.
+    kind : (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's.
+    pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64. rectangle : (2, N, 4) int64.
+    lists : (2, N) int64: solids moved by the proposal; scratch.
+    regions : (2, 2 N + 1, 4) int64: the proposal's regions, as drawn, and as scored (with the blur's margin).
+    vertices, triangles, starts, extents, points : FlatMeshes' arrays, and scratch.
+    """
+
+    settings: np.ndarray
+    parameters: np.ndarray
+    total: np.ndarray
+    taps: np.ndarray
+    images: np.ndarray
+    strip: np.ndarray
+    kind: np.ndarray
+    pose: np.ndarray
+    size: np.ndarray
+    prepared: np.ndarray
+    rectangle: np.ndarray
+    lists: np.ndarray
+    regions: np.ndarray
+    vertices: np.ndarray
+    triangles: np.ndarray
+    starts: np.ndarray
+    extents: np.ndarray
+    points: np.ndarray
+
+
+PAD = LANES  # columns of padding before pixel 0: more than any blur radius allowed here
+MAXIMUM_RADIUS = PAD - 1
+
+
+def taps_of(blur: float) -> np.ndarray:
+    """Return the weights (R + 1,) float32 of a blur of so many pixels."""
+    taps = blur_taps(blur).astype(np.float32)
+    if len(taps) - 1 > MAXIMUM_RADIUS:
+        raise ValueError(f"a blur of {blur} pixels reaches {len(taps) - 1} pixels: at most {MAXIMUM_RADIUS}")
+    return taps
+
+
+def set_reach(settings: np.ndarray, radius: int) -> None:
+    """Write how far a pixel is blurred, and how far it tells on scores: the robust one sees its neighbours too."""
+    settings[RADIUS], settings[MARGIN] = radius, max(radius, 1) if settings[LIKELIHOOD] == ROBUST else radius
+
+
+def new_state(
+    camera, observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
+) -> EngineState:
+    """Allocate the state of one chain for an image and for scenes with as many solids of the same kinds as `solids`.
+
+    observed : (height, width) metres, NaN where nothing returned. kind : GAUSSIAN or ROBUST, with its `parameters`.
+    blur : sigma in pixels. Kernels take what `engine.new_engine` makes of it.
+    """
+    height, width = camera.height, camera.width
+    padded = PAD + -(-width // LANES) * LANES + 2 * LANES
+    taps = taps_of(blur)
+    count = len(solids.kind)
+    missing = np.nan if kind == GAUSSIAN else 0.0
+    seen = np.isfinite(observed) & (observed > 0)
+    meshes = FlatMeshes(solids.meshes)
+    is_mesh = np.asarray(solids.kind) == MESH
+    kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
+    images = np.ones((MESHES + 2 * int(is_mesh.sum()), height, padded), np.float32)
+    images[OBSERVED_IMAGE] = np.nan
+    images[SCORE:MESHES] = 0.0  # the padding never scores
+    images[OBSERVED_IMAGE, :, PAD : PAD + width] = np.where(seen, observed, missing)
+    numbers = np.zeros(64)
+    numbers[:4] = camera_array(camera)
+    numbers[SIGMA : SIGMA + len(parameters)] = parameters
+    numbers[OBSERVED] = seen.sum()
+    settings = np.zeros(16, np.int64)
+    settings[WIDTH], settings[HEIGHT], settings[LIKELIHOOD] = width, height, kind
+    set_reach(settings, len(taps) - 1)
+    most = int(np.diff(meshes.starts[:, 0]).max(initial=1))
+    return EngineState(
+        settings=settings,
+        parameters=numbers,
+        total=np.zeros(2),
+        taps=taps,
+        images=images,
+        strip=np.zeros((height, LANES), np.float32),
+        kind=kinds,
+        pose=np.zeros((2, count, 4, 4)),
+        size=np.zeros((2, count, 3)),
+        prepared=np.zeros((2, count, PREPARED)),
+        rectangle=np.zeros((2, count, 4), np.int64),
+        lists=np.zeros((2, count), np.int64),
+        regions=np.zeros((2, 2 * count + 1, 4), np.int64),
+        vertices=meshes.vertices,
+        triangles=meshes.triangles,
+        starts=meshes.starts,
+        extents=meshes.extents,
+        points=np.zeros((most, 3)),
+    )

@@ -1,0 +1,43 @@
+"""Renderers behind one interface: posed solids and a camera in, depth and labels out.
+
+A renderer is a module with
+
+    render_depth(solids, camera, antialias=1, background=nan) -> depth, label
+
+depth is (height, width) float64 in metres, `background` where nothing is hit; label is (height, width) int32, the index
+into the solids or -1. It may also have `render_colour(solids, camera, colours) -> (height, width, 3) uint8`. Each is
+imported when it is first asked for.
+"""
+
+import importlib
+from importlib.metadata import entry_points
+from typing import Any
+
+from derender.errors import DerenderError
+from derender.registry import suggest
+
+RENDERERS = {
+    "raycast": "derender.render.renderers.raycast",
+    "pyrender": "derender.render.renderers.opengl",
+}
+ENTRY_POINT_GROUP = "derender.renderers"
+
+
+def renderer_names() -> list[str]:
+    """Return the names of all renderers, other packages' included."""
+    return sorted({*RENDERERS, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP))})
+
+
+def find_renderer(name: str) -> Any:
+    """Import and return a renderer by name.
+
+    Raises
+    ------
+    DerenderError : no renderer of that name; says which there are.
+    """
+    if name in RENDERERS:
+        return importlib.import_module(RENDERERS[name])
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        if point.name == name:
+            return point.load()
+    raise DerenderError(f"no renderer is called {name!r}", remedy=suggest(name, renderer_names()))

@@ -1,0 +1,1 @@
+"""What inference found: a posterior, kept in files and handed to others."""

@@ -1,0 +1,290 @@
+"""What inference found: weighted structures, each with chains of values for its unknowns; saved to one .npz.
+
+A part is one structure (which objects, shapes, parents and contact types): a template graph, the addresses of its
+unknowns, and their draws. With a given structure there is one part; structure inference has several, whose weights are
+their posterior probabilities.
+"""
+
+import json
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender import __version__
+from derender.atomic import atomic_path
+from derender.errors import DerenderError
+from derender.sampling import diagnostics
+from derender.scene.constraints import Constraint
+from derender.scene.graph import Contact, SceneGraph, Vertex
+
+FORMAT = 1  # of posterior.npz
+
+
+@dataclass(frozen=True, repr=False)
+class StructurePosterior:
+    """Draws under one structure.
+
+    Attributes
+    ----------
+    graph : a SceneGraph with this structure; its numbers that are no unknowns are the fixed ones.
+    addresses : P names such as "red.contact.theta"; a rotation's four are "red.contact.qw" to "qz". Those that begin
+        with "root." or "likelihood." are no numbers of the graph.
+    values : (chains, draws, P) float64.
+    log_prior, log_likelihood : (chains, draws) float64.
+    weight : posterior probability of the structure.
+    root_pose : (chains, draws, 4, 4) float64 where the root's pose is unknown, else None: the graph has it.
+    periods : (P,) of float or None, of angles.
+    extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...).
+    """
+
+    graph: SceneGraph
+    addresses: tuple[str, ...]
+    values: np.ndarray
+    log_prior: np.ndarray
+    log_likelihood: np.ndarray
+    weight: float = 1.0
+    periods: tuple[float | None, ...] = ()
+    root_pose: np.ndarray | None = None
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        chains, draws, size = self.values.shape
+        drawn = f"{chains} chains of {draws} draws of {size} numbers"
+        return f"<StructurePosterior of weight {self.weight:.3f}: {', '.join(self.graph.names)}; {drawn}>"
+
+    @property
+    def log_density(self) -> np.ndarray:
+        """(chains, draws), log prior plus log likelihood."""
+        return self.log_prior + self.log_likelihood
+
+    def period(self, index: int) -> float | None:
+        """Return the period of one unknown, or None."""
+        return self.periods[index] if self.periods else None
+
+    def graph_at(self, chain: int, draw: int) -> SceneGraph:
+        """Return the scene of one draw."""
+        numbers = {
+            address: value
+            for address, value in zip(self.addresses, self.values[chain, draw], strict=True)
+            if address.partition(".")[0] not in ("root", "likelihood")
+        }
+        graph = self.graph.with_numbers(numbers)
+        return graph if self.root_pose is None else replace(graph, root_pose=self.root_pose[chain, draw])
+
+    def best(self) -> tuple[SceneGraph, float]:
+        """Return the scene of highest log density among the draws, and that density."""
+        chain, draw = np.unravel_index(np.argmax(self.log_density), self.log_density.shape)
+        return self.graph_at(int(chain), int(draw)), float(self.log_density[chain, draw])
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Return the diagnostics' summary of each unknown, by address."""
+        return {
+            address: diagnostics.summary(self.values[:, :, i], self.period(i))
+            for i, address in enumerate(self.addresses)
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Posterior:
+    """A posterior over scene graphs.
+
+    Attributes
+    ----------
+    parts : the structures found, any order; their weights sum to one.
+    seed, command : what made it; version : of derender that did.
+    meta : what else is worth knowing, as JSON would hold it (the camera, seconds, lost chains ...).
+    """
+
+    parts: tuple[StructurePosterior, ...]
+    seed: int | None = None
+    command: str = ""
+    version: str = __version__
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<Posterior, structures: {len(self.parts)}, the best: {self.best_part!r}>"
+
+    @property
+    def best_part(self) -> StructurePosterior:
+        """The most probable structure."""
+        return max(self.parts, key=lambda part: part.weight)
+
+    def best_graph(self) -> SceneGraph:
+        """Return the scene of highest density under the most probable structure."""
+        return self.best_part.best()[0]
+
+    def object_probability(self, name: str) -> float:
+        """Return the probability that an object of this name is there."""
+        return self._probability(lambda graph: name in graph.names)
+
+    def parent_probability(self, name: str) -> dict[str, float]:
+        """Return the probability of each parent of an object, given that it is there; the likeliest first."""
+        return self._shares(name, lambda vertex: [vertex.parent])
+
+    def support_probability(self, name: str) -> dict[str, float]:
+        """Return the probability of each second support of an object, given that it is there; the likeliest first."""
+        return self._shares(name, lambda vertex: vertex.supports)
+
+    def shape_probability(self, name: str) -> dict[str, float]:
+        """Return the probability of each shape type of an object, given that it is there; the likeliest first."""
+        return self._shares(name, lambda vertex: [vertex.shape])
+
+    def _shares(self, name: str, said: Callable[[Vertex], Iterable[str]]) -> dict[str, float]:
+        """Return how probable each thing is that is said of an object, given that it is there; the likeliest first."""
+        found: dict[str, float] = {}
+        present = 0.0
+        for part in self.parts:
+            if name in part.graph.names:
+                present += part.weight
+                for what in said(part.graph.vertex(name)):
+                    found[what] = found.get(what, 0.0) + part.weight
+        return {what: p / present for what, p in sorted(found.items(), key=lambda item: -item[1])} if present else {}
+
+    def _probability(self, holds) -> float:
+        return float(sum(part.weight for part in self.parts if holds(part.graph)))
+
+    def graphs(self, rng: np.random.Generator, count: int) -> list[SceneGraph]:
+        """Return `count` scenes drawn from the posterior: structures by weight, draws uniformly within.
+
+        No draw comes a second time before all of its structure have come once: drawn with replacement they would say
+        less than they hold.
+        """
+        weights = np.array([part.weight for part in self.parts])
+        chosen = rng.choice(len(self.parts), size=count, p=weights / weights.sum())
+        order = [rng.permutation(part.log_density.size) for part in self.parts]
+        scenes, taken = [], [0] * len(self.parts)
+        for number in chosen:
+            place = order[number][taken[number] % len(order[number])]
+            taken[number] += 1
+            chain, draw = np.unravel_index(place, self.parts[number].log_density.shape)
+            scenes.append(self.parts[number].graph_at(int(chain), int(draw)))
+        return scenes
+
+    def graph_at(self, part: int, chain: int, draw: int) -> SceneGraph:
+        """Return the scene of one draw of one part."""
+        return self.parts[part].graph_at(chain, draw)
+
+    def save(self, path: str | Path) -> None:
+        """Write an .npz, whole or not at all."""
+        arrays: dict[str, Any] = {}
+        headers = []
+        for number, part in enumerate(self.parts):
+            arrays[f"values_{number}"] = part.values
+            arrays[f"log_prior_{number}"] = part.log_prior
+            arrays[f"log_likelihood_{number}"] = part.log_likelihood
+            if part.root_pose is not None:
+                arrays[f"root_pose_{number}"] = part.root_pose
+            headers.append(
+                {
+                    "graph": graph_to_tree(part.graph),
+                    "addresses": list(part.addresses),
+                    "weight": part.weight,
+                    "periods": list(part.periods),
+                    "extras": _plain(part.extras),
+                }
+            )
+        header = {
+            "format": FORMAT,
+            "seed": self.seed,
+            "command": self.command,
+            "version": self.version,
+            "meta": _plain(self.meta),
+            "parts": headers,
+        }
+        text = json.dumps(header, sort_keys=True)
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, header=np.frombuffer(text.encode(), np.uint8), **arrays)
+
+
+def load(path: str | Path) -> Posterior:
+    """Read a posterior.npz. DerenderError: no such file, or not one of ours."""
+    path = Path(path)
+    if path.is_dir():
+        path = path / "posterior.npz"
+    if not path.exists():
+        raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(bytes(file["header"]))
+            parts = tuple(
+                StructurePosterior(
+                    graph_from_tree(part["graph"]),
+                    tuple(part["addresses"]),
+                    file[f"values_{number}"],
+                    file[f"log_prior_{number}"],
+                    file[f"log_likelihood_{number}"],
+                    part["weight"],
+                    tuple(part["periods"]),
+                    file[f"root_pose_{number}"] if f"root_pose_{number}" in file.files else None,
+                    part["extras"],
+                )
+                for number, part in enumerate(header["parts"])
+            )
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
+        raise DerenderError("not a posterior written by derender", path, "give a DIR made by derender infer") from fault
+    return Posterior(parts, header["seed"], header["command"], header["version"], header["meta"])
+
+
+def graph_to_tree(graph: SceneGraph) -> dict[str, Any]:
+    """Return a graph as JSON holds it, numbers exactly."""
+    return {
+        "root_pose": np.asarray(graph.root_pose).tolist(),
+        "gravity": [float(value) for value in graph.gravity],
+        "constraints": [_plain(asdict(constraint)) for constraint in graph.constraints],
+        "vertices": [
+            {
+                "name": vertex.name,
+                "shape": vertex.shape,
+                "parameters": _plain(vertex.parameters),
+                "parent": vertex.parent,
+                "contact": {
+                    "type": vertex.contact.type,
+                    "parent_face": vertex.contact.parent_face,
+                    "child_face": vertex.contact.child_face,
+                    "values": _plain(vertex.contact.values),
+                },
+                "options": _plain(vertex.options),
+                "supports": list(vertex.supports),
+            }
+            for vertex in graph.vertices
+        ],
+    }
+
+
+def graph_from_tree(tree: Mapping[str, Any]) -> SceneGraph:
+    """Return the graph of `graph_to_tree`."""
+    vertices = tuple(
+        Vertex(
+            name=vertex["name"],
+            shape=vertex["shape"],
+            parameters=vertex["parameters"],
+            parent=vertex["parent"],
+            contact=Contact(**vertex["contact"]),
+            options={k: tuple(v) if isinstance(v, list) else v for k, v in vertex["options"].items()},
+            supports=tuple(vertex["supports"]),
+        )
+        for vertex in tree["vertices"]
+    )
+    return SceneGraph(
+        root_pose=np.array(tree["root_pose"]),
+        vertices=vertices,
+        gravity=tuple(tree["gravity"]),
+        constraints=tuple(Constraint(**constraint) for constraint in tree["constraints"]),
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON can hold it: NumPy's numbers and arrays as Python's, paths as text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value if isinstance(value, str | int | float | bool | type(None)) else str(value)

@@ -1,0 +1,1 @@
+"""Chains, checkpoints, workers and diagnostics: sampling that knows no scene."""

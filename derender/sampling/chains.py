@@ -1,0 +1,142 @@
+"""Chains: generators of draws, resumable, and several of them at once over threads or processes.
+
+A chain depends on its seed and its number alone, never on which worker runs it or when it was stopped: the draws are
+the same bytes for any number of jobs, and a resumed chain equals an uninterrupted one.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from derender.sampling import checkpoint
+from derender.sampling.checkpoint import Record
+
+
+class Segment(NamedTuple):
+    """Some consecutive draws. values : (n, P) float; log_prior, log_likelihood : (n,) float."""
+
+    values: np.ndarray
+    log_prior: np.ndarray
+    log_likelihood: np.ndarray
+
+
+class Sampler(Protocol):
+    """How one chain walks. Picklable: spawned processes receive it.
+
+    segment : number of draws (and of warm-up rounds) between two moments at which a chain can be stopped.
+    state : arrays by name; all that the next step depends on besides `rng`.
+    """
+
+    segment: int
+
+    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return a first state."""
+
+    def warm_up(self, rng, state, done: int, rounds: int, total: int) -> dict[str, np.ndarray]:
+        """Return the state after `rounds` more of `total` warm-up rounds, of which `done` are done; may adapt."""
+
+    def advance(self, rng, state, draws: int) -> tuple[dict[str, np.ndarray], Segment]:
+        """Return the state and the draws after `draws` more of them; adapts nothing."""
+
+
+class Plan(NamedTuple):
+    """What one run of several chains is.
+
+    Attributes
+    ----------
+    sampler : walks each chain.
+    seed : int; chain k uses the k-th spawn of its SeedSequence.
+    chains, warmup, draws : counts; warm-up rounds and draws are per chain.
+    folder : of the checkpoints, or None to keep none.
+    run : fingerprint that checkpoints must carry.
+    resume : whether to go on from the checkpoints in `folder`.
+    checkpoint_seconds : time between two checkpoints of a chain.
+    """
+
+    sampler: Sampler
+    seed: int
+    chains: int
+    warmup: int
+    draws: int
+    folder: Path | None = None
+    run: str = ""
+    resume: bool = False
+    checkpoint_seconds: float = 2.0
+
+    def checkpoint_path(self, number: int) -> Path | None:
+        return None if self.folder is None else Path(self.folder) / f"chain_{number}.npz"
+
+
+Stop = Callable[[], bool]
+Progress = Callable[[int, int, int], None]
+
+
+def chain_generator(seed: int, number: int) -> np.random.Generator:
+    """Return the random generator of chain `number`: the spawned child of the seed with that number."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
+
+
+def chain(sampler: Sampler, rng, warmup: int, draws: int, record: Record | None = None) -> Iterator[Record]:
+    """Yield the chain's record after each segment, from the start or from `record`, until `draws` are there.
+
+    Segments are cut at fixed places, so that stopping between two of them changes nothing that follows. The arrays of
+    the yielded records are views of one buffer: later draws are appended behind them, what is in them stays.
+    """
+    if record is None:
+        state = sampler.start(rng)
+        record = Record(0, np.empty((0, 0)), np.empty(0), np.empty(0), state, rng.bit_generator.state)
+        yield record
+    else:
+        rng.bit_generator.state = record.generator
+    while record.warmed < warmup:
+        rounds = min(sampler.segment - record.warmed % sampler.segment, warmup - record.warmed)
+        state = sampler.warm_up(rng, record.state, record.warmed, rounds, warmup)
+        record = record._replace(warmed=record.warmed + rounds, state=state, generator=rng.bit_generator.state)
+        yield record
+    buffers: list[np.ndarray] = []
+    while record.drawn < draws:
+        done = record.drawn
+        count = min(sampler.segment - done % sampler.segment, draws - done)
+        state, segment = sampler.advance(rng, record.state, count)
+        if not buffers:
+            buffers = [np.empty((draws, *column.shape[1:])) for column in segment]
+            if done:
+                for buffer, column in zip(buffers, record[1:4], strict=True):
+                    buffer[:done] = column
+        for buffer, column in zip(buffers, segment, strict=True):
+            buffer[done : done + count] = column
+        values, log_prior, log_likelihood = (buffer[: done + count] for buffer in buffers)
+        record = Record(record.warmed, values, log_prior, log_likelihood, state, rng.bit_generator.state)
+        yield record
+
+
+def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record:
+    """Run one chain of the plan until it is done or `stop()`; return its record, written to its checkpoint.
+
+    A short chain that runs to its end writes no checkpoint: to repeat it costs less.
+    """
+    path = plan.checkpoint_path(number)
+    if path is not None:  # what a kill left behind in the midst of writing
+        for torn in path.parent.glob(f".{path.stem}-*"):
+            torn.unlink(missing_ok=True)
+    rng = chain_generator(plan.seed, number)
+    record = former = checkpoint.load(path, plan.run) if plan.resume and path is not None else None
+    saved_at = time.monotonic()
+    total = plan.warmup + plan.draws
+    for record in chain(plan.sampler, rng, plan.warmup, plan.draws, former):
+        done = record.warmed + record.drawn
+        progress(number, done, total)
+        stopped = stop() and done < total
+        due = time.monotonic() - saved_at > plan.checkpoint_seconds or (done == total and path and path.exists())
+        if path is not None and (stopped or due):
+            started = time.monotonic()
+            checkpoint.save(path, record, plan.run)
+            # The next one waits at least twenty times as long as this one took: at most 5 % of the time goes to disk.
+            saved_at = time.monotonic() + 20 * (time.monotonic() - started)
+        if stopped:
+            break
+    assert record is not None
+    return record

@@ -1,0 +1,1 @@
+"""Scene files: YAML read strictly, with lines and addresses, and written back."""

@@ -1,0 +1,235 @@
+"""The model's part of a scene file (DESIGN section 6): root, objects, open structure; read into a prior.
+
+A file whose numbers are all fixed is a prior with one scene.  The keys of other rooms (camera, likelihood, inference)
+are left to `derender.document`.
+"""
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.scene.codec.yaml_tree import Node, Section
+from derender.scene.contacts import contacts
+from derender.scene.distributions import Categorical
+from derender.scene.pose import from_quaternion
+from derender.scene.priors.base import Prior
+from derender.scene.priors.contacts import ON, TOP, ContactPrior, ContactRule
+from derender.scene.priors.open_structure import structures
+from derender.scene.priors.reading import (
+    PHYSICAL,
+    read_categorical,
+    read_contact_values,
+    read_face,
+    read_rotation,
+    read_rules,
+    read_shape,
+    read_value,
+)
+from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, RootPrior
+from derender.scene.priors.terms import RestsOn, read_terms
+from derender.scene.priors.tree import ROOT, TreeObject, TreePrior
+from derender.scene.priors.values import QUATERNION
+from derender.scene.shapes import shapes
+
+KEYS = ("root", "objects", "structure", "shapes", "contacts", "constraints")
+MOST_OBJECTS = 2000
+_NAME = re.compile(r"[^\W_][\w -]{0,63}")
+_RESERVED = (ROOT, "likelihood", "camera")
+
+
+def read_prior(top: Section, folder: Path) -> Prior:
+    """Return the prior that a file describes; `folder` is where its relative paths start.
+
+    Raises
+    ------
+    DerenderError : with file, line, address and remedy.
+    """
+    root = read_root(top.get("root"))
+    objects = read_objects(top.get("objects"), folder)
+    names = tuple(item.name for item in objects)
+    open_structure = "structure" in top
+    terms = read_terms(top["constraints"], names) if "constraints" in top else ()
+    if not open_structure:
+        for key in ("shapes", "contacts"):
+            if key in top:
+                raise top[key].fault(f"{key} belongs to a file with structure:", "add structure: {type: grammar, ...}")
+        if "objects" not in top:
+            raise top.fault("neither objects nor structure is given", "add objects: or structure:")
+        return with_supports(TreePrior(root, objects, terms))
+    section = top["structure"].section()
+    kind = section["type"].text(structures)
+    kinds = {}
+    for name, node in top["shapes"].section().items():
+        check_name(name, node)
+        entry = read_shape(node, folder, ("weight", *PHYSICAL), name)
+        weight = node["weight"].number(lower=0.0, upper=1e6) if isinstance(node, Section) and "weight" in node else 1.0
+        options = {**entry.options, **read_physical(node)}
+        kinds[name] = type(entry)(entry.type, entry.values, options, weight)
+    rules: tuple[ContactRule, ...] = ()
+    for name, node in top["contacts"].section().items():
+        rules += read_rules(node, name)
+    try:
+        return structures[kind].read(section, root, objects, kinds, ContactPrior(rules), terms)
+    except DerenderError as error:
+        if error.where is not None:
+            raise
+        raise section.fault(error.what, error.remedy) from None
+
+
+def with_supports(prior: TreePrior) -> TreePrior:
+    """Return the prior with a term for each second support that no `rests-on` names; a scene is what it is."""
+    named = {(term.child, term.support) for term in prior.constraints if isinstance(term, RestsOn)}
+    pairs = [(item.name, other) for item in prior.objects for other in item.supports]
+    wanted = tuple(RestsOn(*pair) for pair in pairs if pair not in named)
+    return prior if not wanted or prior.fixed else replace(prior, constraints=(*prior.constraints, *wanted))
+
+
+def check_name(name: str, node: Node) -> None:
+    """Refuse a name that would not fit an address."""
+    if not _NAME.fullmatch(name) or name in _RESERVED:
+        raise node.fault(f"{name!r} cannot name an object", "use letters, digits, - and _, beginning with a letter")
+
+
+def read_root(node: Node | None) -> RootPrior:
+    """Read the root's pose: {position, quat_wxyz}, {distance, elevation, azimuth, roll} or {pose: 4 rows}."""
+    if node is None:
+        return FixedRoot(np.eye(4))
+    section = node.section()
+    if "pose" in section:
+        return FixedRoot(_matrix(section.allow("pose")["pose"]))
+    if "distance" in section or "elevation" in section:
+        section.allow(*LookedAtRoot.KEYS)
+        distance, elevation = read_value(section["distance"], "m"), read_value(section["elevation"], "rad")
+        low = distance if isinstance(distance, float) else distance.support[0]
+        if low < 0 or distance == 0:
+            raise section["distance"].fault("the distance is not positive", "give a distance above 0, such as 0.8")
+        span = (elevation, elevation) if isinstance(elevation, float) else elevation.support
+        if not -math.pi / 2 <= span[0] <= span[1] <= math.pi / 2:
+            raise section["elevation"].fault(
+                "the elevation leaves [-90 deg, 90 deg]", "use uniform or truncated-normal"
+            )
+        rest = [read_value(section[key], "rad") if key in section else 0.0 for key in ("azimuth", "roll")]
+        return LookedAtRoot(distance, elevation, *rest)
+    section.allow("position", QUATERNION, "pose", *LookedAtRoot.KEYS)
+    zero = (0.0, 0.0, 0.0)
+    position = (
+        tuple(read_value(item, "m") for item in section["position"].sequence(3)) if "position" in section else zero
+    )
+    rotation = read_rotation(section[QUATERNION]) if QUATERNION in section else (1.0, 0.0, 0.0, 0.0)
+    if isinstance(rotation, tuple) and all(isinstance(x, float) for x in position):
+        return FixedRoot(from_quaternion(rotation, position))
+    return FreeRoot(position, rotation)  # type: ignore[arg-type]
+
+
+def _matrix(node: Node) -> np.ndarray:
+    pose = np.array([[item.number() for item in row.sequence(4)] for row in node.sequence(4)])
+    rotation = pose[:3, :3]
+    rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+    if not rigid or np.abs(pose[3] - (0, 0, 0, 1)).max() > 0:
+        raise node.fault("the matrix is no rigid pose", "give [R, t; 0, 0, 0, 1] with a rotation R")
+    return pose
+
+
+def read_objects(node: Node | None, folder: Path) -> tuple[TreeObject, ...]:
+    """Read the named objects, in the order of the file."""
+    if node is None:
+        return ()
+    section = node.section()
+    if len(section) > MOST_OBJECTS:
+        raise section.fault(f"{len(section)} objects are too many", f"stay below {MOST_OBJECTS}")
+    kinds: dict[str, str] = {ROOT: "frame"}
+    for name, item in section.items():
+        check_name(name, item)
+        shape = item.section()["shape"]
+        kinds[name] = (shape["type"] if isinstance(shape, Section) else shape).text(shapes)
+    return tuple(_read_object(name, item.section(), kinds, folder) for name, item in section.items())
+
+
+def _read_object(name: str, node: Section, kinds: dict[str, str], folder: Path) -> TreeObject:
+    node.allow("shape", "parent", "contact", "supports", *PHYSICAL, "colour")
+    shape = read_shape(node["shape"], folder)
+    options = {**shape.options, **read_physical(node)}
+    if "colour" in node:
+        options["colour"] = tuple(part.number(lower=0.0, upper=1.0) for part in node["colour"].sequence(3))
+    others = [other for other in kinds if other != name]
+    parent: str | Categorical = ROOT
+    if "parent" in node:
+        item = node["parent"]
+        if isinstance(item, Section):
+            parent = read_categorical(item, others)
+        elif item.text() == name:
+            raise item.fault(f"{name} rests on itself", "name another object, or root")
+        else:
+            parent = item.text(others)
+    parents = parent.choices if isinstance(parent, Categorical) else (parent,)
+    if "contact" not in node and parents != (ROOT,):
+        raise node.fault("the contact is missing", "add contact: {type: face-to-face, ...}")
+    contact = _read_contact(node.get("contact"), [kinds[each] for each in parents], shape.type, node)
+    supports = tuple(item.text(others) for item in node["supports"].sequence()) if "supports" in node else ()
+    return TreeObject(name, type(shape)(shape.type, shape.values, options), contact, parent, supports, node)
+
+
+def read_physical(node: Node) -> dict[str, float]:
+    """Read mass, friction and elasticity where they are given."""
+    if not isinstance(node, Section):
+        return {}
+    return {key: node[key].number(*limits) for key, limits in PHYSICAL.items() if key in node}
+
+
+def _read_contact(node: Node | None, parents: list[str], child: str, place: Section) -> ContactPrior:
+    """Read an object's contact: exactly one pair of faces for each parent's shape, unless the file leaves it open."""
+    if node is None:
+        return ContactPrior((ContactRule("6dof", fill=False, places={"": place}),))
+    if not isinstance(node, Section):
+        kind = node.text([*contacts, ON])
+        section = Section(node.file, node.line, node.address, {}, {})
+    else:
+        section, kind = node, node["type"].text([*contacts, ON])
+    if kind == ON:
+        return ContactPrior(_on_rules(section, parents, child))
+    values, places = read_contact_values(section, kind, ("type",))
+    wanted = [read_face(section.get("parent_face")), read_face(section.get("child_face"))]
+    rules = []
+    for parent in dict.fromkeys(parents):
+        pairs = contacts[kind].choices(shapes[parent], shapes[child])
+        if not pairs:
+            try:
+                contacts[kind].default_choice(shapes[parent], shapes[child])
+            except DerenderError as error:
+                raise section.fault(error.what, error.remedy) from None
+        for face, key, index in ((wanted[0], "parent_face", 0), (wanted[1], "child_face", 1)):
+            known = {str(pair[index]) for pair in pairs}
+            for each in face.choices if isinstance(face, Categorical) else (face,):
+                if each is not None and each not in known and not (key == "parent_face" and each == TOP):
+                    shape = (parent, child)[index]
+                    from derender.registry import suggest
+
+                    what = f"the {key} {each!r} of a {shape} has no {kind} contact"
+                    raise section[key].fault(what, suggest(each, known))
+        faces = [face if face is not None else _default_face(pairs, wanted, index) for index, face in enumerate(wanted)]
+        rule = ContactRule(kind, 1.0, faces[0], faces[1], values, (parent,), None, False, {**places, "": section})
+        rules.append(rule)
+    return ContactPrior(tuple(rules))
+
+
+def _default_face(pairs: list, wanted: list, index: int) -> str | None:
+    """Return the face meant where a file names none: the parent's top, the child's bottom, else the first there is."""
+    best = ("+z", "-z")[index]
+    names = [pair[index] for pair in pairs]
+    return min(names, key=lambda name: (name != best, best not in str(name)))
+
+
+def _on_rules(section: Section, parents: list[str], child: str) -> tuple[ContactRule, ...]:
+    """Read `on`: every exact contact by which the child can rest on the parent's top is as likely as another."""
+    rules = []
+    for rule in read_rules(section, fill=True):
+        counts = [
+            sum(1 for pair in contacts[rule.type].choices(shapes[parent], shapes[child]) if pair[0] == "+z")
+            for parent in parents
+        ]
+        rules.append(replace(rule, weight=float(max(1, *counts, 1))))
+    return tuple(rules)

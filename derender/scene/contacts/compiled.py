@@ -1,0 +1,254 @@
+"""The contacts as compiled functions over numbers: forward kinematics and its inverse without Python.
+
+Tested equal to the readable classes. A solid is its kind (`solids.PLANE` ...; FRAME) and its (3,) full extents, a
+feature is a code of FEATURE_CODES (-1 for none), a contact type is its `compiled_code`, and phi is an array in the
+order of `ContactType.parameters`: seven numbers for 6dof, six for every other. A type from elsewhere has no code.
+"""
+
+import math
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.scene import polygon
+from derender.scene.shapes import shapes
+from derender.scene.shapes.base import FACE_NAMES
+from derender.scene.shapes.box import CORNER_NAMES, EDGE_NAMES, box_feature, signs_of
+from derender.scene.solids import CYLINDER, PLANE, SPHERE
+
+FRAME = -1
+SIX_DOF, FACE_TO_FACE, POINT_ON_FACE, SIDE_ON_FACE, EDGE_ON_FACE, CORNER_ON_FACE = range(6)
+SLOTS = 7  # numbers of the longest phi
+
+FEATURE_NAMES = (*FACE_NAMES, "side", "surface", *EDGE_NAMES, *CORNER_NAMES)
+FEATURE_CODES: dict[str | None, int] = {None: -1, **{name: code for code, name in enumerate(FEATURE_NAMES)}}
+SIDE, SURFACE, FIRST_EDGE, FIRST_CORNER = 6, 7, 8, 20
+
+
+def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each feature's rotation (28, 3, 3), its place as signs (28, 3), its outline's two axes (28, 2) or -1."""
+    rotations, signs = np.tile(np.eye(3), (28, 1, 1)), np.zeros((28, 3))
+    axes = np.full((28, 2), -1, dtype=np.int64)
+    for code, name in enumerate(FEATURE_NAMES):
+        if name in ("side", "surface"):
+            continue
+        signs[code] = signs_of(name)
+        feature = box_feature(name, np.array([1.0, 2.0, 3.0]))
+        rotations[code] = feature.frame[:3, :3]
+        for place, extent in enumerate(feature.outline[:2]):
+            axes[code, place] = int(extent) - 1  # the extents 1, 2, 3 tell which axis lies along the outline
+    rotations[SIDE] = shapes["cylinder"].face("side", (1.0, 1.0)).frame[:3, :3]
+    return rotations, signs, axes
+
+
+_ROTATIONS, _SIGNS, _AXES = _tables()
+
+reach = njit(cache=True, nogil=True)(polygon.reach)
+upper = njit(cache=True, nogil=True)(polygon.upper)
+
+
+@njit(cache=True, nogil=True)
+def outline(kind, size, code):
+    """Return (length, width, radius, lift) of a feature."""
+    if kind == PLANE:
+        return math.inf, math.inf, 0.0, 0.0
+    if kind == SPHERE:
+        return 0.0, 0.0, 0.0, 0.5 * size[0]
+    if code == SIDE:
+        return size[2], 0.0, 0.0, 0.5 * size[0]
+    if kind == CYLINDER:
+        return 0.0, 0.0, 0.5 * size[0], 0.0
+    first, second = _AXES[code, 0], _AXES[code, 1]
+    return (size[first] if first >= 0 else 0.0), (size[second] if second >= 0 else 0.0), 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def offset_from_uv(u, v, theta, a, b, c, d, radius):
+    """Return (x, y), metres: `polygon.offset_from_uv`."""
+    x = (2.0 * u - 1.0) * reach(theta, a, b, c, d, radius)
+    low, high = -upper(-x, theta, a, b, c, d, radius), upper(x, theta, a, b, c, d, radius)
+    return x, low + v * (high - low)
+
+
+@njit(cache=True, nogil=True)
+def uv_from_offset(x, y, theta, a, b, c, d, radius):
+    """Return (u, v, outside): `polygon.uv_from_offset`."""
+    half = reach(theta, a, b, c, d, radius)
+    near_x = min(max(x, -half), half)
+    low, high = -upper(-near_x, theta, a, b, c, d, radius), upper(near_x, theta, a, b, c, d, radius)
+    near_y = min(max(y, low), high)
+    u = 0.5 + 0.5 * near_x / half if half > 0.0 else 0.5
+    v = (near_y - low) / (high - low) if high > low else 0.5
+    return u, v, math.hypot(x - near_x, y - near_y)
+
+
+@njit(cache=True, nogil=True)
+def area_element(u, theta, a, b, c, d, radius):
+    """Return |d(x, y) / d(u, v)|: `polygon.area_element`."""
+    half = reach(theta, a, b, c, d, radius)
+    x = (2.0 * u - 1.0) * half
+    return 2.0 * half * (upper(x, theta, a, b, c, d, radius) + upper(-x, theta, a, b, c, d, radius))
+
+
+@njit(cache=True, nogil=True)
+def _rotation_of(w, x, y, z):
+    """Return the nine numbers, row by row, of a unit quaternion's rotation."""
+    return (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _meeting_rotation(contact, child_face, theta, first, second):
+    """Return the nine numbers of Rz(theta) . turn, by the type's chart."""
+    half = 0.5 * theta
+    # Each chart as a quaternion: Rz(theta) = (cz, 0, 0, sz) times the turn's own.
+    cz, sz = math.cos(half), math.sin(half)
+    if contact == SIDE_ON_FACE or contact == EDGE_ON_FACE:
+        cy, sy = math.cos(0.5 * first), math.sin(0.5 * first)
+        cx, sx = math.cos(0.5 * second), -math.sin(0.5 * second)
+        w, x, y, z = cy * cx, cy * sx, sy * cx, -sy * sx
+    elif contact == CORNER_ON_FACE:
+        beta = 0.5 * math.pi - _SIGNS[child_face, 2] * second
+        alpha = math.atan2(_SIGNS[child_face, 1] * math.sin(first), _SIGNS[child_face, 0] * math.cos(first))
+        cy, sy = math.cos(0.5 * beta), math.sin(0.5 * beta)
+        ca, sa = math.cos(0.5 * alpha), math.sin(0.5 * alpha)
+        w, x, y, z = cy * ca, sy * sa, sy * ca, cy * sa
+    else:
+        angle = math.hypot(first, second)
+        scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+        w, x, y, z = math.cos(0.5 * angle), scale * first, scale * second, 0.0
+    return _rotation_of(cz * w - sz * z, cz * x - sz * y, cz * y + sz * x, cz * z + sz * w)
+
+
+@njit(cache=True, nogil=True)
+def relative_pose(contact, parent_kind, parent_size, child_kind, child_size, parent_face, child_face, phi, out):
+    """Write the (4, 4) pose of the child in the parent's object axes into `out`: f_c of Eq. 1 without z_parent."""
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
+    if contact == SIX_DOF:
+        norm = math.sqrt(phi[3] * phi[3] + phi[4] * phi[4] + phi[5] * phi[5] + phi[6] * phi[6])
+        r = _rotation_of(phi[3] / norm, phi[4] / norm, phi[5] / norm, phi[6] / norm)
+        out[0, 0], out[0, 1], out[0, 2], out[0, 3] = r[0], r[1], r[2], phi[0]
+        out[1, 0], out[1, 1], out[1, 2], out[1, 3] = r[3], r[4], r[5], phi[1]
+        out[2, 0], out[2, 1], out[2, 2], out[2, 3] = r[6], r[7], r[8], phi[2]
+        return
+    theta, x, y = phi[0], phi[1], phi[2]
+    a, b, radius, _ = outline(parent_kind, parent_size, parent_face)
+    c, d, child_radius, lift = outline(child_kind, child_size, child_face)
+    if a < math.inf and c < math.inf:
+        x, y = offset_from_uv(x, y, theta, a, b, c, d, radius + child_radius)
+    height = phi[3] + lift
+    q = _meeting_rotation(contact, child_face, theta, phi[4], phi[5])
+    # Rotation and shift of the child's face in the parent's object axes ...
+    on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
+    for i in range(3):
+        m0 = on[i, 0] * q[0] + on[i, 1] * q[3] + on[i, 2] * q[6]
+        m1 = -(on[i, 0] * q[1] + on[i, 1] * q[4] + on[i, 2] * q[7])
+        m2 = -(on[i, 0] * q[2] + on[i, 1] * q[5] + on[i, 2] * q[8])
+        shift = on[i, 0] * x + on[i, 1] * y + on[i, 2] * height + 0.5 * _SIGNS[parent_face, i] * parent_size[i]
+        # ... and of the child itself: rotation times F_child^T, its origin taken back.
+        for j in range(3):
+            value = m0 * by[j, 0] + m1 * by[j, 1] + m2 * by[j, 2]
+            out[i, j] = value
+            shift -= value * 0.5 * _SIGNS[child_face, j] * child_size[j]
+        out[i, 3] = shift
+
+
+@njit(cache=True, nogil=True)
+def _quaternion_of(r, out):
+    """Write the unit quaternion (w, x, y, z), w >= 0, of a rotation into `out`: `pose.quaternion`."""
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    w, x, y, z = 1 + trace, 1 + 2 * r[0, 0] - trace, 1 + 2 * r[1, 1] - trace, 1 + 2 * r[2, 2] - trace
+    if w >= x and w >= y and w >= z:
+        x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    elif x >= y and x >= z:
+        w, y, z = r[2, 1] - r[1, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
+    elif y >= z:
+        w, x, z = r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], r[1, 2] + r[2, 1]
+    else:
+        w, x, y = r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    norm = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
+    out[0], out[1], out[2], out[3] = w / norm, x / norm, y / norm, z / norm
+
+
+@njit(cache=True, nogil=True)
+def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_face, child_face, relative, phi):
+    """Write phi of the contact nearest to the (4, 4) pose into `phi`; return (outside, angle): `ContactType.invert`."""
+    if contact == SIX_DOF:
+        phi[0], phi[1], phi[2] = relative[0, 3], relative[1, 3], relative[2, 3]
+        _quaternion_of(relative, phi[3:7])
+        return 0.0, 0.0
+    on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
+    turned = np.empty((3, 3))  # F_parent^T . relative . F_child . FLIP
+    place = np.empty(3)
+    shift = np.empty(3)
+    middle = np.empty((3, 3))
+    for i in range(3):
+        shift[i] = relative[i, 3] - 0.5 * _SIGNS[parent_face, i] * parent_size[i]
+        for j in range(3):
+            shift[i] += relative[i, j] * 0.5 * _SIGNS[child_face, j] * child_size[j]
+            middle[i, j] = relative[i, 0] * by[0, j] + relative[i, 1] * by[1, j] + relative[i, 2] * by[2, j]
+    for i in range(3):
+        place[i] = on[0, i] * shift[0] + on[1, i] * shift[1] + on[2, i] * shift[2]
+        for j in range(3):
+            value = on[0, i] * middle[0, j] + on[1, i] * middle[1, j] + on[2, i] * middle[2, j]
+            turned[i, j] = value if j == 0 else -value
+    if contact == SIDE_ON_FACE or contact == EDGE_ON_FACE:
+        theta = math.atan2(turned[1, 0], turned[0, 0])
+        first = math.atan2(-turned[2, 0], math.hypot(turned[0, 0], turned[1, 0]))
+        second = -math.atan2(turned[2, 1], turned[2, 2])
+        if contact == EDGE_ON_FACE:
+            second = min(max(second, 0.0), 0.5 * math.pi)
+    elif contact == CORNER_ON_FACE:
+        sx, sy, sz = _SIGNS[child_face, 0], _SIGNS[child_face, 1], _SIGNS[child_face, 2]
+        beta = math.atan2(math.hypot(turned[0, 2], turned[1, 2]), turned[2, 2])
+        alpha = math.atan2(turned[2, 1], -turned[2, 0])
+        theta = math.atan2(turned[1, 2], turned[0, 2])
+        first = min(max(math.atan2(sy * math.sin(alpha), sx * math.cos(alpha)), 0.0), 0.5 * math.pi)
+        second = min(max(sz * (0.5 * math.pi - beta), 0.0), 0.5 * math.pi)
+    else:
+        quat = np.empty(4)
+        _quaternion_of(turned, quat)
+        theta = 2.0 * math.atan2(quat[3], quat[0])
+        # The tilt is what is left when the twist is taken off: a quaternion without z.
+        cz, sz = math.cos(0.5 * theta), math.sin(0.5 * theta)
+        w = cz * quat[0] + sz * quat[3]
+        x, y = cz * quat[1] + sz * quat[2], cz * quat[2] - sz * quat[1]
+        sine = math.hypot(x, y)
+        scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
+        first, second = scale * x, scale * y
+    theta = theta % (2.0 * math.pi)
+    if 2.0 * math.pi - theta < 1e-12:
+        theta = 0.0
+    a, b, radius, _ = outline(parent_kind, parent_size, parent_face)
+    c, d, child_radius, lift = outline(child_kind, child_size, child_face)
+    x, y, outside = place[0], place[1], 0.0
+    if a < math.inf and c < math.inf:
+        x, y, outside = uv_from_offset(x, y, theta, a, b, c, d, radius + child_radius)
+    phi[0], phi[1], phi[2], phi[3], phi[4], phi[5] = theta, x, y, place[2] - lift, first, second
+    # The angle between what was asked for and what these numbers give, from the chord |R - R'| = 2 sqrt(2) sin(a / 2).
+    q = _meeting_rotation(contact, child_face, theta, first, second)
+    square = 0.0
+    for i in range(3):
+        for j in range(3):
+            square += (turned[i, j] - q[3 * i + j]) ** 2
+    angle = 2.0 * math.asin(min(1.0, math.sqrt(square / 8.0)))
+    return outside, angle if angle > 1e-12 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def compose(first, second, out):
+    """Write the product of two rigid (4, 4) poses into `out`, which must be another array."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = first[i, 0] * second[0, j] + first[i, 1] * second[1, j] + first[i, 2] * second[2, j]
+        out[i, 3] = first[i, 0] * second[0, 3] + first[i, 1] * second[1, 3] + first[i, 2] * second[2, 3] + first[i, 3]
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0

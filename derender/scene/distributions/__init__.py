@@ -1,0 +1,29 @@
+"""Distributions over numbers, rotations and choices, by name.
+
+>>> import numpy as np
+>>> side = distributions["uniform"](0.05, 0.12)
+>>> 0.05 <= side.sample(np.random.default_rng(0)) <= 0.12
+True
+>>> round(side.log_density(0.1), 6)
+2.65926
+"""
+
+from derender.scene.distributions import (  # noqa: F401  (importing registers)
+    beta,
+    exponential,
+    gamma,
+    geometric,
+    log_normal,
+    log_uniform,
+    normal,
+    poisson,
+    truncated_normal,
+    uniform,
+    uniform_integer,
+    uniform_rotation,
+    von_mises,
+)
+from derender.scene.distributions.base import ROW, Distribution, DistributionType, distributions
+from derender.scene.distributions.categorical import Categorical
+
+__all__ = ["ROW", "Categorical", "Distribution", "DistributionType", "distributions"]

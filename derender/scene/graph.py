@@ -1,0 +1,286 @@
+"""The scene graph of Definition 2.1: a tree of solids, each placed on its parent by a contact; poses by Eq. 1."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.registry import suggest
+from derender.scene.constraints import Constraint
+from derender.scene.contacts import contacts
+from derender.scene.contacts.base import Inverse
+from derender.scene.pose import inverse
+from derender.scene.shapes import Body, shapes
+from derender.scene.solids import Solids
+from derender.scene.vertex import ROOT, Contact, Vertex, nearest_contact, relative_pose, solids_of
+
+__all__ = ["ROOT", "Constraint", "Contact", "SceneGraph", "Vertex"]
+
+ROOT_BODY = Body(shapes["frame"])
+
+
+@dataclass(frozen=True, eq=False)
+class SceneGraph:
+    """A scene: the root's pose and the vertices, parents before children.
+
+    Attributes
+    ----------
+    root_pose : (4, 4) float64, root to camera.
+    vertices : the objects, in order.
+    gravity : (3,) unit vector of the pull of gravity, in root axes.
+    constraints : undirected relations between objects ("does not touch").
+    """
+
+    root_pose: np.ndarray
+    vertices: tuple[Vertex, ...] = ()
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    constraints: tuple[Constraint, ...] = ()
+
+    def __post_init__(self) -> None:
+        seen = {ROOT}
+        for vertex in self.vertices:
+            if vertex.name in seen:
+                raise DerenderError(f"two objects are called {vertex.name!r}", vertex.name, "give each its own name")
+            if vertex.parent not in seen:
+                later = any(other.name == vertex.parent for other in self.vertices)
+                what = f"the parent {vertex.parent!r} " + ("comes after its child" if later else "does not exist")
+                remedy = "list parents first, without a cycle" if later else suggest(vertex.parent, seen)
+                raise DerenderError(what, f"{vertex.name}.parent", remedy)
+            seen.add(vertex.name)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, SceneGraph):
+            return NotImplemented
+        ours, theirs = (self.vertices, self.constraints), (other.vertices, other.constraints)
+        same_root = np.array_equal(self.root_pose, other.root_pose) and np.array_equal(self.gravity, other.gravity)
+        return bool(same_root and ours == theirs)
+
+    __hash__ = None  # type: ignore[assignment]  # its numbers are in arrays and dicts; `structure()` can be hashed
+
+    # ---- the tree -------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {vertex.name: index for index, vertex in enumerate(self.vertices)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the vertices, in order, without the root."""
+        return tuple(vertex.name for vertex in self.vertices)
+
+    def vertex(self, name: str) -> Vertex:
+        """Return the vertex called `name`; DerenderError if there is none."""
+        try:
+            return self.vertices[self._index[name]]
+        except KeyError:
+            raise DerenderError(f"no object is called {name!r}", remedy=suggest(name, self.names)) from None
+
+    def body(self, name: str) -> Body:
+        """Return shape and numbers of a vertex or of the root."""
+        return ROOT_BODY if name == ROOT else self.vertex(name).body
+
+    def children(self, name: str) -> tuple[str, ...]:
+        """Return the names of the vertices whose parent is `name`."""
+        return tuple(vertex.name for vertex in self.vertices if vertex.parent == name)
+
+    def descendants(self, name: str) -> tuple[str, ...]:
+        """Return the names of all vertices below `name`, in order; `name` itself is not among them."""
+        below = {name}
+        for vertex in self.vertices:
+            if vertex.parent in below:
+                below.add(vertex.name)
+        return tuple(vertex.name for vertex in self.vertices if vertex.name in below and vertex.name != name)
+
+    def path(self, j: str, i: str) -> tuple[str, ...]:
+        """Return the vertices on the path from `j` up to its ancestor `i`, `i` not included (Eq. 8)."""
+        walked = []
+        while j != i:
+            if j == ROOT:
+                raise ValueError(f"{i!r} is not an ancestor")
+            walked.append(j)
+            j = self.vertex(j).parent
+        return tuple(walked)
+
+    def structure(self) -> tuple:
+        """Return the discrete part (V, E, s, c), hashable: equal for graphs that differ in numbers only."""
+        return tuple(
+            (v.name, v.shape, v.parent, v.contact.type, v.contact.parent_face, v.contact.child_face, tuple(v.supports))
+            for v in self.vertices
+        )
+
+    # ---- poses ----------------------------------------------------------------------------------------------------
+
+    def relative_pose(self, name: str) -> np.ndarray:
+        """Return the (4, 4) pose of a vertex in its parent's object axes."""
+        vertex = self.vertex(name)
+        return relative_pose(vertex, self.body(vertex.parent))
+
+    def poses(self) -> dict[str, np.ndarray]:
+        """Return the pose (4, 4), object to camera, of every vertex by name, and of the root (Eq. 1)."""
+        return dict(self._poses)
+
+    @cached_property
+    def _poses(self) -> dict[str, np.ndarray]:
+        poses = {ROOT: np.asarray(self.root_pose, dtype=float)}
+        bodies = {ROOT: ROOT_BODY}
+        for vertex in self.vertices:
+            bodies[vertex.name] = body = vertex.body
+            parent = vertex.parent
+            poses[vertex.name] = poses[parent] @ relative_pose(vertex, bodies[parent], body)
+        return poses
+
+    @property
+    def solid_names(self) -> tuple[str, ...]:
+        """Names of the vertices that `solids` holds, in its order: all but frames."""
+        return tuple(v.name for v in self.vertices if shapes[v.shape].solid_kind is not None)
+
+    def solids(self) -> Solids:
+        """Return all that has a surface as flat arrays in the camera's frame (Eq. 5)."""
+        return solids_of([self.vertex(name) for name in self.solid_names], self._poses)
+
+    def down(self) -> np.ndarray:
+        """Return the (3,) unit direction of gravity in camera axes."""
+        down = np.asarray(self.root_pose)[:3, :3] @ np.asarray(self.gravity, dtype=float)
+        return down / np.linalg.norm(down)
+
+    # ---- numbers --------------------------------------------------------------------------------------------------
+
+    def degrees_of_freedom(self) -> int:
+        """Return the number of continuous contact parameters: 15 and 24 for Figure 3. Slack counts where not zero."""
+        return sum(self.freedom(vertex.name) for vertex in self.vertices)
+
+    def freedom(self, name: str) -> int:
+        """Return the number of continuous contact parameters of one vertex."""
+        vertex = self.vertex(name)
+        contact = contacts[vertex.contact.type]
+        if hasattr(contact, "degrees_of_freedom"):
+            return contact.degrees_of_freedom
+        faces = vertex.contact.parent_face, vertex.contact.child_face
+        parameters = contact.parameters(self.body(vertex.parent).shape, vertex.body.shape, *faces)
+        return sum(not p.slack or vertex.contact.values.get(p.name, 0.0) != 0.0 for p in parameters)
+
+    def numbers(self) -> dict[str, float]:
+        """Return every number that the graph gives, by address: `red.side`, `red.contact.theta`."""
+        found = {}
+        for vertex in self.vertices:
+            found.update({f"{vertex.name}.{key}": float(value) for key, value in vertex.parameters.items()})
+            found.update({f"{vertex.name}.contact.{key}": float(x) for key, x in vertex.contact.values.items()})
+        return found
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> "SceneGraph":
+        """Return the graph with some numbers changed, by address; an unknown object is a DerenderError."""
+        changed: dict[str, Vertex] = {}
+        for address, value in numbers.items():
+            name, _, rest = address.partition(".")
+            vertex = changed.get(name) or self.vertex(name)
+            if rest.startswith("contact."):
+                values = {**vertex.contact.values, rest.removeprefix("contact."): float(value)}
+                changed[name] = replace(vertex, contact=replace(vertex.contact, values=values))
+            else:
+                changed[name] = replace(vertex, parameters={**vertex.parameters, rest: float(value)})
+        return replace(self, vertices=tuple(changed.get(v.name, v) for v in self.vertices))
+
+    # ---- changes --------------------------------------------------------------------------------------------------
+
+    def replace(self, name: str, /, **changes: Any) -> "SceneGraph":
+        """Return the graph with fields of one vertex changed; `name="new"` renames it wherever it is named."""
+        old = self.vertex(name)
+        new = replace(old, **changes)
+        vertices = [new if vertex is old else vertex for vertex in self.vertices]
+        constraints = self.constraints
+        if new.name != name:
+            vertices = [
+                replace(
+                    vertex,
+                    parent=new.name if vertex.parent == name else vertex.parent,
+                    supports=tuple(new.name if other == name else other for other in vertex.supports),
+                )
+                for vertex in vertices
+            ]
+            constraints = tuple(constraint.renamed(name, new.name) for constraint in constraints)
+        return replace(self, vertices=tuple(vertices), constraints=constraints)
+
+    def exchange(self, changed: Mapping[str, Vertex]) -> "SceneGraph":
+        """Return the graph with vertices exchanged by name; those whose parent comes late now come after it."""
+        waiting = [changed.get(vertex.name, vertex) for vertex in self.vertices]
+        placed: list[Vertex] = []
+        done = {ROOT}
+        while waiting:
+            late = []
+            for vertex in waiting:
+                if vertex.parent in done:
+                    placed.append(vertex)
+                    done.add(vertex.name)
+                else:
+                    late.append(vertex)
+            waiting = late
+        return replace(self, vertices=tuple(placed))
+
+    def add(self, *vertices: Vertex) -> "SceneGraph":
+        """Return the graph with vertices appended."""
+        return replace(self, vertices=(*self.vertices, *vertices))
+
+    def remove(self, name: str) -> "SceneGraph":
+        """Return the graph without a vertex, its descendants, and what relations name them."""
+        gone = {name, *self.descendants(self.vertex(name).name)}
+        vertices = tuple(
+            replace(v, supports=tuple(s for s in v.supports if s not in gone)) if gone & set(v.supports) else v
+            for v in self.vertices
+            if v.name not in gone
+        )
+        constraints = tuple(c for c in self.constraints if not gone & {c.first, c.second})
+        return replace(self, vertices=vertices, constraints=constraints)
+
+    def nearest_contact(
+        self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
+    ) -> tuple[Contact, Inverse]:
+        """Return the contact of a vertex with another parent that is nearest to their poses, and its residuals.
+
+        Faces not given are those that need the least slack. DerenderError where the two shapes have no such contact.
+        """
+        relative = inverse(self._poses[parent]) @ self._poses[name]
+        return nearest_contact(relative, self.body(parent), self.body(name), type, parent_face, child_face)
+
+    def reparent(
+        self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
+    ) -> "SceneGraph":
+        """Return the graph with a vertex hung under another parent, every pose in the world as it was.
+
+        Slack takes up what the ideal contact cannot. DerenderError where even that is not enough: the two outlines
+        miss each other, the lean is out of range, or the new parent is below the vertex.
+        """
+        if parent == name or parent in self.descendants(name):
+            raise DerenderError(f"{parent!r} depends on {name!r}", f"{name}.parent", "a scene graph has no cycle")
+        contact, left = self.nearest_contact(name, parent, type, parent_face, child_face)
+        if left.outside > 1e-9 or left.angle > 1e-9:
+            what = f"no {type} contact with {parent!r} keeps the pose"
+            miss = f"it misses by {1e3 * left.outside:.1f} mm and {np.degrees(left.angle):.1f} degrees"
+            raise DerenderError(f"{what}: {miss}", f"{name}.contact")
+        return self.exchange({name: replace(self.vertex(name), parent=parent, contact=contact)})
+
+    def check(self) -> None:
+        """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
+        for vertex in self.vertices:
+            shape = shapes[vertex.shape]
+            known = {p.name for p in shape.parameters}
+            for key in vertex.parameters:
+                if key not in known:
+                    remedy = suggest(key, known) if known else f"a {shape.name} has no parameters"
+                    raise DerenderError(f"a {shape.name} has no parameter {key!r}", vertex.name, remedy)
+            for parameter, value in zip(shape.parameters, vertex.psi, strict=True):
+                if np.isnan(value):
+                    raise DerenderError(f"its {parameter.name} is missing", vertex.name, f"give {parameter.name}: ...")
+            shape.check(vertex.psi, vertex.options, vertex.name)
+            contact = vertex.contact
+            faces = contact.parent_face, contact.child_face
+            parent = self.body(vertex.parent).shape
+            contacts[contact.type].check(contact.values, parent, shape, *faces, f"{vertex.name}.contact")
+            for support in vertex.supports:
+                if support not in self._index or support == vertex.name:
+                    remedy = suggest(support, [other for other in self.names if other != vertex.name])
+                    raise DerenderError(f"no such support: {support!r}", f"{vertex.name}.supports", remedy)
+        for constraint in self.constraints:
+            self.vertex(constraint.first), self.vertex(constraint.second)

@@ -1,0 +1,211 @@
+"""Priors on contacts: p_{s,t}(c) over the finite set C_{s,t}, and p_c(phi) over the parameters of the one chosen."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from derender.scene.codec.yaml_tree import Node
+from derender.scene.contacts import contacts
+from derender.scene.distributions import Categorical, Distribution, distributions
+from derender.scene.graph import Contact
+from derender.scene.priors.values import (
+    QUATERNION,
+    ROTATION,
+    check_range,
+    default_value,
+    draw,
+    fault,
+    log_density,
+)
+from derender.scene.shapes import shapes
+
+TOP = "top"  # the face that looks up while the parent rests on the opposite one
+ON = "on"  # any contact by which something rests on the parent's top
+RESTING = ("face-to-face", "side-on-face", "point-on-face")  # what `on` leaves open
+_OPPOSITE = {"+": "-", "-": "+"}
+
+
+@dataclass(frozen=True)
+class ContactRule:
+    """One kind of contact that a prior allows.
+
+    Attributes
+    ----------
+    type : a registered contact type.
+    weight : relative probability among the rules that fit a pair of shapes.
+    parent_face, child_face : None (all faces are as likely), the name of one, a `Categorical` over names; the parent's
+        may be "top".
+    values : by parameter name, a number or distribution (``quat_wxyz``: four numbers or uniform-rotation).
+    parents, children : shape types to which the rule is limited.
+    fill : give parameters that `values` leaves out a uniform distribution over their range (True), or their default.
+    places : where each value stands in its file.
+    """
+
+    type: str
+    weight: float = 1.0
+    parent_face: Any = None
+    child_face: Any = None
+    values: Mapping[str, Any] = field(default_factory=dict)
+    parents: tuple[str, ...] | None = None
+    children: tuple[str, ...] | None = None
+    fill: bool = True
+    places: Mapping[str, Node] = field(default_factory=dict)
+
+    def choices(self, parent: str, child: str, top: str | None) -> dict[tuple[Any, Any], float]:
+        """Return the probability of each (parent face, child face) for two shape types; empty where none fits."""
+        if (self.parents is not None and parent not in self.parents) or (
+            self.children is not None and child not in self.children
+        ):
+            return {}
+        weights = {}
+        for parent_face, child_face in contacts[self.type].choices(shapes[parent], shapes[child]):
+            weight = _face_weight(self.parent_face, parent_face, top) * _face_weight(self.child_face, child_face, None)
+            if weight > 0:
+                weights[parent_face, child_face] = weight
+        total = math.fsum(weights.values())
+        return {faces: weight / total for faces, weight in weights.items()}
+
+    def table(self, parent: str, child: str, parent_face: Any, child_face: Any) -> tuple[tuple[str, Any], ...]:
+        """Return (name, number or distribution) of each parameter of this exact contact; ideal slack is left out."""
+        rows: list[tuple[str, Any]] = []
+        for parameter in contacts[self.type].parameters(shapes[parent], shapes[child], parent_face, child_face):
+            place = self.places.get(parameter.name, self.places.get(""))
+            if parameter.name in ROTATION:
+                if parameter.name == ROTATION[0]:
+                    rows.append((QUATERNION, self._rotation()))
+                continue
+            value = self.values.get(parameter.name)
+            if value is None:
+                if parameter.slack:
+                    continue
+                value = default_value(parameter) if self.fill else parameter.default
+                if value is None:
+                    raise fault(place, f"{parameter.name} of the contact is missing", f"add {parameter.name}: ...")
+            value = float(value) if isinstance(value, int | float) else value
+            check_range(value, parameter, place)
+            rows.append((parameter.name, value))
+        return tuple(rows)
+
+    def _rotation(self) -> Any:
+        value = self.values.get(QUATERNION)
+        if value is None:
+            return distributions["uniform-rotation"]() if self.fill else (1.0, 0.0, 0.0, 0.0)
+        return value
+
+
+def _face_weight(wanted: Any, face: Any, top: str | None) -> float:
+    """Return the weight of a face under what a rule wants."""
+    if wanted is None:
+        return 1.0
+    if isinstance(wanted, Categorical):
+        return wanted.probabilities.get(face, 0.0)
+    return 1.0 if face == (top if wanted == TOP else wanted) else 0.0
+
+
+def top_face(shape: str, contact: str, child_face: Any) -> str | None:
+    """Return the face of an object that looks up: opposite to the one on which it rests; None where none is flat.
+
+    What floats under a frame counts as standing upright.
+    """
+    if contact == "face-to-face":
+        return _OPPOSITE[child_face[0]] + child_face[1:]
+    return "+z" if contact == "6dof" and "+z" in shapes[shape].face_names else None
+
+
+class ContactPrior:
+    """Rules, compiled for each pair of shape types on first use."""
+
+    def __init__(self, rules: tuple[ContactRule, ...]) -> None:
+        self.rules = rules
+        self._compiled: dict[tuple, tuple[Categorical, dict] | None] = {}
+
+    def choices(self, parent: str, child: str, top: str | None = None) -> tuple[Categorical, dict] | None:
+        """Return p_{s,t}(c), and each c's parameter table; c = (type, parent face, child face). None: C is empty."""
+        key = (parent, child, top)
+        try:
+            return self._compiled[key]
+        except KeyError:
+            self._compiled[key] = result = self._compile(parent, child, top)
+            return result
+
+    def _compile(self, parent: str, child: str, top: str | None) -> tuple[Categorical, dict] | None:
+        weights: dict[tuple, float] = {}
+        tables: dict[tuple, tuple] = {}
+        for rule in self.rules:
+            for (parent_face, child_face), probability in rule.choices(parent, child, top).items():
+                choice = (rule.type, parent_face, child_face)
+                if choice in weights:
+                    raise fault(rule.places.get(""), f"two rules give the same contact {choice} of {child} on {parent}")
+                weights[choice] = rule.weight * probability
+                tables[choice] = rule.table(parent, child, parent_face, child_face)
+        return (Categorical(weights), tables) if any(weights.values()) else None
+
+    def fixed(self, parent: str, child: str, top: str | None = None) -> bool:
+        """Say whether the contact and all its numbers are given."""
+        found = self.choices(parent, child, top)
+        if found is None or len(found[0].choices) != 1:
+            return False
+        return not any(isinstance(value, Distribution) for _, value in found[1][found[0].choices[0]])
+
+    def sample(self, rng, parent: str, child: str, top: str | None = None) -> Contact:
+        """Return a contact drawn for a child of shape type `child` on a parent of shape type `parent`."""
+        found = self.choices(parent, child, top)
+        if found is None:
+            raise fault(None, f"no contact holds a {child} on a {parent}")
+        choice = found[0].sample(rng)
+        values: dict[str, float] = {}
+        for name, value in found[1][choice]:
+            if name == QUATERNION:
+                values.update(zip(ROTATION, value if type(value) is tuple else value.sample(rng), strict=True))
+            else:
+                values[name] = draw(value, rng)
+        kind, parent_face, child_face = choice
+        return Contact(kind, parent_face, child_face, values)
+
+    def log_density(self, contact: Contact, parent: str, child: str, top: str | None = None) -> float:
+        """Return log p_{s,t}(c) + log p_c(phi)."""
+        found = self.choices(parent, child, top)
+        if found is None:
+            return -math.inf
+        choice = (contact.type, contact.parent_face, contact.child_face)
+        total = found[0].log_density(choice)
+        if total == -math.inf:
+            return total
+        values = contact.values
+        count = 0
+        for name, value in found[1][choice]:
+            if name == QUATERNION:
+                quat = tuple(values.get(part, math.nan) for part in ROTATION)
+                count += 4
+                total += _rotation_density(value, quat)
+            else:
+                x = values.get(name)
+                if x is None:
+                    x = 0.0
+                else:
+                    count += 1
+                total += log_density(value, x)
+        if count != len(values):  # a number beyond the table must be ideal slack
+            named = {name for name, _ in found[1][choice]}
+            if any(x != 0.0 and name not in named and name not in ROTATION for name, x in values.items()):
+                return -math.inf
+        return total
+
+    def free(self, contact: Contact, parent: str, child: str, top: str | None = None) -> dict[str, Distribution]:
+        """Return the distribution of each free parameter of an exact contact, by name."""
+        found = self.choices(parent, child, top)
+        if found is None:
+            return {}
+        table = found[1].get((contact.type, contact.parent_face, contact.child_face), ())
+        return {name: value for name, value in table if isinstance(value, Distribution)}
+
+
+def _rotation_density(value: Any, quat: tuple[float, ...]) -> float:
+    if isinstance(value, tuple):  # the two signs of a quaternion are one rotation
+        same = abs(math.fsum(a * b for a, b in zip(value, quat, strict=True)))
+        return 0.0 if same > 1.0 - SAME_ROTATION else -math.inf
+    return value.log_density(quat)
+
+
+SAME_ROTATION = 1e-12  # 1 - cos of half the angle: 3e-6 rad

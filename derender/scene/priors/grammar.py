@@ -1,0 +1,215 @@
+"""A consistent probabilistic grammar over scene graphs of every tree topology: objects beget objects that rest on them.
+
+A symbol is an object's kind together with the face that it turns up.  A symbol begets a random number of children;
+each draws its kind among those that some contact can hold there, its shape parameters, its contact and the contact's
+parameters.  The grammar is consistent (it ends with probability one, and its densities sum to one) if the matrix of
+mean numbers of children of each kind has a spectral radius below one; that is checked when it is made.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from derender.scene.distributions import Categorical, Distribution
+from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.priors.base import Prior
+from derender.scene.priors.contacts import ContactPrior, top_face
+from derender.scene.priors.root import RootPrior
+from derender.scene.priors.shapes import ShapePrior, draw_vertex
+from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
+from derender.scene.priors.tree import ROOT, TreeObject, TreePrior, seat, vertex_addresses
+from derender.scene.priors.values import fault
+
+MOST_OBJECTS = 10_000
+
+
+@dataclass(frozen=True)
+class GrammarPrior(Prior):
+    """Objects that grow on a base.
+
+    Attributes
+    ----------
+    root : prior on the root's pose.
+    base : objects that are always there, under their names (a floor); they may have distributions too.
+    shapes : kinds of objects that grow, by name.
+    contacts : p_{s,t}(c) and p_c(phi).
+    offspring : distribution of the number of objects that grow on one, by the name of a base object, the kind of a
+        grown one, or "root"; what is not named, or has no flat face up, bears nothing.
+    tree : the prior of the base alone.
+    spectral_radius : of the matrix of mean numbers of offspring, below 1.
+    """
+
+    root: RootPrior
+    base: tuple[TreeObject, ...]
+    shapes: Mapping[str, ShapePrior]
+    contacts: ContactPrior
+    offspring: Mapping[str, Any]
+    constraints: tuple[Term, ...] = ()
+    tree: TreePrior = field(init=False, repr=False, compare=False)
+    spectral_radius: float = field(init=False, repr=False, compare=False)
+    _kinds: dict[tuple[str, str | None], Categorical | None] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tree", TreePrior(self.root, self.base))
+        object.__setattr__(self, "_kinds", {})
+        for name in self.offspring:
+            if name not in self.shapes and name != ROOT and name not in self.tree.by_name:
+                from derender.registry import suggest
+
+                choices = [*self.shapes, *self.tree.by_name, ROOT]
+                raise fault(None, f"offspring names {name!r}, which is no object and no shape", suggest(name, choices))
+        states, matrix = self.mean_matrix()
+        radius = float(max(abs(np.linalg.eigvals(matrix)))) if states else 0.0
+        if radius >= 1.0:
+            what = f"the grammar is not consistent: its mean number of offspring has the spectral radius {radius:.3g}"
+            raise fault(None, what, "lower the means under offspring until it is below 1")
+        object.__setattr__(self, "spectral_radius", radius)
+
+    def kinds(self, parent_shape: str, top: str | None) -> Categorical | None:
+        """Return the distribution of a child's kind on a parent's shape type and upward face; None if none fits."""
+        key = (parent_shape, top)
+        if key not in self._kinds:
+            weights = {
+                kind: entry.weight
+                for kind, entry in self.shapes.items()
+                if self.contacts.choices(parent_shape, entry.type, top) is not None
+            }
+            self._kinds[key] = Categorical(weights) if any(weights.values()) else None
+        return self._kinds[key]
+
+    def _bears(self, kind: str, parent_shape: str, top: str | None) -> Any:
+        """Return the distribution of the number of children, None for none."""
+        count = self.offspring.get(kind)
+        return count if count is not None and self.kinds(parent_shape, top) is not None else None
+
+    def mean_matrix(self) -> tuple[list[tuple[str, str | None]], np.ndarray]:
+        """Return the symbols (kind, face up) that can be reached and the (N, N) mean numbers of children."""
+        seeds = [(kind, top) for kind in self.shapes for top in self._first_tops(kind)]
+        states: list[tuple[str, str | None]] = []
+        rows: list[dict] = []
+        waiting = list(dict.fromkeys(seeds))
+        while waiting:
+            state = waiting.pop()
+            if state in states:
+                continue
+            states.append(state)
+            rows.append(self._mean_row(*state))
+            waiting.extend(rows[-1])
+        matrix = np.array([[row.get(state, 0.0) for state in states] for row in rows]).reshape(len(states), len(states))
+        return states, matrix
+
+    def _first_tops(self, kind: str) -> set[str | None]:
+        """Return the faces that a kind can turn up when it grows on the root or on a base object."""
+        tops: set[str | None] = set()
+        seats = [("frame", None)] + [
+            (item.shape.type, face) for item in self.base for face in (None, *_flat(item.shape.type))
+        ]
+        for shape, top in seats:
+            found = self.contacts.choices(shape, self.shapes[kind].type, top)
+            if found is not None:
+                tops |= {top_face(self.shapes[kind].type, choice[0], choice[2]) for choice in found[0].choices}
+        return tops
+
+    def _mean_row(self, kind: str, top: str | None) -> dict:
+        shape = self.shapes[kind].type
+        count = self._bears(kind, shape, top)
+        row: Counter = Counter()
+        if count is None or count.mean() == 0:
+            return row
+        for child, probability in self.kinds(shape, top).probabilities.items():  # type: ignore[union-attr]
+            choice_of = self.contacts.choices(shape, self.shapes[child].type, top)[0]  # type: ignore[index]
+            for choice, share in choice_of.probabilities.items():
+                row[child, top_face(self.shapes[child].type, choice[0], choice[2])] += (
+                    count.mean() * probability * share
+                )
+        return row
+
+    def sample(self, rng) -> SceneGraph:
+        return sample_until_allowed(rng, self._sample, self.constraints)
+
+    def _sample(self, rng) -> SceneGraph:
+        root_pose = self.root.sample(rng)
+        vertices = self.tree.sample_vertices(rng)
+        numbers: Counter = Counter()
+        waiting = [(ROOT, ROOT), *((name, name) for name in vertices)]
+        for name, kind in waiting:  # grows while it is walked: parents before children
+            shape, top = seat(vertices, name)
+            count = self._bears(kind, shape, top)
+            for _ in range(count.sample(rng) if count is not None else 0):
+                child = self.kinds(shape, top).sample(rng)  # type: ignore[union-attr]
+                numbers[child] += 1
+                grown = f"{child}_{numbers[child]}"
+                while grown in vertices:
+                    grown += "b"
+                vertices[grown] = draw_vertex(rng, grown, self.shapes[child], self.contacts, name, shape, top)
+                waiting.append((grown, child))
+            if len(vertices) > MOST_OBJECTS:
+                raise fault(
+                    None, f"the prior drew more than {MOST_OBJECTS} objects", "lower the numbers under offspring"
+                )
+        return SceneGraph(root_pose=root_pose, vertices=tuple(vertices.values()))
+
+    def kind_of(self, vertex: Vertex) -> str | None:
+        """Return the kind of a grown vertex, None if no kind is like it."""
+        return next((kind for kind, entry in self.shapes.items() if entry.matches(vertex)), None)
+
+    def log_density(self, graph: SceneGraph) -> float:
+        vertices = {vertex.name: vertex for vertex in graph.vertices}
+        base = self.tree.by_name
+        total = self.root.log_density(graph.root_pose)
+        children: dict[str, int] = {}
+        kinds: dict[str, str] = {ROOT: ROOT}
+        for item in self.base:
+            if item.name not in vertices or total == -math.inf:
+                return -math.inf
+            kinds[item.name] = item.name
+            total += self.tree.vertex_log_density(item, vertices)
+        for name, vertex in vertices.items():
+            if name in base:
+                continue
+            kind = self.kind_of(vertex)
+            if kind is None or vertex.supports:
+                return -math.inf
+            kinds[name] = kind
+            children[vertex.parent] = children.get(vertex.parent, 0) + 1
+            shape, top = seat(vertices, vertex.parent)
+            choice = self.kinds(shape, top)
+            if choice is None:
+                return -math.inf
+            total += choice.log_density(kind) + self.shapes[kind].log_density(vertex)
+            total += self.contacts.log_density(vertex.contact, shape, vertex.shape, top)
+            if total == -math.inf:
+                return total
+        for name, kind in kinds.items():
+            shape, top = seat(vertices, name)
+            count = self._bears(kind, shape, top)
+            number = children.get(name, 0)
+            if count is not None:
+                total += count.log_density(number)
+            elif number:
+                return -math.inf
+        return total + total_log_density(self.constraints, graph) if self.constraints else total
+
+    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
+        vertices = {vertex.name: vertex for vertex in graph.vertices}
+        free = self.tree.free_addresses(graph)
+        for name, vertex in vertices.items():
+            kind = self.kind_of(vertex)
+            if kind is not None and name not in self.tree.by_name:
+                free.update(vertex_addresses(self.shapes[kind], self.contacts, vertices, name))
+        return free
+
+    def log_orderings(self, graph: SceneGraph) -> float:
+        base = self.tree.by_name
+        counts = Counter(vertex.parent for vertex in graph.vertices if vertex.name not in base)
+        return math.fsum(math.lgamma(count + 1) for count in counts.values())
+
+
+def _flat(shape: str) -> tuple[str, ...]:
+    from derender.scene.shapes import shapes
+
+    return tuple(shapes[shape].face_names)

@@ -1,0 +1,237 @@
+"""Reading numbers, distributions, shapes and contacts from the nodes of a scene file."""
+
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from derender.errors import DerenderError
+from derender.registry import suggest
+from derender.scene.codec.yaml_tree import Item, List, Node, Section
+from derender.scene.contacts import contacts
+from derender.scene.distributions import Categorical, Distribution, distributions
+from derender.scene.parameter import Parameter
+from derender.scene.priors.contacts import ON, RESTING, TOP, ContactRule
+from derender.scene.priors.shapes import ShapePrior, check_places
+from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quaternion
+from derender.scene.shapes import shapes
+
+# What an object may say besides its geometry, with the unit and the range of each.
+PHYSICAL = {"mass": ("kg", 1e-9, None), "friction": ("", 0.0, None), "elasticity": ("", 0.0, 0.99)}
+
+
+def read_value(node: Node, unit: str = "") -> Value:
+    """Read a number in `unit`, or a distribution over it such as {uniform: [0, 90 deg]}."""
+    if not isinstance(node, Section):
+        return node.number(unit)
+    distribution = read_distribution(node, unit)
+    if not isinstance(distribution, Distribution) or distribution.discrete or distribution.size != 1:
+        raise node.fault(
+            f"{distribution.name} is no distribution over a length, an angle or a share", "see derender types"
+        )
+    return distribution
+
+
+def read_distribution(node: Node, unit: str = "") -> Any:
+    """Read {name: parameters}; the parameters are a list, one number, or {name: number}."""
+    name, detail = node.section().only()
+    if name not in distributions:
+        raise node.fault(f"no distribution is called {name!r}", suggest(name, distributions))
+    kind = distributions[name]
+    if name == "categorical":
+        raise node.fault("here stands a choice, not a number", "give a distribution over numbers, such as uniform")
+    if isinstance(detail, Section):
+        detail.allow(*kind.parameters)
+        given = [detail.get(key) for key in kind.parameters]
+        while given and given[-1] is None:
+            given.pop()
+        nodes = [detail[key] if item is None else item for key, item in zip(kind.parameters, given, strict=False)]
+    elif isinstance(detail, List):
+        nodes = detail.sequence()
+    else:
+        nodes = [] if detail.plain() is None else [detail]
+    units = ["" if key in kind.dimensionless else unit for key in kind.parameters]
+    numbers = [item.number(units[k] if k < len(units) else "") for k, item in enumerate(nodes)]
+    try:
+        return kind(*numbers)
+    except DerenderError as error:
+        raise detail.fault(error.what, error.remedy) from None
+
+
+def read_categorical(node: Node, choices: Iterable[str] | None = None) -> Categorical:
+    """Read {categorical: {choice: weight}} or {categorical: [choice, ...]}."""
+    name, detail = node.section().only()
+    if name != "categorical":
+        raise node.fault(f"{name!r} is no distribution over choices", "write {categorical: {a: 0.5, b: 0.5}}")
+    choices = list(choices) if choices is not None else None
+    weights: dict[str, float] = {}
+    if isinstance(detail, Section):
+        for key, item in detail.items():
+            if choices is not None and key not in choices:
+                raise item.fault(f"{key!r} is no choice here", suggest(key, choices))
+            weights[key] = item.number(lower=0.0)
+    else:
+        for item in detail.sequence():
+            weights[item.text(choices)] = 1.0
+    try:
+        return Categorical(weights)
+    except DerenderError as error:
+        raise detail.fault(error.what, error.remedy) from None
+
+
+def read_count(node: Node) -> Any:
+    """Read a whole number, or a distribution over whole numbers from 0 up: how many."""
+    if isinstance(node, Item):
+        return Categorical({node.integer(lower=0, upper=1000): 1.0})
+    name, detail = node.section().only()
+    if name == "categorical":
+        weights = {}
+        for key, item in detail.section().items():
+            if not key.isdigit() or int(key) > 1000:
+                raise item.fault(f"{key!r} is no number of objects", "write {0: 0.5, 1: 0.5}")
+            weights[int(key)] = item.number(lower=0.0)
+        try:
+            return Categorical(weights)
+        except DerenderError as error:
+            raise detail.fault(error.what, error.remedy) from None
+    count = read_distribution(node)
+    if not count.discrete or count.support[0] < 0:
+        raise node.fault(
+            f"{name} is no distribution over how many", "use poisson, geometric, uniform-integer, categorical"
+        )
+    if count.mean() > 1000:
+        raise node.fault(f"{count.mean():g} objects on average are too many", "stay below 1000")
+    return count
+
+
+def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str | None = None) -> ShapePrior:
+    """Read a shape: its name, or {type: name, parameter: number or distribution, option: ...}.
+
+    `extra` are keys that the caller reads itself; `name` stands in for `type` where that is left out.
+    """
+    if isinstance(node, Section):
+        kind = node["type"].text(shapes) if "type" in node or name is None else name
+        if kind not in shapes:
+            raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes) + ", or give its type")
+    else:
+        kind = node.text(shapes) if node.plain() is not None or name is None else name
+        if kind not in shapes:
+            raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes))
+        node = Section(node.file, node.line, node.address, {}, {})
+    shape = shapes[kind]
+    names = [parameter.name for parameter in shape.parameters]
+    node.allow("type", *names, *shape.options, *extra)
+    values: dict[str, Value] = {}
+    places: dict[str, Node] = {}
+    for parameter in shape.parameters:
+        item = node.get(parameter.name)
+        if item is not None:
+            values[parameter.name], places[parameter.name] = read_value(item, parameter.unit), item
+        elif parameter.default is None:
+            raise node.fault(f"the {parameter.name} of the {kind} is missing", f"add {parameter.name}: 0.1 or so")
+    check_places(kind, values, places)
+    options = {key: _option(key, node[key], folder) for key in shape.options if key in node}
+    if "file" in shape.options:
+        if "file" not in options:
+            raise node.fault(f"a {kind} needs its file", "add file: PATH")
+        try:
+            shape.check([parameter.default for parameter in shape.parameters], options)  # reads the mesh
+        except DerenderError as error:
+            raise node["file"].fault(f"{error.where or options['file']}: {error.what}", error.remedy) from None
+    return ShapePrior(kind, values, options)
+
+
+def _option(key: str, node: Node, folder: Path) -> Any:
+    if key == "file":
+        return str((folder / node.text()).resolve())
+    if key == "hull":
+        return node.boolean()
+    return node.plain()
+
+
+def read_rules(node: Node, name: str | None = None, fill: bool = True) -> tuple[ContactRule, ...]:
+    """Read one contact of an open-universe prior: a rule, or for `on` one for each way to rest on the parent's top."""
+    if not isinstance(node, Section):
+        if node.plain() is not None:
+            raise node.fault("here stands no section", "write {} or {parent_face: +z, ...}")
+        node = Section(node.file, node.line, node.address, {}, {})
+    kind = node["type"].text([*contacts, ON]) if "type" in node or name is None else name
+    if kind not in contacts and kind != ON:
+        raise node.fault(f"no contact is called {kind!r}", suggest(kind, [*contacts, ON]) + ", or give its type")
+    values, places = read_contact_values(node, kind, ("type", "weight", "parents", "children"))
+    parents, children = (_names(node.get(key)) for key in ("parents", "children"))
+    kinds = RESTING if kind == ON else (kind,)
+    weight = node["weight"].number(lower=0.0, upper=1e6) if "weight" in node else 1.0
+    parent_face = read_face(node.get("parent_face"))
+    return tuple(
+        ContactRule(
+            type=each,
+            weight=weight,
+            parent_face=TOP if kind == ON and parent_face is None else parent_face,
+            child_face=read_face(node.get("child_face")),
+            values=values,
+            parents=parents,
+            children=children,
+            fill=fill,
+            places={**places, "": node},
+        )
+        for each in kinds
+    )
+
+
+def _names(node: Node | None) -> tuple[str, ...] | None:
+    return None if node is None else tuple(item.text(shapes) for item in node.sequence())
+
+
+def read_face(node: Node | None) -> Any:
+    """Read a face: None where nothing is said, a name, or a categorical over names."""
+    if node is None:
+        return None
+    return read_categorical(node) if isinstance(node, Section) else node.text()
+
+
+def read_contact_values(node: Section, kind: str, extra: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Node]]:
+    """Read the numbers of a contact, each with its place; refuse keys that no contact of this kind has."""
+    known = contact_parameters(kind)
+    keys = [key for key in known if key not in ROTATION]
+    rotation = [QUATERNION, "position"] if ROTATION[0] in known else []
+    node.allow("parent_face", "child_face", *extra, *keys, *rotation)
+    values: dict[str, Any] = {}
+    places: dict[str, Node] = {}
+    for key in keys:
+        if key in node:
+            values[key], places[key] = read_value(node[key], known[key].unit), node[key]
+    if "position" in node:
+        for key, item in zip("xyz", node["position"].sequence(3), strict=True):
+            if key in values:
+                raise item.fault(f"both position and {key} are given", "give one of them")
+            values[key], places[key] = read_value(item, "m"), item
+    if QUATERNION in node:
+        values[QUATERNION] = read_rotation(node[QUATERNION])
+    return values, places
+
+
+def read_rotation(node: Node) -> Any:
+    """Read four numbers [w, x, y, z] or `uniform-rotation`."""
+    if isinstance(node, List):
+        return unit_quaternion([item.number() for item in node.sequence(4)], node)
+    if isinstance(node, Section):
+        name, _ = node.only()
+        if name != "uniform-rotation":
+            raise node.fault(f"{name!r} is no distribution over rotations", "write uniform-rotation")
+    else:
+        node.text(["uniform-rotation"])
+    return distributions["uniform-rotation"]()
+
+
+@cache
+def contact_parameters(kind: str) -> dict[str, Parameter]:
+    """Return every parameter that contacts of a kind have for some pair of shapes, by name."""
+    found: dict[str, Parameter] = {}
+    for each in RESTING if kind == ON else (kind,):
+        for parent in shapes:
+            for child in shapes:
+                for faces in contacts[each].choices(shapes[parent], shapes[child])[:1]:
+                    for parameter in contacts[each].parameters(shapes[parent], shapes[child], *faces):
+                        found.setdefault(parameter.name, parameter)
+    return found

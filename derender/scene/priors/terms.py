@@ -1,0 +1,294 @@
+"""Terms that a prior multiplies in: what objects must not do to each other, beyond what edges ensure.
+
+A term answers with a log density of at most 0 (Section 2: "additional likelihood terms that penalize violation").
+A prior with terms samples by rejection, exactly; its log density is then known up to one constant.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.registry import Registry
+from derender.scene.codec.yaml_tree import Node, Section
+from derender.scene.constraints import Constraint
+from derender.scene.graph import SceneGraph
+from derender.scene.shapes import shapes
+
+MOST_TRIES = 10_000
+ROUNDING = 1e-9  # metres to which an exact contact holds
+
+term_types: Registry["TermType"] = Registry("constraint", "derender.constraints")
+
+
+class Term(Protocol):
+    """One term.
+
+    Attributes
+    ----------
+    name : as it stands under `constraints:`.
+    """
+
+    name: str
+
+    def log_density(self, graph: SceneGraph) -> float:
+        """Return the term's log density, at most 0; -inf where the scene is ruled out."""
+        ...
+
+
+class TermType:
+    """A kind of term, as it is named under `constraints:`."""
+
+    name: str
+
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
+        """Return the term that `node` describes (None: no more was said than its name)."""
+        raise NotImplementedError
+
+
+def total_log_density(terms: tuple[Term, ...], graph: SceneGraph) -> float:
+    """Return the sum of the terms' log densities."""
+    total = 0.0
+    for term in terms:
+        total += term.log_density(graph)
+        if total == -math.inf:
+            break
+    return total
+
+
+def with_relations(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph:
+    """Return the scene with what the terms say of named objects, which scenes record."""
+    relations = tuple(term.relation for term in terms if isinstance(term, DoesNotTouch))
+    return replace(graph, constraints=relations) if relations else graph
+
+
+def bound_by(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph | None:
+    """Return the scene with its relations, None where the terms rule it out."""
+    return with_relations(terms, graph) if total_log_density(terms, graph) > -math.inf else None
+
+
+def sample_until_allowed(rng, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
+    """Draw whole scenes until one is accepted with the probability that its terms give: exact rejection sampling."""
+    if not terms:
+        return sample(rng)
+    for _ in range(MOST_TRIES):
+        graph = sample(rng)
+        log_probability = total_log_density(terms, graph)
+        if log_probability >= 0.0 or rng.random() < math.exp(log_probability):
+            return with_relations(terms, graph)
+    raise DerenderError(
+        f"none of {MOST_TRIES} scenes drawn meets the constraints", remedy="spread the objects out or ask for fewer"
+    )
+
+
+class NoOverlap:
+    """No two solids share more than a sliver, whether or not an edge joins them.
+
+    Parameters
+    ----------
+    depth : metres by which two solids may enter each other: contacts hold only to rounding and to the prior's slack.
+    scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
+    """
+
+    name = "no-overlap"
+
+    def __init__(self, depth: float = 0.0005, scale: float | None = None) -> None:
+        self.depth = depth
+        self.scale = scale
+
+    def log_density(self, graph):
+        from derender.scene.separation import overlaps
+
+        excess = overlaps(graph.solids()) - self.depth
+        if self.scale is None:
+            return -math.inf if (excess > 0.0).any() else 0.0
+        return (
+            -0.25 * float(np.sum(np.square(np.maximum(excess, 0.0)))) / self.scale**2
+        )  # every pair stands there twice
+
+
+class DoesNotTouch:
+    """Two named objects keep a distance.
+
+    Parameters
+    ----------
+    relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
+    """
+
+    name = "does-not-touch"
+
+    def __init__(self, relation: Constraint) -> None:
+        self.relation = relation
+
+    @property
+    def least(self) -> float:
+        """Metres that two objects which rest on each other never are apart, and those that keep the margin are."""
+        return max(self.relation.margin, ROUNDING)
+
+    def log_density(self, graph):
+        from derender.scene.separation import separation
+
+        names = graph.solid_names
+        if self.relation.first not in names or self.relation.second not in names:
+            return 0.0
+        first, second = names.index(self.relation.first), names.index(self.relation.second)
+        apart = separation(graph.solids(), first, second)
+        return 0.0 if apart > self.least else -math.inf
+
+
+class RestsOn:
+    """An object rests on another one besides its parent, as a bridge on its second pier.
+
+    The log density is -(residual / slack)^2 / 2, see `overlap.rest_residual`: up is the normal of the face that it
+    rests on, so its other support ends at the same height and lies below it.
+
+    Parameters
+    ----------
+    name, support : of the two. slack : metres.
+    """
+
+    name = "rests-on"
+
+    def __init__(self, child: str, support: str, slack: float = 0.001) -> None:
+        self.child, self.support, self.slack = child, support, slack
+
+    def bearing(self, graph: SceneGraph) -> tuple[str, np.ndarray]:
+        """Return the parent, and the direction (3,) that is up in its axes."""
+        vertex = graph.vertex(self.child)
+        face = vertex.contact.parent_face
+        if face is None:
+            what = f"{self.child} has a second support and hangs on {vertex.parent} without resting on a face"
+            raise DerenderError(what, remedy="give it a parent and a contact such as face-to-face")
+        return vertex.parent, graph.body(vertex.parent).face(face).frame[:3, 2]
+
+    def log_density(self, graph):
+        from derender.scene.separation import rest_residual
+
+        parent, axis = self.bearing(graph)
+        solids, names = graph.solids(), graph.solid_names
+        a, b = names.index(self.child), names.index(self.support)
+        up = graph.poses()[parent][:3, :3] @ axis
+        away = rest_residual(int(solids.kind[a]), solids.pose[a], solids.size[a],
+                             int(solids.kind[b]), solids.pose[b], solids.size[b], *up)  # fmt: skip
+        return -0.5 * (away / self.slack) ** 2
+
+
+class AtMost:
+    """No more than so many objects of finite size.
+
+    Parameters
+    ----------
+    count : how many.
+    """
+
+    name = "at-most"
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def log_density(self, graph):
+        bounded = sum(shapes[vertex.shape].bounded for vertex in graph.vertices)
+        return 0.0 if bounded <= self.count else -math.inf
+
+
+class NoFloating:
+    """Every solid of finite size rests on something: none is placed freely (`6dof`)."""
+
+    name = "no-floating"
+
+    def log_density(self, graph):
+        free = any(vertex.contact.type == "6dof" and shapes[vertex.shape].bounded for vertex in graph.vertices)
+        return -math.inf if free else 0.0
+
+
+@term_types.register("at-most")
+class AtMostType(TermType):
+    """No more than so many objects, floors and frames not counted: `at-most: 4`."""
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("at-most says no number", remedy="write at-most: 4")
+        return AtMost(node.integer(lower=0))
+
+
+@term_types.register("no-overlap")
+class NoOverlapType(TermType):
+    """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`."""
+
+    def read(self, node, names):
+        if node is None:
+            return NoOverlap()
+        section = node.section().allow("depth", "scale")
+        depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
+        scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
+        return NoOverlap(depth, scale)
+
+
+@term_types.register("no-floating")
+class NoFloatingType(TermType):
+    """No solid hangs in the air, placed freely (`6dof`): `no-floating`."""
+
+    def read(self, node, names):
+        if node is not None:
+            raise node.fault("no-floating takes no value", "write no-floating alone")
+        return NoFloating()
+
+
+@term_types.register("rests-on")
+class RestsOnType(TermType):
+    """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
+
+    `supports: [pier]` in an object's entry says the same, with a slack of 1 mm.
+    """
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("rests-on names no objects", remedy="write rests-on: [deck, pier]")
+        slack = 0.001
+        pair = node
+        if isinstance(node, Section):
+            node.allow("objects", "slack")
+            pair = node["objects"]
+            slack = node["slack"].number("m", lower=1e-6) if "slack" in node else slack
+        child, support = (item.text(names) for item in pair.sequence(2))
+        if child == support:
+            raise node.fault("an object cannot rest on itself", "name two objects")
+        return RestsOn(child, support, slack)
+
+
+@term_types.register("does-not-touch")
+class DoesNotTouchType(TermType):
+    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
+
+    def read(self, node, names):
+        if node is None:
+            raise DerenderError("does-not-touch names no objects", remedy="write does-not-touch: [a, b]")
+        pair, margin = node, 0.0
+        if isinstance(node, Section):
+            node.allow("objects", "margin")
+            pair = node["objects"]
+            margin = node["margin"].number("m", lower=0.0) if "margin" in node else 0.0
+        first, second = (item.text(names) for item in pair.sequence(2))
+        if first == second:
+            raise node.fault("an object cannot keep off itself", "name two objects")
+        return DoesNotTouch(Constraint(first, second, margin=margin))
+
+
+def read_terms(node: Node, names: tuple[str, ...]) -> tuple[Term, ...]:
+    """Read the list under `constraints:`; `names` are the objects that it may speak of."""
+    found = []
+    for item in node.sequence():
+        if isinstance(item, Section):
+            kind, detail = item.only()
+            item.allow(*term_types)
+            found.append(term_types[kind].read(detail, names))
+            continue
+        kind = item.text(term_types)
+        try:
+            found.append(term_types[kind].read(None, names))
+        except DerenderError as error:
+            raise item.fault(error.what, error.remedy) from None
+    return tuple(found)

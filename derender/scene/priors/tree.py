@@ -1,0 +1,223 @@
+"""The prior of a fixed set of objects: numbers may be distributions, faces and parents may be open."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from derender.scene.codec.yaml_tree import Node
+from derender.scene.distributions import Categorical, Distribution
+from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.priors.base import Prior
+from derender.scene.priors.contacts import ContactPrior, top_face
+from derender.scene.priors.root import RootPrior
+from derender.scene.priors.shapes import ShapePrior
+from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
+from derender.scene.priors.values import fault
+
+ROOT = "root"
+
+
+@dataclass(frozen=True)
+class TreeObject:
+    """One named object.
+
+    Attributes
+    ----------
+    parent : name of another object, "root", or a `Categorical` over such names.
+    supports : names of further objects on which it rests (a bridge).
+    place : where it stands in its file.
+    """
+
+    name: str
+    shape: ShapePrior
+    contact: ContactPrior
+    parent: str | Categorical = ROOT
+    supports: tuple[str, ...] = ()
+    place: Node | None = None
+
+    @property
+    def parents(self) -> tuple[str, ...]:
+        return self.parent.choices if isinstance(self.parent, Categorical) else (self.parent,)
+
+
+def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
+    """Return the objects with every possible parent before its children, else as given.
+
+    Raises
+    ------
+    DerenderError : a parent that is missing, or a cycle.
+    """
+    from derender.registry import suggest
+
+    by_name = {item.name: item for item in objects}
+    for item in objects:
+        for parent in (*item.parents, *item.supports):
+            if parent != ROOT and parent not in by_name:
+                what = f"the parent {parent!r} of {item.name} is no object"
+                raise fault(item.place, what, suggest(parent, [*by_name, ROOT]))
+    ordered: dict[str, TreeObject] = {}
+    waiting = list(objects)
+    while waiting:
+        ready = [item for item in waiting if all(p == ROOT or p in ordered for p in (*item.parents, *item.supports))]
+        if not ready:
+            circle = " on ".join(_cycle(waiting))
+            raise fault(
+                waiting[0].place, f"the parents go round in a circle: {circle}", "let one rest on root or a floor"
+            )
+        for item in ready:
+            ordered[item.name] = item
+        waiting = [item for item in waiting if item.name not in ordered]
+    return tuple(ordered.values())
+
+
+def _cycle(waiting: list[TreeObject]) -> list[str]:
+    """Return the names along one cycle, the first repeated at the end."""
+    by_name = {item.name: item for item in waiting}
+    path = [waiting[0].name]
+    while True:
+        item = by_name[path[-1]]
+        following = next(p for p in (*item.parents, *item.supports) if p in by_name)
+        if following in path:
+            return [*path[path.index(following) :], following]
+        path.append(following)
+
+
+@dataclass(frozen=True)
+class TreePrior(Prior):
+    """Fixed objects under a root.
+
+    Attributes
+    ----------
+    root : prior on the root's pose.
+    objects : sorted so that parents come first.
+    constraints : terms that multiply the density; with them it is known up to a constant.
+    """
+
+    root: RootPrior
+    objects: tuple[TreeObject, ...]
+    constraints: tuple[Term, ...] = ()
+    by_name: Mapping[str, TreeObject] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objects", in_order(self.objects))
+        object.__setattr__(self, "by_name", {item.name: item for item in self.objects})
+        self._check()
+
+    def _check(self) -> None:
+        """Build every contact table once, so that faults show when the file is read and not at the third draw."""
+        tops: dict[str, set] = {ROOT: {None}}
+        for item in self.objects:
+            tops[item.name] = set()
+            for parent in item.parents:
+                shape = "frame" if parent == ROOT else self.by_name[parent].shape.type
+                for top in tops[parent]:
+                    found = item.contact.choices(shape, item.shape.type, top)
+                    if found is None:
+                        wanted = " or ".join(sorted({rule.type for rule in item.contact.rules}))
+                        what = f"no {wanted} contact with these faces holds a {item.shape.type} on a {shape}"
+                        raise fault(item.place, what, _remedy(parent, shape, item.shape.type))
+                    for choice in found[0].choices:
+                        tops[item.name].add(top_face(item.shape.type, choice[0], choice[2]))
+
+    @property
+    def fixed(self) -> bool:
+        """Whether there is nothing left to choose: the prior is one scene."""
+        graph_free = all(
+            not isinstance(item.parent, Categorical)
+            and not item.shape.free()
+            and item.contact.fixed(
+                "frame" if item.parent == ROOT else self.by_name[item.parent].shape.type, item.shape.type
+            )
+            for item in self.objects
+        )
+        return graph_free and not self.root.free_addresses()
+
+    def sample(self, rng) -> SceneGraph:
+        return sample_until_allowed(rng, self.sample_unconstrained, self.constraints)
+
+    def sample_unconstrained(self, rng) -> SceneGraph:
+        """Draw a scene by what its objects say alone, whatever the terms say of it."""
+        root_pose = self.root.sample(rng)
+        return SceneGraph(root_pose=root_pose, vertices=tuple(self.sample_vertices(rng).values()))
+
+    def sample_vertices(self, rng) -> dict[str, Vertex]:
+        """Return the objects' vertices by name, drawn in order."""
+        vertices: dict[str, Vertex] = {}
+        for item in self.objects:
+            parent = item.parent.sample(rng) if isinstance(item.parent, Categorical) else item.parent
+            shape, top = seat(vertices, parent)
+            vertices[item.name] = Vertex(
+                name=item.name,
+                shape=item.shape.type,
+                parameters=item.shape.sample(rng),
+                parent=parent,
+                contact=item.contact.sample(rng, shape, item.shape.type, top),
+                options=dict(item.shape.options),
+                supports=item.supports,
+            )
+        return vertices
+
+    def log_density(self, graph: SceneGraph) -> float:
+        vertices = {vertex.name: vertex for vertex in graph.vertices}
+        if vertices.keys() != self.by_name.keys():
+            return -math.inf
+        total = self.root.log_density(graph.root_pose)
+        for item in self.objects:
+            if total == -math.inf:
+                return total
+            total += self.vertex_log_density(item, vertices)
+        return total + total_log_density(self.constraints, graph) if self.constraints else total
+
+    def vertex_log_density(self, item: TreeObject, vertices: Mapping[str, Vertex]) -> float:
+        """Return the log density of one object's parent, shape parameters and contact, given those before it."""
+        vertex = vertices[item.name]
+        if isinstance(item.parent, Categorical):
+            total = item.parent.log_density(vertex.parent)
+        else:
+            total = 0.0 if vertex.parent == item.parent else -math.inf
+        if total == -math.inf or not item.shape.matches(vertex) or tuple(vertex.supports) != item.supports:
+            return -math.inf
+        shape, top = seat(vertices, vertex.parent)
+        return (
+            total + item.shape.log_density(vertex) + item.contact.log_density(vertex.contact, shape, vertex.shape, top)
+        )
+
+    def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
+        vertices = {vertex.name: vertex for vertex in graph.vertices}
+        free = self.root.free_addresses()
+        for item in self.objects:
+            free.update(vertex_addresses(item.shape, item.contact, vertices, item.name))
+        return free
+
+
+def seat(vertices: Mapping[str, Vertex], parent: str) -> tuple[str, str | None]:
+    """Return the shape type and the upward face of a parent."""
+    if parent == ROOT:
+        return "frame", None
+    vertex = vertices[parent]
+    return vertex.shape, top_face(vertex.shape, vertex.contact.type, vertex.contact.child_face)
+
+
+def vertex_addresses(
+    shape: ShapePrior, contact: ContactPrior, vertices: Mapping[str, Vertex], name: str
+) -> dict[str, Distribution]:
+    """Return the distributions of one object's free numbers by address."""
+    vertex = vertices[name]
+    free = {f"{name}.{key}": value for key, value in shape.free().items()}
+    parent_shape, top = seat(vertices, vertex.parent)
+    for key, value in contact.free(vertex.contact, parent_shape, vertex.shape, top).items():
+        free[f"{name}.contact.{key}"] = value
+    return free
+
+
+def _remedy(parent: str, parent_shape: str, shape: str) -> str:
+    """Name the contacts that there are between two shape types."""
+    from derender.scene.contacts import contacts
+    from derender.scene.shapes import shapes
+
+    possible = [name for name in contacts.names() if list(contacts[name].choices(shapes[parent_shape], shapes[shape]))]
+    return (
+        f"on {parent} it can have {', '.join(possible)}"
+        if possible
+        else f"nothing holds it on {parent}: choose another parent"
+    )

@@ -1,0 +1,25 @@
+"""The library of shapes. A new one is a file with a class under `@shapes.register(name)`, here or elsewhere."""
+
+from derender.scene.shapes.base import POINT, UNBOUNDED, Body, Face, Outline, Shape, Symmetry, box_face, shapes
+
+# The built-in types register themselves when they are imported.
+from derender.scene.shapes import box, cube, cylinder, frame, mesh, plane, sphere  # isort: skip
+
+__all__ = [
+    "POINT",
+    "UNBOUNDED",
+    "Body",
+    "Face",
+    "Outline",
+    "Shape",
+    "Symmetry",
+    "box",
+    "box_face",
+    "cube",
+    "cylinder",
+    "frame",
+    "mesh",
+    "plane",
+    "shapes",
+    "sphere",
+]

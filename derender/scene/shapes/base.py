@@ -1,0 +1,175 @@
+"""What every shape type offers: extents, faces, a mesh; and the features that contacts take hold of."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.registry import Registry, suggest
+from derender.scene.parameter import Parameter
+
+shapes: Registry["Shape"] = Registry("shape", "derender.shapes")
+
+AXES = "xyz"
+FACE_NAMES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+class Outline(NamedTuple):
+    """A flat outline about its centre: a rectangle of `length` by `width`, grown by `radius`; all in metres.
+
+    rectangle (a, b, 0), disc (0, 0, r), segment (a, 0, 0), point (0, 0, 0), unbounded plane (inf, inf, 0).
+    """
+
+    length: float = 0.0
+    width: float = 0.0
+    radius: float = 0.0
+
+    @property
+    def bounded(self) -> bool:
+        return self.length < math.inf
+
+
+POINT = Outline()
+UNBOUNDED = Outline(math.inf, math.inf, 0.0)
+
+
+class Face(NamedTuple):
+    """A feature of a solid by which it can touch: a flat face, a side, an edge, a corner, or a sphere's any point.
+
+    Attributes
+    ----------
+    frame : (4, 4) float64 in object axes; z along the outward normal, x along the outline's length.
+    outline : where it touches, in the frame's x-y plane.
+    lift : distance from the frame's origin to the touching place along z: 0 for faces, the radius for what rolls.
+    """
+
+    frame: np.ndarray
+    outline: Outline
+    lift: float = 0.0
+
+
+class Symmetry(NamedTuple):
+    """The rotations that leave a solid as it is.
+
+    Attributes
+    ----------
+    rotations : (K, 3, 3) float64, a finite group in object axes, the identity first.
+    axis : "z" where any rotation about z may follow, "all" where any rotation may, else None.
+    """
+
+    rotations: np.ndarray
+    axis: str | None = None
+
+
+class Shape:
+    """One shape type. Subclasses are registered as `@shapes.register("box")`; one instance serves all objects.
+
+    Object axes: origin at the centre of the solid, axes along its box, z along a cylinder's axis. `psi` is the (P,)
+    array of the values of `parameters`, in their order; `options` is what else a file may say, such as a mesh's file.
+    A subclass needs `parameters`, `size`, `psi_from_size` and `mesh`; the rest follows for a solid without flat faces.
+    """
+
+    name: str = ""
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    options: ClassVar[tuple[str, ...]] = ()
+    solid_kind: ClassVar[int | None] = 4  # solids.MESH: drawn through its mesh; None: not drawn
+    face_names: ClassVar[tuple[str, ...]] = ()
+    side_names: ClassVar[tuple[str, ...]] = ()
+    point_names: ClassVar[tuple[str, ...]] = ()
+    edge_names: ClassVar[tuple[str, ...]] = ()
+    corner_names: ClassVar[tuple[str, ...]] = ()
+    bounded: ClassVar[bool] = True
+
+    def size(self, psi, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+        """Return the (3,) full extents in metres along the object axes, or None without extent."""
+        raise NotImplementedError
+
+    def psi_from_size(self, size, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
+        """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
+        raise NotImplementedError
+
+    def face(self, name: str, psi, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
+        """Return the feature called `name`; DerenderError if the shape has none such."""
+        raise self.no_such_face(name)
+
+    def faces(self, psi, options: Mapping[str, Any] = {}) -> dict[str, Face]:  # noqa: B006
+        """Return the flat faces by name."""
+        return {name: self.face(name, psi, options) for name in self.face_names}
+
+    def face_order(self, name: str) -> float:
+        """Return how many rotations about the face's normal leave the solid as it is; inf for any angle."""
+        return 1
+
+    def mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
+        """Return the solid as a trimesh.Trimesh in object axes."""
+        raise NotImplementedError
+
+    def drawn_mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
+        """Return (key, (vertices (V, 3), triangles (T, 3) int32)) for `Solids`; equal keys mean the same mesh."""
+        mesh = self.mesh(psi, options)
+        vertices = np.ascontiguousarray(mesh.vertices, dtype=float)
+        key = (self.name, tuple(float(value) for value in psi), tuple(sorted(map(str, options.items()))))
+        return key, (vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+
+    def symmetry(self, psi=(), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
+        """Return the rotations that leave the solid as it is."""
+        return Symmetry(np.eye(3)[None])
+
+    def feature_names(self) -> tuple[str, ...]:
+        """Return the names of all features that a contact can use."""
+        return self.face_names + self.side_names + self.point_names + self.edge_names + self.corner_names
+
+    def check(self, psi, options: Mapping[str, Any] = {}, where: object = None) -> None:  # noqa: B006
+        """Raise DerenderError unless the parameters are finite and within their ranges."""
+        for parameter, value in zip(self.parameters, psi, strict=True):
+            if not (parameter.lower < value < parameter.upper):
+                what = f"{parameter.name} is {value:g}"
+                remedy = f"it must be above {parameter.lower:g} and below {parameter.upper:g}"
+                raise DerenderError(what, where, remedy)
+
+    def no_such_face(self, name: object) -> DerenderError:
+        """Return the error that says which features there are."""
+        return DerenderError(f"a {self.name} has no face {name!r}", remedy=suggest(name, self.feature_names()))
+
+
+class Body(NamedTuple):
+    """A shape with its numbers: what a contact needs to know of each of the two solids.
+
+    Attributes
+    ----------
+    shape : the registered shape.
+    psi : (P,) float64, its parameters.
+    options : what else the file says.
+    """
+
+    shape: Shape
+    psi: Any = ()
+    options: Mapping[str, Any] = {}
+
+    def face(self, name: str) -> Face:
+        """Return the feature called `name`."""
+        return self.shape.face(name, self.psi, self.options)
+
+    def size(self) -> np.ndarray | None:
+        """Return the (3,) full extents in metres, or None."""
+        return self.shape.size(self.psi, self.options)
+
+
+def box_face(name: str, size) -> Face:
+    """Return a face of the box with extents `size` (3,): x and y of its frame along the next two axes, cyclic.
+
+    On the faces -x, -y, -z the frame's y is flipped to stay right-handed (DESIGN section 4).
+    """
+    if name not in FACE_NAMES:
+        raise KeyError(name)
+    axis, sign = AXES.index(name[1]), 1.0 if name[0] == "+" else -1.0
+    following, last = (axis + 1) % 3, (axis + 2) % 3
+    frame = np.zeros((4, 4))
+    frame[following, 0] = 1.0
+    frame[last, 1] = sign
+    frame[axis, 2] = sign
+    frame[axis, 3] = 0.5 * sign * size[axis]
+    frame[3, 3] = 1.0
+    return Face(frame, Outline(float(size[following]), float(size[last])))

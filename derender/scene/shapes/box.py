@@ -1,0 +1,95 @@
+"""The box, and the edges and corners that it shares with the cube."""
+
+from itertools import product
+
+import numpy as np
+
+from derender.scene import solids
+from derender.scene.parameter import Parameter
+from derender.scene.shapes.base import AXES, FACE_NAMES, POINT, Face, Outline, Shape, Symmetry, box_face, shapes
+
+# An edge is named by the two faces that meet in it, a corner by the three: "+x-z", "+x+y-z".
+EDGE_NAMES = tuple(
+    f"{first}{AXES[i]}{second}{AXES[j]}" for i, j in ((0, 1), (0, 2), (1, 2)) for first, second in product("+-", "+-")
+)
+CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
+
+
+def signs_of(name: str) -> np.ndarray:
+    """Return the (3,) signs that a face's, edge's or corner's name gives: "+x-z" is (1, 0, -1)."""
+    signs = np.zeros(3)
+    for sign, axis in zip(name[::2], name[1::2], strict=True):
+        signs[AXES.index(axis)] = 1.0 if sign == "+" else -1.0
+    return signs
+
+
+def box_edge(name: str, size) -> Face:
+    """Return an edge of the box: x along it, z the normal of the second of its cyclic faces.
+
+    With the edge along axis k and i = k + 1, j = k + 2 (cyclic): z = s_i e_i, x = s_i s_j e_k, so that turning the
+    frame about x by `lean` in [0, pi/2] carries z from the face on axis i to the face on axis j.
+    """
+    signs = signs_of(name)
+    k = int(np.flatnonzero(signs == 0.0)[0])
+    i, j = (k + 1) % 3, (k + 2) % 3
+    frame = np.zeros((4, 4))
+    frame[k, 0] = signs[i] * signs[j]
+    frame[j, 1] = -signs[j]
+    frame[i, 2] = signs[i]
+    frame[:3, 3] = 0.5 * signs * size
+    frame[3, 3] = 1.0
+    return Face(frame, Outline(float(size[k]), 0.0))
+
+
+def box_corner(name: str, size) -> Face:
+    """Return a corner of the box: the origin of its frame is there, its axes are the object's."""
+    frame = np.eye(4)
+    frame[:3, 3] = 0.5 * signs_of(name) * size
+    return Face(frame, POINT)
+
+
+def box_feature(name: str, size) -> Face:
+    """Return the face, edge or corner called `name` of the box with extents `size` (3,)."""
+    if name in FACE_NAMES:
+        return box_face(name, size)
+    return box_edge(name, size) if name in EDGE_NAMES else box_corner(name, size)
+
+
+HALF_TURNS = np.stack([np.eye(3), np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
+
+
+def _length(name: str) -> Parameter:
+    return Parameter(name, "m", 0.0, np.inf)
+
+
+@shapes.register("box")
+class Box(Shape):
+    """A box with the sides length, width and height along its x, y and z."""
+
+    parameters = (_length("length"), _length("width"), _length("height"))
+    solid_kind = solids.BOX
+    face_names = FACE_NAMES
+    edge_names = EDGE_NAMES
+    corner_names = CORNER_NAMES
+
+    def size(self, psi, options={}):  # noqa: B006 - never changed
+        return np.array(psi, dtype=float)
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array(size, dtype=float)
+
+    def face(self, name, psi, options={}):  # noqa: B006
+        if name not in self.feature_names():
+            raise self.no_such_face(name)
+        return box_feature(name, np.asarray(psi, dtype=float))
+
+    def face_order(self, name):
+        return 2
+
+    def mesh(self, psi, options={}):  # noqa: B006
+        import trimesh
+
+        return trimesh.creation.box(extents=self.size(psi, options))
+
+    def symmetry(self, psi=(), options={}):  # noqa: B006
+        return Symmetry(HALF_TURNS)

@@ -1,0 +1,46 @@
+"""The cylinder: two flat caps and a side that rolls."""
+
+import numpy as np
+
+from derender.scene import solids
+from derender.scene.parameter import Parameter
+from derender.scene.pose import from_axes
+from derender.scene.shapes.base import Face, Outline, Shape, Symmetry, box_face, shapes
+
+SECTIONS = 128  # of the mesh: its sagitta is 0.03 % of the radius
+
+
+@shapes.register("cylinder")
+class Cylinder(Shape):
+    """A cylinder about its z axis, by radius and height; it stands on +z or -z, or lies on its side."""
+
+    parameters = (Parameter("radius", "m", 0.0, np.inf), Parameter("height", "m", 0.0, np.inf))
+    solid_kind = solids.CYLINDER
+    face_names = ("+z", "-z")
+    side_names = ("side",)
+
+    def size(self, psi, options={}):  # noqa: B006 - never changed
+        radius, height = psi
+        return np.array([2.0 * radius, 2.0 * radius, height], dtype=float)
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array([0.25 * (size[0] + size[1]), size[2]], dtype=float)
+
+    def face(self, name, psi, options={}):  # noqa: B006
+        radius, height = float(psi[0]), float(psi[1])
+        if name in self.face_names:
+            return Face(box_face(name, (0.0, 0.0, height)).frame, Outline(0.0, 0.0, radius))
+        if name == "side":  # x along the axis, z towards the line that touches where `roll` is 0
+            return Face(from_axes((0, 0, 1), (0, -1, 0), (1, 0, 0)), Outline(height, 0.0, 0.0), radius)
+        raise self.no_such_face(name)
+
+    def face_order(self, name):
+        return 2 if name == "side" else np.inf
+
+    def mesh(self, psi, options={}):  # noqa: B006
+        import trimesh
+
+        return trimesh.creation.cylinder(radius=float(psi[0]), height=float(psi[1]), sections=SECTIONS)
+
+    def symmetry(self, psi=(), options={}):  # noqa: B006
+        return Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")

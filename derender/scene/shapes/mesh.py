@@ -1,0 +1,149 @@
+"""A solid from a mesh file, in the axes of its own oriented box."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+from warnings import warn
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.scene.parameter import Parameter
+from derender.scene.shapes.base import FACE_NAMES, Shape, box_face, shapes
+
+LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
+
+
+class LoadedMesh(NamedTuple):
+    """A mesh as loaded, at scale 1.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float64, in the axes of the oriented box, its centre the origin; not writeable.
+    triangles : (T, 3) int32; not writeable.
+    extents : (3,) float64 of the oriented box.
+    box_from_file : (4, 4) float64, from the file's axes to the box's: applied to the file's vertices gives ours.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    extents: np.ndarray
+    box_from_file: np.ndarray
+
+
+def load_mesh(path: str | Path, hull: bool = True) -> LoadedMesh:
+    """Return the mesh in a file that trimesh reads (.ply, .obj, .stl, .glb, ...), as its convex hull or in full.
+
+    A mesh's own axes need not be its box's, so the smallest oriented box is fitted. Warns of a mesh that is not
+    watertight and of one that seems to be in millimetres. Raises DerenderError for a missing or unreadable file.
+    """
+    path = Path(path)
+    try:
+        stamp = path.stat().st_mtime_ns
+    except OSError as error:
+        raise DerenderError(f"cannot read the mesh ({error.strerror})", path, "check the path") from None
+    return _load(str(path.resolve()), bool(hull), stamp)
+
+
+@lru_cache(maxsize=64)
+def _load(path: str, hull: bool, stamp: int) -> LoadedMesh:
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(path)
+        if not isinstance(mesh, trimesh.Trimesh):
+            mesh = mesh.to_mesh() if hasattr(mesh, "to_mesh") else None
+    except Exception as error:  # trimesh's readers raise whatever the garbage in the file provokes
+        what = f"not a mesh that trimesh can read ({error})"
+        raise DerenderError(what, path, "give a .ply, .obj, .stl or .glb") from None
+    if mesh is None or len(mesh.faces) == 0:
+        raise DerenderError("the mesh has no triangles", path, "give a surface, not a point cloud")
+    return fit_box(mesh, hull, path)
+
+
+def fit_box(mesh, hull: bool, where: object) -> LoadedMesh:
+    """Return a trimesh.Trimesh in the axes of its smallest oriented box; `where` names it in errors and warnings."""
+    import trimesh
+
+    if not np.isfinite(mesh.vertices).all():
+        raise DerenderError("the mesh has vertices that are not finite", where, "export it again")
+    try:
+        convex = mesh.convex_hull
+        box_from_file, extents = trimesh.bounds.oriented_bounds(convex)
+    except Exception:  # qhull's and numpy's several ways to say that the vertices lie in a plane
+        raise DerenderError("the mesh is flat or a point", where, "a solid needs three extents") from None
+    if not mesh.is_watertight and not hull:
+        warn(f"{where}: the mesh is not watertight, its inside is not defined; use its convex hull", stacklevel=2)
+    if max(extents) > LARGEST_METRES:
+        remedy = "if it is in millimetres give scale: 0.001"
+        warn(f"{where}: the mesh is {max(extents):.0f} m long; {remedy}", stacklevel=2)
+    box_from_file = upright(np.asarray(box_from_file, dtype=float))
+    drawn = convex if hull else mesh
+    vertices = np.ascontiguousarray(trimesh.transform_points(drawn.vertices, box_from_file))
+    # The box of the transformed hull, exactly: centre and extents agree with the vertices to the last digit.
+    corners = trimesh.transform_points(convex.vertices, box_from_file)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    vertices -= 0.5 * (low + high)
+    box_from_file[:3, 3] -= 0.5 * (low + high)
+    triangles = np.ascontiguousarray(drawn.faces, dtype=np.int32)
+    loaded = LoadedMesh(vertices, triangles, high - low, box_from_file)
+    for array in loaded:
+        array.flags.writeable = False
+    return loaded
+
+
+def upright(box_from_file: np.ndarray) -> np.ndarray:
+    """Return the fitted box's pose with its axes renamed and signed so that they are nearest to the file's.
+
+    The fit orders the box's axes by length; people who wrote the file meant its own z to be up.
+    """
+    from derender.scene.shapes.cube import ROTATIONS
+
+    traces = np.einsum("kij,ji->k", ROTATIONS, box_from_file[:3, :3])
+    turn = np.eye(4)
+    turn[:3, :3] = ROTATIONS[int(np.argmax(traces))]
+    return turn @ box_from_file
+
+
+@shapes.register("mesh")
+class Mesh(Shape):
+    """A mesh from a file, times `scale`. Its faces are those of its oriented box, fitted when it is loaded.
+
+    Options: `file`, the path; `hull`, true (default) for the convex hull and false for the mesh as it is.
+    """
+
+    parameters = (Parameter("scale", "", 0.0, np.inf, 1.0),)
+    options = ("file", "hull")
+    face_names = FACE_NAMES
+
+    def load(self, options) -> LoadedMesh:
+        """Return the file's mesh at scale 1."""
+        if not options.get("file"):
+            raise DerenderError("a mesh needs its file", remedy="give file: PATH")
+        return load_mesh(options["file"], options.get("hull", True))
+
+    def size(self, psi, options={}):  # noqa: B006 - never changed
+        return float(psi[0]) * self.load(options).extents
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        extents = self.load(options).extents
+        return np.array([float(np.cbrt(np.prod(np.asarray(size) / extents)))])
+
+    def face(self, name, psi, options={}):  # noqa: B006
+        if name not in self.face_names:
+            raise self.no_such_face(name)
+        return box_face(name, self.size(psi, options))
+
+    def mesh(self, psi, options={}):  # noqa: B006
+        import trimesh
+
+        loaded = self.load(options)
+        return trimesh.Trimesh(float(psi[0]) * loaded.vertices, loaded.triangles, process=False)
+
+    def drawn_mesh(self, psi, options={}):  # noqa: B006
+        loaded = self.load(options)
+        return id(loaded), (loaded.vertices, loaded.triangles)
+
+    def check(self, psi, options={}, where=None):  # noqa: B006
+        super().check(psi, options, where)
+        self.load(options)

@@ -1,0 +1,228 @@
+"""Structures besides the best one, and how probable each is: integrals of prior times likelihood, from draws.
+
+A change of one solid is weighed with the others held at the mode: the two integrals are over that solid's coordinates
+alone (`refined.local_evidence`). Structures that differ in more, as the search met them, are weighed by the integral
+over everything. What a solid's coordinates cost (its sizes' and places' densities) is in the prior (`chart.log_prior`),
+so the ratio of integrals holds the Occam factor, and no price has to be set.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from derender.compilation.threads import in_threads
+from derender.detection.search.greedy import cube_of, spaced
+from derender.detection.solids.graph import names_of
+from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.interpenetration import highest, lowest
+from derender.detection.solids.naming import matched_names, structure_key
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR
+from derender.detection.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
+from derender.structures.draws.refined import (
+    Refined,
+    at_mode,
+    floor_pose_of,
+    local_evidence,
+    near_evidence,
+    refined_at,
+    without_unseen,
+)
+from derender.structures.draws.sensor import model_image
+
+HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
+FROM_SEARCH = 3  # structures that the search met, at most
+WITHIN = 30.0  # nats of the search's own energy within which they are looked at
+WHOLE_DRAWS = 150  # from which the integral over everything is taken
+FEW_PIXELS = 80  # in which a solid's shape may hardly show
+# Nats below the best at which `near_evidence` has to do, of a change of one solid and of a structure: a weight of less
+# than a hundredth even if it is as wrong as it ever was.
+IMPROBABLE, VERY_IMPROBABLE = 9.0, 15.0
+QUICK = 50  # steps of each temperature for one changed solid
+
+
+def supports_within(state, i):
+    """Return the other supports on which solid `i` might stand: those under it, and the floor."""
+    row = state.rows[i]
+    found = [FLOOR]
+    for j in range(len(state)):
+        if j != i and flat_top(state.rows[j]) and shadows_overlap(row, state.rows[j]) and state.parents[j] != i:
+            if highest(state.rows[j]) < highest(row) - 0.01:
+                found.append(j)
+    return [j for j in found if j != state.parents[i]]
+
+
+def changes(best, i):
+    """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else.
+
+    Where two of a box's extents are about as long as a cube's edge the third may be hidden.
+    """
+    state = best.state
+    row, form = state.rows[i], state.forms[i]
+    found = []
+    if int(row[0]) == BOX and state.cubes[i]:
+        found.append(changed(state, i, row, cube=False))
+    elif int(row[0]) == BOX:
+        origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
+        for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
+            if np.median(np.abs(row[13:16] - side)) < 0.6 * side:
+                found.append(changed(state, i, cube_of(row, side, origin, form), cube=True))
+    if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
+        for parent in supports_within(state, i):
+            height = 0.0 if parent == FLOOR else highest(state.rows[parent])
+            new = changed(state, i, with_bottom(row, height), state.cubes[i])
+            new.parents[i], new.bottoms[i] = parent, height
+            found.append(new)
+    return found
+
+
+def changed(state, i, row, cube):
+    """Return a state with another solid `i`."""
+    new = state.copy()
+    new.rows[i], new.cubes[i] = row, cube
+    return new
+
+
+def other_shapes(best, i, shapes):
+    """Return the states in which a solid that shows in few pixels has another of these shapes, as large as it is."""
+    state, (_, label) = best.state, model_image(best.chart, best.values, best.sensor.camera)
+    if np.sum((label == i + 1) & np.isfinite(best.sensor.observed)) > FEW_PIXELS:
+        return []
+    row, kind = state.rows[i], int(state.rows[i][0])
+    size = row[13:16]
+    # a box becomes a can about the axis across which it is most nearly square
+    axis = int(np.argmin([abs(size[k - 1] - size[k - 2]) for k in range(3)])) if kind == BOX else 2
+    order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+    turned = np.eye(3) if kind == SPHERE else rotation_of(row)[:, order]
+    wide, mean = np.sqrt(size[order[0]] * size[order[1]]), np.prod(size) ** (1.0 / 3.0)
+    form = UPRIGHT if kind == SPHERE else state.forms[i] if axis == 2 else FREE
+    found = []
+    if kind != BOX and {"box", "cube"} & set(shapes):
+        found.append((BOX, form, [wide, wide, size[axis]]))
+    if kind != CYLINDER and "cylinder" in shapes:
+        found.append((CYLINDER, form, [wide, wide, size[axis]]))
+    if kind != SPHERE and "sphere" in shapes and i not in state.parents:
+        found.append((SPHERE, FREE, [mean] * 3))
+    states = []
+    for other, form, extents in found:
+        new = changed(state, i, make_row(other, turned, row[10:13], extents), other == BOX and kind == SPHERE)
+        new.rows[i, 12] += lowest(row) - lowest(new.rows[i])
+        new.forms[i] = form
+        states.append(new)
+    return states
+
+
+def of_one_solid(rng, best, i, rules, shapes=()):
+    """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless.
+
+    shapes : names of those that it may be instead, where that hardly shows.
+    """
+    floor = floor_pose_of(best)
+    height = best.log_prior + best.log_likelihood
+    found: list[Refined] = []
+    for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
+        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
+        if trial.log_prior + trial.log_likelihood > height - HOPELESS and all_seen(trial):
+            found.append(trial)
+    removed = without(best, i, floor, rules)
+    keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
+    if not found and not keep_removed:
+        return []
+    near = near_evidence(best, [i])
+    weighed = [(trial, near_evidence(trial, [i]) - near) for trial in found]
+    if not keep_removed and all(odds < -IMPROBABLE for _, odds in weighed):
+        return best_of_each(weighed)
+    own = local_evidence(rng, best, [i])
+    weighed = [(trial, odds if odds < -IMPROBABLE else local_evidence(rng, trial, [i]) - own)
+               for trial, odds in weighed]  # fmt: skip
+    weighed = best_of_each(weighed)
+    if keep_removed:
+        weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
+    return weighed
+
+
+def all_seen(trial):
+    """Whether every solid of a Refined shows or carries something: one that does neither could be anywhere at all."""
+    return len(without_unseen(trial.state, trial)) == len(trial.state)
+
+
+def best_of_each(weighed):
+    """Return the likeliest of those with the same structure (cubes that hold different corners at the start)."""
+    found: dict[tuple, tuple] = {}
+    for trial, odds in weighed:
+        key = (tuple(trial.state.cubes), tuple(trial.state.parents), tuple(trial.state.rows[:, 0]))
+        if key not in found or odds > found[key][1]:
+            found[key] = (trial, odds)
+    return list(found.values())
+
+
+def without(best, i, floor, rules):
+    """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
+    state = best.state.without(i)
+    chart, values = make_chart(state, floor, rules)
+    engine = engine_of(chart, best.sensor)
+    return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
+
+
+def one_step_away(best, names):
+    """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
+    for i in range(len(best.state)):
+        yield from (structure_key(state, names) for state in changes(best, i))
+        yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
+
+
+def whole_evidence(rng, refined):
+    """Return the log of the density's integral over all coordinates."""
+    steps = 10 + 5 * len(refined.state)
+    found = sample(rng, refined.chart, refined.sensor, refined.values, 1, WHOLE_DRAWS, steps)
+    return log_evidence(found, list(range(len(refined.values))))
+
+
+def from_search(rng, best, pool, energy, rules, evidence):
+    """Return (Refined, log odds against the best) of structures that the search met, more than one step from the best.
+
+    pool : (state, energy) of them. energy : the best one's. evidence : as `whole_evidence`, for the best.
+    """
+    names = names_of(best.state)
+    seen = {structure_key(best.state, names), *one_step_away(best, names)}
+    near: list = []
+    for state, value in sorted(pool, key=lambda pair: pair[1]):
+        if value > energy + WITHIN or len(near) >= FROM_SEARCH:
+            break
+        state = state.copy()
+        state.parents = final_parents(state)
+        key = structure_key(state, matched_names(state, best.state, names))
+        if key not in seen:
+            seen.add(key)
+            near.append(state)
+    return weighed_whole(rng, best, near, rules, QUICK, evidence)
+
+
+def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
+    """Return (Refined, log odds against the best) of those states that are not hopeless, by integrals over everything.
+
+    steps : of each temperature for each solid. evidence : as `whole_evidence`, for the best.
+    """
+    trials = [trial for trial in climbed(rng, best, states, rules, steps, HOPELESS) if all_seen(trial)]
+    if not trials:
+        return []
+    near = [near_evidence(each) for each in (best, *trials)]
+    first = int(np.argmax(near))  # the best of all, as it seems: `evidence` is to be of that
+    likely = [k for k in range(len(near)) if near[k] > near[first] - VERY_IMPROBABLE]
+    tasks = [partial(evidence if k == first else whole_evidence, refined=(best, *trials)[k]) for k in likely]
+    if len(likely) > 1:
+        for k, weight in zip(likely, in_threads(rng, tasks), strict=True):
+            near[k] = weight
+    return [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]
+
+
+def climbed(rng, best, states, rules, steps, within):
+    """Return the Refined of those states whose modes are within so many nats of the best's."""
+    height, floor = best.log_prior + best.log_likelihood, floor_pose_of(best)
+    trials = in_threads(rng, [
+        partial(at_mode, state=new, floor_pose=floor, sensor=best.sensor, rules=rules, steps=steps) for new in states
+    ])  # fmt: skip
+    return [trial for trial in trials if trial.log_prior + trial.log_likelihood > height - within]

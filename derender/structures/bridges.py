@@ -1,0 +1,187 @@
+"""Second supports: a solid that rests on its parent and on others of the same height, as a bridge on two towers.
+
+The search gives each solid one parent.  Here every structure of a posterior is asked which level contacts it has
+besides the tree's, and is split in two for each: with the second support and without, weighted by a Savage-Dickey
+ratio.  Let g be the gap between the solid's resting face and the other's top, m and s its mean and standard deviation
+over the draws, which know nothing of the contact.
+
+    with the contact     p(data) ~ N(m; 0, s^2 + slack^2)
+    without              p(data) ~ 1 / REACH      (any height of the other within REACH below would have done)
+
+The prior odds are even where the parent alone could carry the solid, and CERTAIN to one where it would tip off.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.solids.statics import CERTAIN
+from derender.errors import DerenderError
+from derender.results.posterior import StructurePosterior
+from derender.scene.graph import ROOT, SceneGraph
+from derender.scene.second_support import support_residual
+from derender.scene.shapes import shapes
+
+NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
+REACH = 0.06
+EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
+RESTING = ("face-to-face", "side-on-face")
+EXTENTS = {"x": "length", "y": "width", "z": "height"}
+SMALLEST_WEIGHT = 1e-3  # a half that is less likely is not kept
+GAPS = 60  # draws looked at
+
+
+class Candidate(NamedTuple):
+    """A contact besides the tree's.
+
+    Attributes
+    ----------
+    name, other : the solid, and what else it may rest on.
+    mean, spread : metres, of the gap between them over the draws.
+    balanced : whether the parent alone could carry it.
+    probability : that they are in contact.
+    """
+
+    name: str
+    other: str
+    mean: float
+    spread: float
+    balanced: bool
+    probability: float
+
+
+def with_bridges(parts: Sequence[StructurePosterior], slack: float) -> list[StructurePosterior]:
+    """Return the structures with their second supports, weights still summing to what they did.
+
+    slack : metres within which contacts hold.
+
+    Two structures that differ only in which of the carriers is called the parent become one.
+    """
+    found: list[StructurePosterior] = []
+    for part in sorted(parts, key=lambda part: -part.weight):
+        divided = [part]
+        for candidate in candidates(part, slack):
+            divided = [piece for whole in divided for piece in divide(whole, candidate)]
+        found += divided
+    return merge_same(found)
+
+
+def candidates(part: StructurePosterior, slack: float) -> list[Candidate]:
+    """Return the second supports that a structure may have, with their probabilities."""
+    graph, _ = part.best()
+    found = []
+    for vertex in graph.vertices:
+        if vertex.parent == ROOT or vertex.contact.type not in RESTING or not _bounded(graph, vertex.parent):
+            continue
+        for other in graph.names:
+            if other in (vertex.name, vertex.parent, *vertex.supports, *graph.descendants(vertex.name)):
+                continue
+            if other not in graph.path(vertex.parent, ROOT) and _bounded(graph, other) and _level(graph, vertex, other):
+                found.append(judge(part, graph, vertex.name, other, slack))
+    return found
+
+
+def _bounded(graph: SceneGraph, name: str) -> bool:
+    return shapes[graph.vertex(name).shape].bounded
+
+
+def _level(graph: SceneGraph, vertex, other: str) -> bool:
+    """Whether the vertex would lie flat on `other`, not merely graze it."""
+    try:
+        residual = support_residual(graph, vertex.name, other)
+    except DerenderError:  # these two shapes have no such contact
+        return False
+    if abs(residual.gap) > NEAREST_GAP or residual.tilt > LARGEST_TILT or residual.outside > 0.0:
+        return False
+    contact, _ = graph.nearest_contact(
+        vertex.name, other, vertex.contact.type, residual.parent_face, residual.child_face
+    )
+    return all(EDGE < contact.values.get(key, 0.5) < 1 - EDGE for key in ("u", "v"))
+
+
+def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, slack: float) -> Candidate:
+    """Return the candidate with its probability, by the ratio at the head of this file."""
+    chains, draws = part.log_density.shape
+    every = max(1, chains * draws // GAPS)
+    gaps = [
+        support_residual(part.graph_at(chain, draw), name, other).gap
+        for chain, draw in list(np.ndindex(chains, draws))[::every]
+    ]
+    mean, spread = float(np.median(gaps)), float(np.std(gaps))
+    balanced = balances(graph, name, graph.vertex(name).parent)
+    variance = spread**2 + slack**2
+    with_it = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2 * np.pi * variance)
+    odds = REACH * with_it * (1.0 if balanced else CERTAIN)
+    return Candidate(name, other, mean, spread, balanced, float(odds / (1 + odds)))
+
+
+def balances(graph: SceneGraph, name: str, parent: str) -> bool:
+    """Whether the solid's centre lies over the part of its parent's face that carries it.
+
+    The centre of the face that rests is inside both outlines if and only if their pieces in common hold it, as both are
+    convex and the centre is in the middle of its own.
+    """
+    poses = graph.poses()
+    contact = graph.vertex(name).contact
+    face = graph.body(parent).face(contact.parent_face)
+    size = graph.body(parent).size()
+    frame = poses[parent] @ face.frame
+    down = graph.down()
+    centre = poses[name][:3, 3]
+    # along gravity onto the plane of the parent's face
+    steps = (frame[:3, 3] - centre) @ frame[:3, 2] / max(float(-down @ frame[:3, 2]), 1e-6)
+    local = np.linalg.inv(frame) @ np.append(centre - steps * down, 1.0)
+    axis = "xyz".index(contact.parent_face[1])
+    half = 0.5 * np.array([size[(axis + 1) % 3], size[(axis + 2) % 3]])
+    if graph.vertex(parent).shape == "cylinder":
+        return bool(np.hypot(local[0], local[1]) < half[0])
+    return bool(abs(local[0]) < half[0] and abs(local[1]) < half[1])
+
+
+def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePosterior]:
+    """Return a structure with the second support and without it."""
+    vertex = part.graph.vertex(candidate.name)
+    graph = part.graph.replace(vertex.name, supports=(*vertex.supports, candidate.other))
+    probability = candidate.probability
+    if min(probability, 1 - probability) < SMALLEST_WEIGHT:
+        probability = round(probability)
+    joined = replace(closed(part, candidate), graph=graph, weight=part.weight * probability)
+    apart = replace(part, weight=part.weight * (1 - probability))
+    return [piece for piece in (joined, apart) if piece.weight > 0]
+
+
+def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior:
+    """Return the draws with the gap closed: the other's top put where the solid's resting face is.
+
+    Only where that top is a free extent of what stands on the opposite face; the densities are left as they were, for
+    the gap is within the slack and mostly hidden.
+    """
+    contact = part.graph.vertex(candidate.other).contact
+    if contact.type != "face-to-face" or part.graph.vertex(candidate.other).shape not in ("box", "cylinder"):
+        return part
+    residual = support_residual(part.graph, candidate.name, candidate.other)
+    face = contact.child_face
+    opposite = ("-" if face[0] == "+" else "+") + face[1]
+    address = f"{candidate.other}.{EXTENTS[face[1]]}"
+    if residual.parent_face != opposite or address not in part.addresses:
+        return part
+    values = part.values.copy()
+    place = part.addresses.index(address)
+    for chain, draw in np.ndindex(part.log_density.shape):
+        gap = support_residual(part.graph_at(chain, draw), candidate.name, candidate.other).gap
+        values[chain, draw, place] = max(values[chain, draw, place] + gap, 0.5 * values[chain, draw, place])
+    return replace(part, values=values)
+
+
+def merge_same(parts: Sequence[StructurePosterior]) -> list[StructurePosterior]:
+    """Return the structures without those that say the same of who carries whom; the heaviest draws stand for all."""
+    kept: dict[tuple, StructurePosterior] = {}
+    for part in sorted(parts, key=lambda part: -part.weight):
+        key = tuple(
+            (v.name, v.shape, v.contact.type, frozenset((v.parent, *v.supports)) if v.supports else v.parent)
+            for v in sorted(part.graph.vertices, key=lambda v: v.name)
+        )
+        kept[key] = replace(kept[key], weight=kept[key].weight + part.weight) if key in kept else part
+    return sorted(kept.values(), key=lambda part: -part.weight)

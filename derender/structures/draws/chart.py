@@ -1,0 +1,280 @@
+"""Coordinates of a structure: the free numbers of the solids on a floor, and the floor's own three, as one vector.
+
+A solid held to its support has no height of its own: its bottom is the top of what carries it. Places and turns are
+the world's (the floor's axes), not the contact's: when a support grows or slides, what stands on it stays where it is
+over the floor, so coordinates of different solids are nearly independent given the image. The prior below is a density
+in these coordinates; a contact's own density (uniform over the touching area, Figure 2) is divided by that area.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.solids.image import ROW
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, reach
+from derender.detection.solids.polish import FREE
+from derender.detection.solids.rules import OVERLAP
+from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at
+from derender.detection.solids.state import FLOOR
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+
+KIND, VERTICAL, PARENT, HELD = range(4)  # columns of Chart.flags
+X, Y, Z, TURN, SIZE, SLOTS = 0, 1, 2, 3, 6, 9  # columns of Chart.slots
+FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
+
+# What is believed before an image is seen. Metres, and rates of solids for each square metre of floor.
+TYPICAL, SPREAD = 0.085, 0.45  # median and log spread of an edge: 90 % of them in 4 to 18 cm
+FLOOR_RATE, STACKED_RATE = 12.0, 0.2  # solids for each square metre of floor; for each top of another
+LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
+HANGING = 30.0  # nats that standing on nothing costs, as in the search
+EIGHT_PI_SQUARED = 8.0 * np.pi**2
+
+
+class Chart(NamedTuple):
+    """Which numbers of a structure are free.
+
+    Attributes
+    ----------
+    flags : (N, 4) int64, see KIND ... HELD; the parent is FLOOR or an index.
+    slots : (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none.
+    base : (N, ROW) float64, the solids at the start: rotations are turns from there.
+    order : (N,) int64, supports before what they carry.
+    floor : (4, 4) float64, floor frame to camera at the start.
+    slack, overlap, floating, sizes, cubes : as in Rules.
+    """
+
+    flags: np.ndarray
+    slots: np.ndarray
+    base: np.ndarray
+    order: np.ndarray
+    floor: np.ndarray
+    slack: float
+    overlap: float
+    floating: bool
+    sizes: np.ndarray
+    cubes: float
+
+
+def make_chart(state, floor_pose, rules):
+    """Return (Chart, coordinates (D,)) of a State. rules : Rules."""
+    from derender.detection.solids.graph import order_of
+
+    count = len(state)
+    parents = list(state.parents)
+    order = order_of(parents)
+    rows = np.array(state.rows, float)
+    flags, slots = np.zeros((count, 4), np.int64), np.full((count, SLOTS), -1, np.int64)
+    values: list[float] = []
+
+    def free(solid, column, value):
+        slots[solid, column] = len(values)
+        values.append(float(value))
+
+    for k in range(count):
+        row, kind = state.rows[k], int(state.rows[k][0])
+        support = support_of(state, k, parents[k])
+        vertical = state.forms[k] != FREE and kind != SPHERE
+        held = support is not None and (vertical or kind == SPHERE)
+        flags[k] = kind, vertical, parents[k] if support is None else support, held
+        if kind == SPHERE:  # a sphere may be turned as one likes: so that its contact needs no turn
+            rows[k, 1:10] = np.diag([1.0, -1.0, -1.0]).ravel()
+        free(k, X, row[10])
+        free(k, Y, row[11])
+        if not held:
+            free(k, Z, row[12])
+        if kind == BOX:
+            for axis in (2,) if vertical else (0, 1, 2):
+                free(k, TURN + axis, 0.0)
+        elif kind == CYLINDER and not vertical:
+            for axis in (0, 1):
+                free(k, TURN + axis, 0.0)
+        free(k, SIZE, row[13])
+        if kind == BOX and not state.cubes[k]:
+            free(k, SIZE + 1, row[14])
+            free(k, SIZE + 2, row[15])
+        elif kind == CYLINDER:
+            slots[k, SIZE + 1] = slots[k, SIZE]
+            free(k, SIZE + 2, row[15])
+        else:
+            slots[k, SIZE + 1 :] = slots[k, SIZE]
+    chart = Chart(flags, slots, rows, np.array(order, np.int64),
+                  np.ascontiguousarray(floor_pose, dtype=float), *rules)  # fmt: skip
+    return chart, np.array([*values, 0.0, 0.0, 0.0])
+
+
+def support_of(state, k, parent):
+    """Return what solid k is level with the top of: its parent or the floor; None for neither."""
+    low = lowest(state.rows[k])
+    if np.isnan(state.bottoms[k]):
+        return None
+    if parent != FLOOR and abs(low - highest(state.rows[parent])) < LEVEL_WITHIN:
+        return parent
+    return FLOOR if abs(low) < LEVEL_WITHIN else None
+
+
+@njit(cache=True, nogil=True)
+def place_rows(chart, values, rows):
+    """Write the rows (N, ROW) of the solids at these coordinates (D,)."""
+    for k in chart.order:
+        slot, flag, row, base = chart.slots[k], chart.flags[k], rows[k], chart.base[k]
+        for i in range(ROW):
+            row[i] = base[i]
+        for i in range(3):
+            row[13 + i] = values[slot[SIZE + i]]
+        if flag[VERTICAL]:
+            if slot[TURN + 2] >= 0:
+                c, s = np.cos(values[slot[TURN + 2]]), np.sin(values[slot[TURN + 2]])
+                for j in range(3):
+                    x, y = base[1 + j], base[4 + j]
+                    row[1 + j], row[4 + j] = c * x - s * y, s * x + c * y
+        else:
+            for axis in range(3):
+                if slot[TURN + axis] >= 0:
+                    c, s = np.cos(values[slot[TURN + axis]]), np.sin(values[slot[TURN + axis]])
+                    p, q = (axis + 1) % 3, (axis + 2) % 3
+                    for i in range(3):
+                        x, y = row[1 + 3 * i + p], row[1 + 3 * i + q]
+                        row[1 + 3 * i + p], row[1 + 3 * i + q] = c * x + s * y, c * y - s * x
+        row[10], row[11] = values[slot[X]], values[slot[Y]]
+        if flag[HELD]:
+            height = 0.0 if flag[PARENT] == FLOOR else highest(rows[flag[PARENT]])
+            row[12] = height + reach(row, 0.0, 0.0, 1.0)
+        else:
+            row[12] = values[slot[Z]]
+
+
+@njit(cache=True, nogil=True)
+def camera_poses(chart, values, rows, poses, sizes):
+    """Write the poses (1 + N, 4, 4), object to camera, and extents (1 + N, 3) of the floor and the solids."""
+    ways = len(values) - FLOOR_WAYS
+    ca, sa = np.cos(values[ways]), np.sin(values[ways])
+    cb, sb = np.cos(values[ways + 1]), np.sin(values[ways + 1])
+    turn = np.empty((3, 3))  # about x, then y
+    turn[0, 0], turn[0, 1], turn[0, 2] = cb, 0.0, sb
+    turn[1, 0], turn[1, 1], turn[1, 2] = sa * sb, ca, -sa * cb
+    turn[2, 0], turn[2, 1], turn[2, 2] = -ca * sb, sa, ca * cb
+    floor = poses[0]
+    for i in range(3):
+        for j in range(3):
+            floor[i, j] = 0.0
+            for m in range(3):
+                floor[i, j] += chart.floor[i, m] * turn[m, j]
+        floor[i, 3] = chart.floor[i, 3] + chart.floor[i, 2] * values[ways + 2]
+        sizes[0, i] = 0.0
+        floor[3, i] = 0.0
+    floor[3, 3] = 1.0
+    for k in range(len(rows)):
+        row, pose = rows[k], poses[k + 1]
+        for i in range(3):
+            for j in range(3):
+                pose[i, j] = floor[i, 0] * row[1 + j] + floor[i, 1] * row[4 + j] + floor[i, 2] * row[7 + j]
+            pose[i, 3] = floor[i, 0] * row[10] + floor[i, 1] * row[11] + floor[i, 2] * row[12] + floor[i, 3]
+            sizes[k + 1, i] = row[13 + i]
+            pose[3, i] = 0.0
+        pose[3, 3] = 1.0
+
+
+@njit(cache=True, nogil=True)
+def touching_area(row, on):
+    """Return the area in which an upright solid's centre may lie so that it touches the top of `on`, square metres.
+
+    That of the Minkowski sum of the two outlines: both areas and twice their mixed area.
+    """
+    a, b, c, d = row[13], row[14], on[13], on[14]
+    round_one, round_other = int(row[0]) != BOX, int(on[0]) != BOX
+    if int(row[0]) == SPHERE:  # it touches in a point
+        a, b = 0.0, 0.0
+    if round_one and round_other:
+        return 0.25 * np.pi * (a + c) ** 2
+    if round_one:
+        return c * d + 0.25 * np.pi * a * a + a * (c + d)
+    if round_other:
+        return a * b + 0.25 * np.pi * c * c + c * (a + b)
+    cosine = abs(row[1] * on[1] + row[4] * on[4])
+    sine = abs(row[1] * on[2] + row[4] * on[5])
+    return a * b + c * d + sine * (a * c + b * d) + cosine * (a * d + b * c)
+
+
+@njit(cache=True, nogil=True)
+def solid_log_prior(chart, rows, k):
+    """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
+
+    Edges are log-normal and independent, or as chart.sizes has them; a box is a cube with probability chart.cubes. On
+    the floor solids are a Poisson process of FLOOR_RATE; on another's top, of STACKED_RATE spread over the places where
+    the two touch. Turns are uniform: a box in (length, width, theta) has two names in each half turn, a cube one in
+    each quarter.
+    """
+    row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
+    kind = flag[KIND]
+    cube = kind == BOX and slot[SIZE] == slot[SIZE + 1]
+    total = np.log(max(chart.cubes if cube else 1.0 - chart.cubes, 1e-12)) if kind == BOX else 0.0
+    if min(row[13], row[14], row[15]) < 0.004:
+        return -np.inf
+    if len(chart.sizes) > 0 and kind == BOX and not cube:
+        total += box_log_density(chart.sizes[BOX], row[13:16], flag[VERTICAL])
+    else:
+        for i in range(3):
+            if i > 0 and slot[SIZE + i] == slot[SIZE + i - 1]:
+                continue
+            extent = row[13 + i]
+            if len(chart.sizes) > 0:
+                total += log_density_at(chart.sizes[CUBE if cube else kind, i], extent)
+            else:
+                total -= 0.5 * (np.log(extent / TYPICAL) / SPREAD) ** 2 + np.log(extent * SPREAD * np.sqrt(2.0 * np.pi))
+    parent = flag[PARENT]
+    if parent == FLOOR:
+        total += np.log(FLOOR_RATE)
+    else:
+        on = rows[parent]
+        if flag[HELD]:
+            lifted = row.copy()
+            lifted[12] = on[12]
+            if penetration(lifted, on) <= 0.0:
+                return -np.inf
+        total += np.log(STACKED_RATE / touching_area(row, on))
+    if kind == SPHERE or (kind == CYLINDER and flag[VERTICAL]):
+        turns = 1.0
+    elif flag[VERTICAL]:
+        turns = 0.5 * np.pi
+    else:
+        turns = EIGHT_PI_SQUARED / 24.0 if kind == BOX else 2.0 * np.pi
+    total -= np.log(turns)
+    if not flag[HELD] and not (chart.floating and parent == FLOOR):
+        # it touches what bears it somewhere; the tails are those of Cauchy's density as far as one can say that it does
+        gap = lowest(row) if parent == FLOOR else gap_between(row, rows[parent])
+        total -= np.log(np.pi * chart.slack * (1.0 + (gap / chart.slack) ** 2))
+        if not chart.floating:
+            apart = (gap / LEVEL_WITHIN) ** 4
+            total -= HANGING * apart / (1.0 + apart)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def log_prior(chart, rows):
+    """Return the log prior density of all solids: each one's own, and that they do not interpenetrate."""
+    return log_prior_about(chart, rows, np.ones(len(rows) + 1, np.bool_))
+
+
+@njit(cache=True, nogil=True)
+def log_prior_about(chart, rows, touched):
+    """Return those terms of the log prior density that change when solids do.
+
+    touched : (1 + N,) bool, whether the floor (which does not count) and each solid move.
+    """
+    total = 0.0
+    for k in range(len(rows)):
+        parent = chart.flags[k, PARENT]
+        if touched[k + 1] or (parent >= 0 and touched[parent + 1]):
+            total += solid_log_prior(chart, rows, k)
+            if total == -np.inf:
+                return total
+            low = lowest(rows[k])
+            if low < -OVERLAP:
+                total -= 0.5 * (low / OVERLAP + 1.0) ** 2
+        for j in range(k):
+            if touched[k + 1] or touched[j + 1]:
+                depth = penetration(rows[k], rows[j])
+                if depth > chart.overlap:
+                    total -= 0.5 * (depth / chart.overlap - 1.0) ** 2
+    return total

@@ -1,0 +1,291 @@
+"""Draws of all free numbers of one structure under the image's likelihood: a compiled adaptive Metropolis walk.
+
+Steps are q' = q + scale F z with z standard normal and F a fixed (D_p, R_p) matrix (`steps.py`). These are symmetric,
+so the log acceptance ratio is
+
+    log prior(q') - log prior(q) + temperature * (log likelihood(q') - log likelihood(q)).
+
+Others are made from a normal that resembles the posterior (preconditioned Crank-Nicolson): where u = P (q - center) are
+standard normal under it, given the coordinates that stay, u' = sqrt(1 - scale^2) u + scale z and q' = q + F (u' - u).
+They leave that normal as it is, so the ratio has |u'|^2 / 2 - |u|^2 / 2 besides: at scale 1 all of q's block is drawn
+anew, and always taken up were the posterior that normal.
+
+Scales, factors and centers are learnt in the warm-up and fixed afterwards.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.compilation.threads import in_threads
+from derender.detection.solids.image import ROW
+from derender.render.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
+from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+from derender.scene.solids import PLANE, Solids
+from derender.structures.draws.agreement import agree, far_apart
+from derender.structures.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
+from derender.structures.draws.curvature import Curvature
+from derender.structures.draws.steps import (
+    FACTOR,
+    FIRST,
+    PULL,
+    RANK,
+    block_steps,
+    make_proposals,
+    single_steps,
+    unseen_steps,
+)
+
+# Some steps along one direction are up to exp(WIDEST) times as long: a hidden side is as wide as its prior.
+WIDE_SHARE, WIDEST = 0.15, 4.0
+# The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
+ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40), (1.0, 60)), 20, 10
+COLD = (1.0, 3.0, 10.0)  # what the likelihood is raised to on the way to a mode, at the end
+SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
+LONGER = 2  # times that draws may go on for as long again where the chains do not agree
+MANY = 50  # coordinates from which on that may be done once more
+TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is worth
+
+
+@njit(cache=True, nogil=True)
+def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities):
+    """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
+
+    Parameters
+    ----------
+    engine : EngineState of the floor (solid 0) and the N solids, at `values`.
+    prior, likelihood : their logs there.
+    temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.
+    kept : (steps // thin, D), densities : (steps // thin, 2) float64, log prior and log likelihood; written.
+
+    Returns the number of accepted steps.
+    """
+    count, size = len(chart.flags), len(values)
+    rows, trial_rows = np.empty((count, ROW)), np.empty((count, ROW))
+    place_rows(chart, values, rows)
+    poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    moved_poses, moved_sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    indices = np.empty(count + 1, np.int64)
+    trial, normal = values.copy(), np.empty(size)
+    accepted, number = 0, len(proposals.scale)
+    for taken in range(steps):
+        threshold = rng.random() * proposals.cumulative[number - 1]
+        p = 0  # plain loops here and below: numba takes three seconds for searchsorted and for assigning arrays
+        while p < number - 1 and proposals.cumulative[p] < threshold:
+            p += 1
+        first, end = proposals.table[FIRST, p], proposals.table[FIRST, p + 1]
+        start, rank = proposals.table[FACTOR, p], proposals.table[RANK, p]
+        reach = proposals.scale[p]
+        pull, drawn = proposals.table[PULL, p], 0.0
+        if pull < 0 and rank == 1 and rng.random() < WIDE_SHARE:
+            reach *= np.exp(WIDEST * rng.random())
+        for r in range(rank):
+            normal[r] = reach * rng.standard_normal()
+            if pull >= 0:
+                here = 0.0
+                for i in range(size):
+                    here += proposals.pulls[pull + r, i] * (values[i] - proposals.center[i])
+                normal[r] -= (1.0 - np.sqrt(1.0 - reach * reach)) * here
+                drawn += 0.5 * (here * here - (here + normal[r]) ** 2)
+        for i in range(size):
+            trial[i] = values[i]
+        for i in range(end - first):
+            for r in range(rank):
+                trial[proposals.members[first + i]] += proposals.factors[start + i * rank + r] * normal[r]
+        place_rows(chart, trial, trial_rows)
+        touched = proposals.touched[p]
+        new_prior = prior
+        if prior == -np.inf:
+            new_prior = log_prior(chart, trial_rows)
+        elif proposals.members[first] < size - FLOOR_WAYS:  # over a floor that moves solids stay where they are
+            new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
+        taken_up = False
+        threshold = np.log(1.0 - rng.random())
+        if new_prior > -np.inf:
+            camera_poses(chart, trial, trial_rows, poses, sizes)
+            moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
+            for k in range(count + 1):
+                if touched[k]:
+                    indices[moved] = k
+                    for i in range(4):
+                        for j in range(4):
+                            moved_poses[moved, i, j] = poses[k, i, j]
+                    for i in range(3):
+                        moved_sizes[moved, i] = sizes[k, i]
+                    moved += 1
+            new = propose_in(engine, moved, indices, moved_poses, moved_sizes)
+            taken_up = threshold < new_prior - prior + temperature * (new - likelihood) - drawn
+            settle_in(engine, CANDIDATE if taken_up else CURRENT)
+            if taken_up:
+                prior, likelihood = new_prior, new
+                for i in range(size):
+                    values[i] = trial[i]
+                rows, trial_rows = trial_rows, rows
+                accepted += 1
+        if gain > 0.0:
+            proposals.scale[p] *= np.exp(gain * ((1.0 if taken_up else 0.0) - proposals.wanted[p]))
+            if pull >= 0:
+                proposals.scale[p] = min(proposals.scale[p], 1.0)
+        if (taken + 1) % thin == 0:
+            for i in range(size):
+                kept[taken // thin, i] = values[i]
+            densities[taken // thin, 0], densities[taken // thin, 1] = prior, likelihood
+    return accepted
+
+
+def load(engine, chart, values):
+    """Bring an engine to a chart's coordinates; return log prior and log likelihood there."""
+    count = len(chart.flags)
+    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    place_rows(chart, values, rows)
+    camera_poses(chart, values, rows, poses, sizes)
+    likelihood = propose_state(engine, count + 1, np.arange(count + 1), poses, sizes)
+    settle_state(engine, CANDIDATE)
+    return float(log_prior(chart, rows)), float(likelihood)
+
+
+def engine_of(chart, sensor):
+    """Return an EngineState for a chart's solids under a sensor model (sensor.py), at the empty scene: a bare wall.
+
+    So the first proposal fills it, and `load_state`, which costs as long to compile as all else, is not needed.
+    """
+    kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
+    count = len(kinds)
+    solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
+    likelihood, observed, wall = sensor.likelihood, sensor.observed, sensor.values["background"]
+    row = likelihood.row(sensor.values, likelihood.counted_pixels(observed))
+    state = new_engine(sensor.camera, observed, solids, likelihood.code, row, sensor.values["blur"])
+    if likelihood.code == GAUSSIAN:
+        score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
+    else:
+        score = likelihood.per_pixel(observed, np.full(observed.shape, wall), sensor.values)
+    state.images[DEPTH : DEPTH + 2] = wall
+    state.images[SCORE : SCORE + 2, :, PAD : PAD + observed.shape[1]] = score
+    state.total[:] = state.images[SCORE].astype(float).sum()
+    return for_steps(state)
+
+
+class Draws(NamedTuple):
+    """values : (n, D); densities : (n, 2), log prior and log likelihood; accepted : share of the steps."""
+
+    values: np.ndarray
+    densities: np.ndarray
+    accepted: float
+
+
+def run(rng, engine, chart, values, proposals, temperature, gain, count, thin):
+    """Return the Draws of a walk of count * thin steps; `values` and, with a gain, the scales change in place."""
+    kept, densities = np.empty((count, len(values))), np.empty((count, 2))
+    prior, likelihood = load(engine, chart, values)
+    accepted = walk(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
+                    count * thin, thin, kept, densities)  # fmt: skip
+    return Draws(kept, densities, accepted / max(count * thin, 1))
+
+
+def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
+    """Return the best place (D,) found from `values`, which is changed, and its log prior and log likelihood.
+
+    The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode: there
+    solids move together as a normal about the place says that has been reached (`curvature.py`).
+
+    only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
+    """
+    members = list(range(len(values)) if only is None else only)
+    found = [(values.copy(), *load(engine, chart, values))]
+    moves, count = single_steps(chart, only), max(steps // APART, 1)
+    singles, spread = len(moves), np.zeros(0)
+    for temperature in (*temperatures, *COLD):
+        if temperature >= 1.0:
+            if not len(spread):
+                load(engine, chart, values)
+                spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
+            moves = [*moves[:singles], *block_steps(chart, spread / temperature, only)]
+        moves, (draws,) = stretch(rng, [(engine, chart, values)], moves, temperature, 0.1, count, APART)
+        if temperature >= 1.0:
+            best = int(np.argmax(draws.densities.sum(axis=1)))
+            values[:] = draws.values[best]
+            found.append((draws.values[best], *map(float, draws.densities[best])))
+    return max(found, key=lambda each: each[1] + each[2])
+
+
+def sample(rng, chart, sensor, values, chains, count, thin, only=None):
+    """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
+
+    The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
+    all chains have met; at the beginning, with a likelihood that counts less, they go where they like, but for a single
+    one, which none would tell that it has left its mode for a worse one. Draws about what the image does not hold are
+    twice as far apart, and where the chains do not agree they go on for as long again, unless they are far from it.
+
+    only : coordinates that may move, None for all.
+    """
+    members = list(range(len(values)) if only is None else only)
+    engines = [engine_of(chart, sensor) for _ in range(chains)]
+    load(engines[0], chart, values)
+    curvature = Curvature(engines[0], chart, sensor, values)
+    spread = np.linalg.inv(curvature.precision(members))
+    factor = np.linalg.cholesky(spread)
+    walkers = [(engine, chart, values.copy()) for engine in engines]
+    singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
+    singles += unseen_steps(chart, only)
+    met, center = np.empty((0, len(members))), values.copy()
+    for temperature, length in ROUNDS[chains == 1 :]:
+        steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]
+        steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
+        singles = steps[: len(singles)]
+        if temperature == 1.0:
+            met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
+            spread, center[members] = spread_of(met, factor), met.mean(axis=0)
+    former: list[Draws] = []
+    for left in reversed(range(LONGER + (len(members) > MANY) + 1)):
+        steps = [*singles, *block_steps(chart, spread, only, center=center.copy())]
+        steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
+        if not former:
+            thin += int(thin * np.mean([step.pull is None for step in steps[len(singles) :]]))
+        steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
+        if former:
+            drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
+        told = np.stack([each.values[:, members] for each in drawn])
+        if not left or chains == 1 or agree(told) or (former and far_apart(told)):
+            break
+        met = np.concatenate([draws.values[:, members] for draws in drawn])
+        spread, center[members] = spread_of(met, factor), met.mean(axis=0)
+        former, singles = drawn, steps[: len(singles)]
+    return drawn
+
+
+def every_other(first, second):
+    """Return every other one of two Draws of a chain, one after the other."""
+    values, densities = (np.concatenate(pair)[1::2] for pair in zip(first[:2], second[:2], strict=True))
+    return Draws(values, densities, 0.5 * (first.accepted + second.accepted))
+
+
+def spread_of(met, factor):
+    """Return the covariance (n, n) that places met (K, n) suggest to whoever believed in factor factor' before."""
+    seen = np.linalg.solve(factor, (met - met.mean(axis=0)).T)
+    share = len(met) / (len(met) + TRUSTED * len(factor))
+    return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
+
+
+def stretch(rng, walkers, steps, temperature, gain, count, thin):
+    """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
+
+    The scales are the geometric means of those to which each walker's adapted.
+    """
+    proposals = [make_proposals(steps) for _ in walkers]
+    drawn = in_threads(rng, [
+        partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
+                count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
+    ])  # fmt: skip
+    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
+    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
+
+
+def log_evidence(drawn, members):
+    """Return the log of the integral of the density over coordinates `members`, from the Draws of chains: the normal
+    with their mean and covariance has E[log density] + entropy for it, exact where the posterior is normal."""
+    values = np.concatenate([draws.values[:, members] for draws in drawn])
+    covariance = np.atleast_2d(np.cov(values.T)) + 1e-14 * np.eye(len(members))
+    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * covariance)[1]
+    return float(np.mean([draws.densities.sum(axis=1).mean() for draws in drawn]) + entropy)

@@ -1,0 +1,85 @@
+"""From draws of coordinates (chart.py) to a graph's numbers by address."""
+
+import numpy as np
+
+from derender.detection.solids.graph import turns_freely
+from derender.detection.solids.image import ROW
+from derender.detection.solids.state import FLOOR
+from derender.scene.contacts import contacts
+from derender.scene.contacts.compiled import FEATURE_CODES, SLOTS, invert
+from derender.scene.graph import ROOT
+from derender.scene.shapes import shapes
+from derender.scene.solids import PLANE
+from derender.structures.draws.chart import KIND, camera_poses, place_rows
+
+# How much of a full extent each shape's numbers are, and of which axis.
+EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
+           "cylinder": ((0, 0.5), (2, 1.0))}  # fmt: skip
+NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
+
+
+def contact_numbers(chart, draws, parents, codes):
+    """Return what each draw (D,) of (n, D) means as contacts.
+
+    Only the inverse itself is compiled: the loop around it would cost seconds to compile and saves milliseconds.
+
+    Parameters
+    ----------
+    parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's face,
+        child's face.
+
+    Returns
+    -------
+    phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
+    """
+    count, total = len(chart.flags), len(draws)
+    rows, extents = np.empty((count, ROW)), np.empty((count + 1, 3))
+    phi, sizes, poses = np.zeros((total, count, SLOTS)), np.empty((total, count, 3)), np.empty((total, count + 1, 4, 4))
+    nothing = np.zeros(3)
+    kinds = [int(kind) for kind in chart.flags[:, KIND]]
+    for n in range(total):
+        place_rows(chart, draws[n], rows)
+        camera_poses(chart, draws[n], rows, poses[n], extents)
+        sizes[n] = extents[1:]
+    relative = np.linalg.inv(poses)[:, np.maximum(parents, FLOOR) + 1] @ poses[:, 1:]
+    for n in range(total):
+        for k, parent in enumerate(parents):
+            kind, size = (kinds[parent], sizes[n, parent]) if parent >= 0 else (PLANE, nothing)
+            invert(codes[k, 0], kind, size, kinds[k], sizes[n, k], codes[k, 1], codes[k, 2], relative[n, k], phi[n, k])
+    root = poses[:, 0]
+    return phi, sizes, root
+
+
+def numbers_of_draws(chart, draws, graph, names):
+    """Return (addresses, values (n, P), periods (P,), root poses (n, 4, 4)) of draws (n, D) of the graph's structure.
+
+    names : of the solids in the chart's order. Numbers that the graph's contacts leave out (slack) are left out, and
+        how a cylinder that stands or a sphere is turned about itself: nothing tells.
+    """
+    count = len(names)
+    parents, codes = np.empty(count, np.int64), np.empty((count, 3), np.int64)
+    for k, name in enumerate(names):
+        vertex = graph.vertex(name)
+        contact = vertex.contact
+        above = NO_PARENT if vertex.parent == ROOT else FLOOR
+        parents[k] = names.index(vertex.parent) if vertex.parent in names else above
+        codes[k] = (contacts[contact.type].compiled_code, FEATURE_CODES[contact.parent_face],
+                    FEATURE_CODES[contact.child_face])  # fmt: skip
+    phi, sizes, root = contact_numbers(chart, np.ascontiguousarray(draws), parents, codes)
+    found: dict[str, np.ndarray] = {}
+    periods: dict[str, float | None] = {}
+    for k, name in enumerate(names):
+        vertex = graph.vertex(name)
+        contact = vertex.contact
+        for parameter, (axis, share) in zip(shapes[vertex.shape].parameters, EXTENTS[vertex.shape], strict=True):
+            found[f"{name}.{parameter.name}"] = share * sizes[:, k, axis]
+        on = graph.body(vertex.parent).shape
+        slots = contacts[contact.type].parameters(on, shapes[vertex.shape], contact.parent_face, contact.child_face)
+        for slot, parameter in enumerate(slots):
+            if parameter.name in contact.values and not (parameter.name == "theta" and turns_freely(vertex)):
+                address = f"{name}.contact.{parameter.name}"
+                found[address] = phi[:, k, slot]
+                periods[address] = parameter.period
+    addresses = tuple(a for a in graph.numbers() if a in found)
+    values = np.stack([found[a] for a in addresses], axis=1) if addresses else np.empty((len(draws), 0))
+    return addresses, values, tuple(periods.get(a) for a in addresses), root

@@ -1,0 +1,221 @@
+"""From the search's best state to draws under the likelihood that the image itself suggests.
+
+The search scores edges pixel by pixel without blur and cuts misfits off; here the sensor's noise, blur and outliers
+are fitted (sensor.py), the state is brought to the mode by an annealed walk, and drawn from (metropolis.py).
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.compilation.threads import THREADS, in_threads
+from derender.detection.solids.graph import scene_graph
+from derender.detection.solids.image import ROW
+from derender.results.posterior import StructurePosterior
+from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
+from derender.structures.draws.curvature import Curvature
+from derender.structures.draws.metropolis import (
+    Draws,
+    ascend,
+    engine_of,
+    load,
+    log_evidence,
+    sample,
+)
+from derender.structures.draws.numbers import numbers_of_draws
+from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, model_image
+from derender.structures.draws.steps import own_members
+
+ANNEALING = 100  # steps of each temperature for each solid
+TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
+HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
+STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
+LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
+
+
+class Refined(NamedTuple):
+    """A state at its mode under a sensor model.
+
+    Attributes
+    ----------
+    state : State with its rows there; chart : Chart; values : (D,) its coordinates; sensor : Sensor.
+    log_prior, log_likelihood : there.
+    """
+
+    state: Any
+    chart: Chart
+    values: np.ndarray
+    sensor: Sensor
+    log_prior: float
+    log_likelihood: float
+
+
+def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=TEMPERATURES):
+    """Return the Refined of a state, annealed under a sensor model.
+
+    only : indices of the solids that may move (and the coordinates given by their own), None for all.
+    """
+    chart, values = make_chart(state, floor_pose, rules)
+    if only is not None:
+        steps *= len(only)
+    return climb(rng, state, chart, values, sensor, steps, None if only is None else members_of(chart, only),
+                 temperatures)  # fmt: skip
+
+
+def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=TEMPERATURES):
+    """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
+    count = max(len(state) if members is None else 1, 1)
+    found = ascend(rng, engine_of(chart, sensor), chart, sensor, values, members, temperatures, steps * count)
+    return refined_at(state, chart, found[0], sensor, *found[1:])
+
+
+def best_climb(rng, state, chart, values, sensor, **options):
+    """As `climb`, the better of two walks: one alone may end beside the mode."""
+    task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING, **options)
+    tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(THREADS)])
+    return max(tries, key=lambda each: each.log_prior + each.log_likelihood)
+
+
+def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
+    """Return the Refined whose state's rows are those of the coordinates."""
+    rows = np.empty((len(state), ROW))
+    place_rows(chart, values, rows)
+    state = state.copy()
+    state.rows = rows
+    return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
+
+
+def refine(rng, seen, state, rules):
+    """Return the Refined of the search's best state, the sensor fitted on the way."""
+    camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
+    observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
+    chart, values = make_chart(state, seen.floor.pose, rules)
+    sensor = first_sensor(camera, observed, chart, values)
+    refined = settled(rng, best_climb(rng, state, chart, values, sensor))
+    kept = without_unseen(refined.state, refined)
+    if len(kept) == len(refined.state):
+        return refined
+    chart, values = make_chart(kept, floor_pose_of(refined), rules)
+    return settled(rng, best_climb(rng, kept, chart, values, refined.sensor))
+
+
+def without_unseen(state, refined):
+    """Return the state less the solids of which no used pixel sees anything and that carry nothing.
+
+    The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
+    """
+    _, label = model_image(refined.chart, refined.values, refined.sensor.camera)
+    label = label[np.isfinite(refined.sensor.observed)]
+    for k in reversed(range(len(state))):
+        if not (label == k + 1).any() and k not in state.parents:
+            state = state.without(k)
+    return state
+
+
+def settled(rng, refined):
+    """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
+
+    Not where the noise grows with depth: such sensors have outliers at edges of their own.
+    """
+    best = with_sensor_refitted(rng, refined)
+    if best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
+        return best
+
+    def hot(stream):
+        """Return it after a walk from hotter: perhaps some edge is caught a pixel away from where it belongs."""
+        found = climb(stream, best.state, best.chart, best.values.copy(), best.sensor, LONGER, None, HOTTER)
+        return with_sensor_refitted(stream, found)
+
+    tries = in_threads(rng, [hot] * THREADS)
+    return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
+
+
+def robust_offset(sensor):
+    """Return what a robust log likelihood has more than a gaussian one of the same image: whether pixels return."""
+    if sensor.likelihood.name == "gaussian":
+        return 0.0
+    seen = int(np.isfinite(sensor.observed).sum())
+    missing = sensor.values["missing"]
+    return seen * float(np.log1p(-missing)) + (sensor.observed.size - seen) * float(np.log(missing))
+
+
+def with_sensor_refitted(rng, refined):
+    """Return the Refined at its mode under the sensor model that its present state suggests."""
+    sensor = final_sensor(refined.sensor, refined.chart, refined.values)
+    return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
+
+
+def chains_of(rng, refined, chains, draws, only=None):
+    """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it."""
+    steps = min(STEPS * len(refined.values), MOST_STEPS)
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, only)
+
+
+def floor_pose_of(refined):
+    """Return the (4, 4) pose, floor frame to camera, of a Refined."""
+    count = len(refined.state)
+    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    place_rows(refined.chart, refined.values, rows)
+    camera_poses(refined.chart, refined.values, rows, poses, sizes)
+    return poses[0].copy()
+
+
+def structure_posterior(refined, names, weight, chains: list[Draws]):
+    """Return the StructurePosterior of a Refined and its chains' draws.
+
+    The Refined takes the place of the first draw where none is better: a climb may end beside the mode.
+    """
+    graph = scene_graph(refined.state, floor_pose_of(refined), names, refined.chart.floating)
+    values = np.stack([chain.values for chain in chains])
+    densities = np.stack([chain.densities for chain in chains])
+    if refined.log_prior + refined.log_likelihood > densities.sum(axis=-1).max():
+        values[0, 0] = refined.values
+        densities[0, 0] = refined.log_prior, refined.log_likelihood
+    size = values.shape[-1]
+    addresses, numbers, periods, root = numbers_of_draws(refined.chart, values.reshape(-1, size), graph, names)
+    shape = values.shape[:2]
+    return StructurePosterior(
+        graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,
+        root.reshape(*shape, 4, 4),
+        {"accepted": [chain.accepted for chain in chains],
+         "likelihood": refined.sensor.to_data()},
+    )  # fmt: skip
+
+
+def only_draw(refined):
+    """Return Draws that hold the mode alone."""
+    return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
+
+
+def members_of(chart, solids):
+    """Return the indices of the coordinates of some solids, in order."""
+    return sorted({m for k in solids for m in own_members(chart, k)})
+
+
+def local_evidence(rng, refined, solids):
+    """Return the log of the density's integral over the coordinates of some solids, all others held at the mode."""
+    members = members_of(refined.chart, solids)
+    steps = LOCAL_STEPS * len(solids)
+    drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
+    return log_evidence(drawn, members)
+
+
+def near_evidence(refined, solids=None):
+    """Return about the same as `local_evidence` at a tenth of the cost, of all coordinates where `solids` is None.
+
+    The normal stands for the density that has its height at the mode and the image's curvature there: right to two
+    nats where all sides are seen, to five or so where some are not.
+    """
+    chart = refined.chart
+    members = members_of(chart, solids) if solids else range(len(refined.values))
+    engine = engine_of(chart, refined.sensor)
+    load(engine, chart, refined.values)
+    precision = Curvature(engine, chart, refined.sensor, refined.values).precision(list(members))
+    height = refined.log_prior + refined.log_likelihood
+    return height - 0.5 * float(np.linalg.slogdet(precision / (2.0 * np.pi))[1])
+
+
+__all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
+           "settled", "structure_posterior", "with_sensor_refitted"]  # fmt: skip

@@ -1,0 +1,234 @@
+"""Steps that a walk through a structure's coordinates may take: which move together, in which direction, how far.
+
+One column for the steps in which a depth image is informative (`directions.py`), and for those that move a side
+which the camera is behind; Cholesky factors of a covariance for one solid, for a support with all that it carries,
+and for the floor, each given the coordinates that stay. In a stack an image tells where each top is, not how high each
+solid: what moves one top leaves those above where they are (`tops_of`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.scene.solids import SPHERE
+from derender.structures.draws.chart import (
+    FLOOR_WAYS,
+    HELD,
+    KIND,
+    PARENT,
+    SIZE,
+    TURN,
+    X,
+    Z,
+)
+from derender.structures.draws.directions import directions
+
+FIRST, FACTOR, RANK, PULL = range(4)  # rows of Proposals.table
+ROUNDING = 1e-9  # share of a step's longest part that is none
+LATTICE = 1e-3  # metres of the first steps
+WIDER = 1.2  # times as wide as the covariance is the normal that steps are made from: few draws make one too narrow
+LOOSE, LOOSE_TURN = 5e-3, 0.1  # metres and radians of standard deviation of what the image does not hold
+UNSEEN = 3e-3  # metres of the first steps of a side that the camera does not face
+UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all of them at most
+
+
+class Proposals(NamedTuple):
+    """Steps to choose from. M of them.
+
+    Attributes
+    ----------
+    table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns, begin of its pull or -1.
+    members : flat int64, coordinates. factors : flat float64, matrices row by row.
+    pulls : (K, D) float64, one below the other. center : (D,) float64.
+    touched : (M, 1 + N) bool, whether the floor and each solid move in the camera.
+    cumulative : (M,) float64, running sum of the weights.
+    scale : (M,) float64; wanted : (M,) float64, the acceptance rate that the warm-up aims at.
+    """
+
+    table: np.ndarray
+    members: np.ndarray
+    factors: np.ndarray
+    pulls: np.ndarray
+    center: np.ndarray
+    touched: np.ndarray
+    cumulative: np.ndarray
+    scale: np.ndarray
+    wanted: np.ndarray
+
+
+def size_of(chart):
+    """Return how many coordinates a chart has."""
+    return 1 + int(chart.slots.max(initial=-1)) + FLOOR_WAYS
+
+
+def touched_by(chart, members, matrix=None):
+    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do.
+
+    matrix : (len(members), R), how they move together; None: each by itself.
+    """
+    size, touched = size_of(chart), np.zeros(len(chart.flags) + 1, bool)
+    matrix = np.eye(len(members)) if matrix is None else matrix
+    moves = np.zeros((size, matrix.shape[1]))
+    moves[members] = matrix
+    if moves[size - FLOOR_WAYS :].any():
+        touched[:] = True
+        return touched
+    moves[np.abs(moves) < ROUNDING * np.abs(moves).max()] = 0.0
+    tops = np.zeros((len(touched), moves.shape[1]))  # of the floor, which stays, and of each solid
+    for k in chart.order:
+        own, held = moves[chart.slots[k][chart.slots[k] >= 0]], chart.flags[k, HELD]
+        lifted = tops[chart.flags[k, PARENT] + 1] * held
+        touched[k + 1] = own.any() or lifted.any()
+        top = lifted + moves[chart.slots[k, SIZE + 2]] if held else np.abs(own).sum(axis=0)
+        tops[k + 1] = np.where(np.abs(top) < ROUNDING * np.abs(moves).max(), 0.0, top)
+    return touched
+
+
+def own_members(chart, k):
+    """Return the sorted coordinates of a solid."""
+    return sorted({int(s) for s in chart.slots[k] if s >= 0})
+
+
+def blocks_of(chart):
+    """Return lists of coordinates that move together: each solid, each support with what stands on it, the floor."""
+    own = [own_members(chart, k) for k in range(len(chart.flags))]
+    blocks = list(own)
+    for k in range(len(own)):
+        carried = np.flatnonzero(chart.flags[:, PARENT] == k)
+        if len(carried):
+            blocks.append(sorted(own[k] + [m for j in carried for m in own[j]]))
+    size = size_of(chart)
+    return [*blocks, list(range(size - FLOOR_WAYS, size))]
+
+
+def tops_of(chart):
+    """Return the (D, D) matrix that makes of coordinates those with heights of tops in place of heights of solids.
+
+    Of solids whose height is a number of its own and that are held to their support; where that is none itself, its
+    top counts as the height that they stand at.
+    """
+    tops = np.eye(size_of(chart))
+    for slot, flag in zip(chart.slots, chart.flags, strict=True):
+        below = flag[PARENT]
+        while flag[HELD] and below >= 0 and chart.flags[below, HELD] and slot[SIZE + 2] != slot[SIZE]:
+            tops[slot[SIZE + 2], chart.slots[below, SIZE + 2]] += 1.0
+            below = chart.flags[below, PARENT]
+    return tops
+
+
+class Step(NamedTuple):
+    """One of the Proposals: members (D_p,) and matrix (D_p, R_p); touched, weight, scale and wanted as there.
+
+    pull : (R_p, D) and center (D,), or None: what makes of coordinates the R_p standard normal numbers that the matrix
+        makes steps from, for a walk that is drawn to where these are expected, see `metropolis.walk`.
+    """
+
+    members: np.ndarray
+    matrix: np.ndarray
+    touched: np.ndarray
+    weight: float
+    scale: float
+    wanted: float
+    pull: np.ndarray | None = None
+    center: np.ndarray | None = None
+
+
+def single_steps(chart, only=None):
+    """Return the Steps along one direction each, of LATTICE metres; only : coordinates that may move, None for all."""
+    size = size_of(chart)
+    free = np.isin(np.arange(size), list(range(size) if only is None else only))
+    solids = [k for k, slot in enumerate(chart.slots) if free[slot[slot >= 0]].any()]
+    ways = list({v.tobytes(): v for v in directions(chart, size, solids) * free if np.any(v)}.values())
+    steps = []
+    for vector in ways:
+        members = np.flatnonzero(vector)
+        steps.append(Step(members, vector[members][:, None], touched_by(chart, members), 1.0 / len(ways), LATTICE,
+                          0.4))  # fmt: skip
+    return steps
+
+
+def unseen_steps(chart, only=None):
+    """Return the Steps that move one side of a box or cylinder which the camera is behind, the opposite one held."""
+    size, eye = size_of(chart), -chart.floor[:3, :3].T @ chart.floor[:3, 3]
+    found = []
+    for slot, flag, base in zip(chart.slots, chart.flags, chart.base, strict=True):
+        rotation = base[1:10].reshape(3, 3)
+        for axis in range(3):
+            extent = slot[SIZE + axis]
+            if flag[KIND] == SPHERE or np.count_nonzero(slot[SIZE:] == extent) > 1:
+                continue
+            for outward in (rotation[:, axis], -rotation[:, axis]):
+                # a side that has no coordinate to move it by is held to what it stands on
+                if outward @ (eye - base[10:13]) > 0.5 * base[13 + axis] or (slot[Z] < 0 and abs(outward[2]) > 0.1):
+                    continue
+                vector = np.zeros(size)
+                vector[extent] = 1.0
+                for i in range(X, Z + 1):
+                    if slot[i] >= 0:
+                        vector[slot[i]] = 0.5 * outward[i]
+                members = np.flatnonzero(vector)
+                if only is None or set(members) <= set(only):
+                    found.append(Step(members, vector[members][:, None], touched_by(chart, [extent]), 0.0, UNSEEN,
+                                      0.4))  # fmt: skip
+    weight = min(UNSEEN_WEIGHT, UNSEEN_SHARE / max(len(found), 1))
+    return [step._replace(weight=weight) for step in found]
+
+
+def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
+    """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay.
+
+    only : the coordinates that may move at all: then the covariance is theirs alone, (len(only), len(only)).
+    shrink : metres added to every spread, so that few draws do not make a factor singular.
+    center : (D,) the mean that goes with it: steps are drawn to what both let expect, but for those of what the image
+        does not hold, whose density is far from normal.
+    """
+    size = size_of(chart)
+    members = np.arange(size) if only is None else np.asarray(only)
+    place = {int(member): index for index, member in enumerate(members)}
+    tops = tops_of(chart)[np.ix_(members, members)]
+    back = np.linalg.inv(tops)
+    loose = np.full(size, LOOSE)
+    turns = chart.slots[:, TURN:SIZE]
+    loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
+    held = np.sqrt(np.diag(covariance)) < loose[members]
+    precision = back.T @ np.linalg.inv(covariance + shrink**2 * np.eye(len(members))) @ back
+    blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
+    steps = []
+    for block in filter(None, blocks):
+        index = [place[m] for m in block]
+        factor = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)]))
+        matrix = back[:, index] @ factor
+        moving = matrix.any(axis=1)
+        step = Step(members[moving], matrix[moving], touched_by(chart, members, matrix), 1.0,
+                    1.5 / np.sqrt(len(block)), 0.25)  # fmt: skip
+        if center is not None and held[moving].all():
+            pull = np.zeros((len(block), size))
+            pull[:, members] = factor.T @ precision[index] @ tops / WIDER
+            step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
+        steps.append(step)
+    return [step._replace(weight=2.0 / len(steps)) for step in steps]
+
+
+def make_proposals(steps):
+    """Return the Proposals that choose among Steps."""
+    table = np.zeros((4, len(steps) + 1), np.int64)
+    pulls, center = [], np.zeros(0)
+    for p, step in enumerate(steps):
+        table[FIRST, p + 1] = table[FIRST, p] + len(step.members)
+        table[FACTOR, p + 1] = table[FACTOR, p] + step.matrix.size
+        table[RANK, p] = step.matrix.shape[1]
+        table[PULL, p] = -1
+        if step.pull is not None:
+            table[PULL, p], center = sum(map(len, pulls)), step.center
+            pulls.append(step.pull)
+    return Proposals(
+        table=table,
+        members=np.concatenate([step.members for step in steps]).astype(np.int64),
+        factors=np.concatenate([np.ravel(step.matrix) for step in steps]),
+        pulls=np.concatenate(pulls) if pulls else np.zeros((0, 0)),
+        center=center,
+        touched=np.array([step.touched for step in steps]),
+        cumulative=np.cumsum([step.weight for step in steps]),
+        scale=np.array([step.scale for step in steps]),
+        wanted=np.array([step.wanted for step in steps]),
+    )

@@ -1,0 +1,268 @@
+"""Inference with a given structure: from a document and an image to a posterior."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from derender.document import Document, LikelihoodPrior
+from derender.errors import DerenderError
+from derender.posterior.images import ObservedImage
+from derender.posterior.kernels import mixture
+from derender.posterior.sampler import MixtureSampler
+from derender.posterior.settings import Settings
+from derender.posterior.smc import tempered
+from derender.posterior.symmetry import representative
+from derender.posterior.target import SceneTarget, default_parts
+from derender.render.likelihoods import likelihoods
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.sampling import workers
+from derender.sampling.chains import Plan
+from derender.sampling.checkpoint import Record, fingerprint
+from derender.scene.graph import SceneGraph
+from derender.scene.priors.terms import total_log_density
+from derender.scene.priors.tree import TreePrior
+from derender.structures.open_structures import structure_weights, structures
+
+MOST_STRUCTURES = 64
+NOISE = ("sigma", "sigma_growth", "outlier", "missing", "missing_edge")
+LEAST_WEIGHT = 1e-3  # of a structure that is given chains
+SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
+SMC_PARTICLES, SMC_STEPS = 400, 100
+
+Progress = Callable[[float, str], None]
+
+
+class Result(NamedTuple):
+    """What came of it. posterior; interrupted: by Ctrl-C, with what there was; lost: why chains died, by number."""
+
+    posterior: Posterior
+    interrupted: bool
+    lost: dict[int, str]
+
+
+def has_fixed_objects(document: Document) -> bool:
+    """Return whether the document names its objects: then chains can walk over their numbers."""
+    return isinstance(document.prior, TreePrior)
+
+
+def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> ObservedImage:
+    """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means.
+
+    Raises DerenderError where the noise is unknown too of an image that is said to be worth fewer pixels.
+    """
+    worth_less = likelihood.values.get("effective_pixels", math.inf) != math.inf
+    noise = [address for address in likelihood.free_addresses() if address.removeprefix("likelihood.") in NOISE]
+    if worth_less and noise:
+        what = "of an image that counts as so many effective_pixels the noise cannot be found: less noise undoes that"
+        raise DerenderError(what, noise[0], "give it as a number, or leave effective_pixels out")
+    fixed = {name: value for name, value in likelihood.values.items() if isinstance(value, float)}
+    free = {a.removeprefix("likelihood."): law.mean() for a, law in likelihood.free_addresses().items()}
+    likelihoods[likelihood.type].complete({**fixed, **free})
+    return ObservedImage(camera, image, likelihood.type, {**fixed, **free})
+
+
+def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
+    """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
+
+    Structures that say the same of the world (see `symmetry.py`) are one.
+
+    Raises
+    ------
+    DerenderError : nothing is unknown, or there are too many structures.
+    """
+    likelihood = document.likelihood or LikelihoodPrior()
+    images = observed_image(image, camera, likelihood)
+    unknown = {a.removeprefix("likelihood."): law for a, law in likelihood.free_addresses().items()}
+    prior = cast(TreePrior, document.prior)
+    found = structures(prior, np.random.default_rng([seed, 1]))
+    shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
+    for graph in found:
+        free = prior.free_addresses(graph)
+        numbers = {**graph.numbers(), **_root_values(prior, graph)}
+        density = prior.log_density(graph) - total_log_density(prior.constraints, graph)
+        for address, law in free.items():
+            value = numbers.get(address)
+            density -= law.log_density(value) if value is not None and law.size == 1 else 0.0
+        same = representative(prior, graph) if len(found) > 1 else graph
+        shared.setdefault(same.structure(), (same, []))[1].append(density)
+    if len(shared) > MOST_STRUCTURES:
+        what = f"the prior leaves more than {MOST_STRUCTURES} combinations of parents and faces open"
+        raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
+    return [(SceneTarget(prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
+            for graph, densities in shared.values()]  # fmt: skip
+
+
+def _root_values(prior: TreePrior, graph: SceneGraph) -> dict:
+    return dict(prior.root.values(graph.root_pose))
+
+
+def infer_scene(
+    document: Document,
+    image: np.ndarray,
+    camera,
+    settings: Settings | None = None,
+    method: str = "auto",
+    seed: int = 0,
+    jobs: int = 1,
+    folder: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    command: str = "",
+    gradient: str = "exact",
+    warn: Callable[[str], None] | None = None,
+) -> Result:
+    """Infer the unknown numbers of a document's scene from a depth image.
+
+    Parameters
+    ----------
+    image : (H, W) metres, NaN where nothing returned.
+    method : "auto" or "mcmc": chains; "smc": tempered particles; "map": the best scene only.
+    jobs : threads, or for long runs processes; the draws do not depend on it.
+    folder : where checkpoints go, in a folder of their own; None: none.
+    resume : go on from the checkpoints there.
+    gradient : "exact" or "finite-difference", the derivative by which "map" climbs in the end.
+    progress : called with the fraction that is done and a word on what is being done.
+    warn : called with a line on what makes it slow.
+
+    Raises
+    ------
+    DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
+    """
+    settings = settings or Settings()
+    if not has_fixed_objects(document):
+        raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
+    found = targets(document, image, camera, seed)
+    tell = progress or (lambda fraction, words: None)
+    weights = structure_weights(found, settings, seed, tell) if len(found) > 1 else [1.0]
+    parts, lost, interrupted = [], {}, False
+    for number, ((target, _), weight) in enumerate(zip(found, weights, strict=True)):
+        if weight < LEAST_WEIGHT or interrupted:
+            continue
+        entries = settings.kernels if settings.kernels is not None else default_parts()
+        mixed = mixture(target.space, entries, settings.where)
+        if method == "smc":
+            parts.append(_particles(target, mixed, settings, seed, number, weight, tell))
+            continue
+        target.backend(mixed)
+        if target.uncompiled and warn is not None and not parts:
+            warn(f"chains run uncompiled, a hundred times slower: there is no compiled form of {target.uncompiled}")
+        sampler = MixtureSampler(target, mixed, settings.thin, settings.cycle, settings.particles, settings.population)
+        draws, warmup, chains = settings.draws, settings.warmup, settings.chains
+        if method == "map":
+            draws, warmup = 200, 200
+        run = fingerprint(
+            image.tobytes(), repr(camera), document.file, repr(target.space.unknowns), repr(target.template.numbers()),
+            repr(settings._replace(draws=0, where=None)), method, str(seed), str(number),
+        )  # fmt: skip
+        place = None
+        if folder is not None and method != "map":
+            place = folder / "checkpoint" / str(number)
+            place.mkdir(parents=True, exist_ok=True)
+        if not (resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
+            tell(0.0, "searching")
+            sampler = sampler.prepared(seed + number, chains, jobs)
+        plan = Plan(sampler, seed + number, chains, warmup, draws, place, run, resume)
+        total = chains * (warmup + draws)
+        done = dict.fromkeys(range(chains), 0)
+
+        def report(chain: int, steps: int, _: int, done=done, total=total) -> None:
+            done[chain] = steps
+            tell(sum(done.values()) / total, "sampling")
+
+        outcome = workers.run(plan, jobs, total * settings.thin > SHORT, report)
+        lost.update(outcome.lost)
+        interrupted = interrupted or outcome.interrupted
+        part = part_of(target, list(outcome.records.values()), mixed, weight)
+        if part is not None:
+            parts.append(summit(target, best_only(part), gradient, seed) if method == "map" else part)
+    if not parts:
+        raise KeyboardInterrupt
+    total_weight = sum(part.weight for part in parts)
+    parts = [replace(part, weight=part.weight / total_weight) for part in parts]
+    return Result(Posterior(tuple(parts), seed, command), interrupted, lost)
+
+
+def part_of(target: SceneTarget, records: list[Record], mixed, weight: float) -> StructurePosterior | None:
+    """Return the draws of several chains as one rectangle, cut where that keeps the most; None without any draw."""
+    counts = sorted((record.drawn for record in records), reverse=True)
+    kept = max(range(len(counts)), key=lambda k: (k + 1) * counts[k], default=None)
+    if kept is None or counts[kept] == 0:
+        return None
+    length = counts[kept]
+    chosen = [record for record in records if record.drawn >= length]
+    values = np.stack([record.values[:length] for record in chosen])
+    counts_by_kernel = np.sum([record.state["counts"] for record in chosen], axis=0)
+    acceptance = {
+        part.name: float(accepted / steps) if steps else math.nan
+        for part, (steps, accepted) in zip(mixed, counts_by_kernel, strict=True)
+    }
+    return _part(
+        target,
+        values,
+        np.stack([record.log_prior[:length] for record in chosen]),
+        np.stack([record.log_likelihood[:length] for record in chosen]),
+        weight,
+        {"acceptance": {name: rate for name, rate in acceptance.items() if not math.isnan(rate)}},
+    )
+
+
+def _part(target: SceneTarget, values, log_prior, log_likelihood, weight, extras) -> StructurePosterior:
+    poses = None
+    if any(address.startswith("root.") for address in target.space.addresses):
+        poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
+    return StructurePosterior(
+        target.template,
+        target.space.addresses,
+        values,
+        log_prior,
+        log_likelihood,
+        weight,
+        target.space.periods,
+        poses,
+        extras,
+    )
+
+
+def best_only(part: StructurePosterior) -> StructurePosterior:
+    """Return the part with its best draw alone."""
+    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
+    place = np.s_[chain : chain + 1, draw : draw + 1]
+    return replace(
+        part,
+        values=part.values[place],
+        log_prior=part.log_prior[place],
+        log_likelihood=part.log_likelihood[place],
+        root_pose=None if part.root_pose is None else part.root_pose[place],
+    )
+
+
+def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
+    """Return a part of one draw moved to the end of ascents by gradient, if that is more probable."""
+    from derender.posterior.map import climb
+
+    values = climb(target, part.values[0, 0], gradient, np.random.default_rng([seed, 3]))
+    if np.array_equal(values, part.values[0, 0]):
+        return part
+    prior, likelihood = np.array([[target.log_prior(values)]]), np.array([[target.log_likelihood(values)]])
+    return _part(target, values[None, None], prior, likelihood, part.weight, part.extras)
+
+
+def _particles(target, mixed, settings: Settings, seed: int, number: int, weight: float, tell) -> StructurePosterior:
+    """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations."""
+    populations = []
+    for chain in range(settings.chains):
+        tell(chain / settings.chains, "tempering")
+        rng = np.random.default_rng([seed, number, chain])
+        backend = target.backend(mixed)
+        populations.append(tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS))
+    densities = np.stack([population.densities for population in populations])
+    extras = {"log_evidence": [population.log_evidence for population in populations]}
+    values = np.stack([population.values for population in populations])
+    return _part(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
+
+
+__all__ = ["Result", "has_fixed_objects", "infer_scene", "targets"]

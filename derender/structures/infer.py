@@ -1,0 +1,181 @@
+"""From a bare depth image to a posterior over scene graphs: observe, propose, search, sample."""
+
+import numpy as np
+
+from derender.detection.given_floor import read_floor
+from derender.detection.search.bodies import body_hypotheses, find_bodies
+from derender.detection.search.greedy import Settings
+from derender.detection.search.observation import CORRELATED, closer_look, observe, patches_of
+from derender.detection.search.proposals import all_hypotheses
+from derender.detection.search.searches import search
+from derender.detection.search.surface import make_surface
+from derender.detection.solids.image import make_image
+from derender.detection.solids.sizes import sizes_of
+from derender.detection.solids.support import final_parents
+from derender.detection.unit import in_metres, unit_of
+from derender.errors import DerenderError
+
+NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
+FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
+
+
+def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, plane=None):
+    """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
+
+    plane : the floor as it is given, see bottom_up.given_floor; None: find it.
+    """
+    settings = Settings() if settings is None else settings
+    seen = observe(rng, depth, camera, widest, plane)
+    if seen.mask.mean() > FILLED and seen.camera["width"] > widest // 2:  # as sharp an image of it has fewer pixels
+        seen = observe(rng, depth, camera, widest // 2, plane)
+    settings = settings.for_correlation(seen.correlation)
+    patches = patches_of(seen)
+    typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
+    noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
+    settings = settings._replace(uneven=max(settings.uneven, NOISES * noise))
+    surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
+    hypotheses = all_hypotheses(surface, settings.shapes)
+    for body in find_bodies(seen.points, seen.mask, seen.footprint):
+        hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
+    state, image = search(rng, seen.image, hypotheses, settings, pool)
+    state.parents = final_parents(state)
+    return state.ordered(), seen._replace(image=image)
+
+
+def settings_of(options):
+    """Return the Settings that a mapping of options asks for; an open prior among them says what it allows.
+
+    Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
+    term `no-overlap`) and float (a contact `6dof` and no term `no-floating`); weights and draws take its sizes. An
+    option is stricter or looser still.
+    """
+    settings = Settings()
+    prior = options.get("prior")
+    if prior is not None:
+        kinds = {entry.type for entry in prior.shapes.values()}
+        terms = {term.name: term for term in prior.constraints}
+        if not kinds & set(settings.shapes):
+            remedy = "the search knows " + ", ".join(settings.shapes)
+            raise DerenderError("the prior has no shape that can be looked for", "shapes", remedy)
+        settings = settings._replace(
+            sizes=sizes_of(prior),
+            shapes=tuple(name for name in settings.shapes if name in kinds),
+            may_overlap="no-overlap" not in terms,
+            may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),
+        )
+        if "at-most" in terms:
+            settings = settings._replace(max_objects=terms["at-most"].count)
+    if options.get("shapes"):
+        settings = settings._replace(shapes=tuple(options["shapes"]))
+    if options.get("max_objects"):
+        settings = settings._replace(max_objects=int(options["max_objects"]))
+    for switch in ("may_overlap", "may_float"):
+        if options.get(switch):
+            settings = settings._replace(**{switch: True})
+    return settings
+
+
+def infer_structure(image, camera, options=None, rng=None, progress=None):
+    """Infer which solids are there and what rests on what.
+
+    Parameters
+    ----------
+    image : (H, W) float metres, NaN or 0 = no return.
+    camera : Camera, or a dict with fx, fy, cx, cy.
+    options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
+        draws under the best structures), "map" (the best scene only), "mcmc" or "smc" (chains or populations over
+        structures: catalogue/; also warmup, jobs, folder of checkpoints, resume); floor ("auto", "none", or a plane in
+        camera axes), known (a library of known objects or its file), others (whether there may be solids besides them),
+        may_overlap and may_float (whether solids may interpenetrate and float), prior (see settings_of).
+    rng : numpy Generator; progress : called with (fraction done, message), or None.
+
+    Returns a Posterior.
+    """
+    from derender.detection.solids.graph import without_floor
+    from derender.results.posterior import Posterior
+    from derender.structures.bridges import with_bridges
+    from derender.structures.graph_posterior import parts_of
+    from derender.structures.known.library import chosen_library
+
+    options = dict(options or {})
+    rng = np.random.default_rng(options.get("seed")) if rng is None else rng
+    settings = settings_of(options)
+    if progress:
+        progress(0.0, "searching for solids")
+    depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
+    plane = read_floor(options.get("floor"))
+    unit = unit_of(depth)
+    if unit != 1.0 and not options.get("known") and options.get("prior") is None:  # which say how long things are
+        floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
+        return in_metres(infer_structure(depth / unit, camera, {**options, "floor": floor}, rng, progress), unit)
+    plan = None
+    if options.get("method") in ("mcmc", "smc"):
+        from derender.structures.catalogue.run import leap_parts, read_plan
+
+        plan = read_plan(options, depth)
+    pool: list = []
+    library = chosen_library(options["known"]) if options.get("known") else ()
+    state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
+    settings = settings.for_correlation(seen.correlation)
+    if progress:
+        progress(0.6, f"{len(state)} solids; sampling")
+    chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
+    only_best = options.get("method") == "map"
+    told: dict = {}
+    if library:
+        from derender.structures.known.posterior import known_posterior
+
+        many = (1, 1) if only_best else (chains, draws)
+        others = bool(options.get("others", True))
+        parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
+    elif plan is not None and len(state):
+        parts, told = leap_parts(rng, seen, state, pool, settings, plan, progress)
+    else:
+        real = seen.factor > 1 and seen.correlation > CORRELATED
+        closer = closer_look(seen, depth, camera) if real else None
+        parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
+    parts = with_bridges(parts, settings.slack)
+    if isinstance(plane, str):
+        parts = [without_floor(part) for part in parts]
+    if progress:
+        progress(1.0, f"{len(state)} solids")
+    meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
+            "backdrop": seen.background if seen.backdrop else 0.0,
+            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
+    return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
+
+
+def likelihood_of(parts, seen, depth, camera, temper):
+    """Return the type and the numbers of the likelihood under which the image as it came is explained.
+
+    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
+    """
+    from derender.camera.intrinsics import Camera
+    from derender.structures.draws.sensor import image_likelihood, too_far
+
+    best = max(parts, key=lambda part: part.weight)
+    if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
+        return best.extras["likelihood"]
+    if not isinstance(camera, Camera):
+        camera = Camera(**{**camera, "width": depth.shape[1], "height": depth.shape[0]})
+    worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
+    name, numbers = image_likelihood(camera, depth, best.best()[0].solids(), worth)
+    return {"type": name, **numbers}
+
+
+def draw_graph(graph, shape, camera):
+    """Return (depth (H, W), label (H, W) int32 into names or negative, names) of a graph's solids over its floor."""
+    from derender.detection.solids.image import FAR, ROW, draw, make_row
+
+    names = [n for n in graph.solid_names if graph.vertex(n).shape != "plane"]
+    floor = next(n for n in graph.solid_names if graph.vertex(n).shape == "plane")
+    poses, solids = graph.poses(), graph.solids()
+    image = make_image(np.zeros(shape), 1.0, camera, poses[floor])
+    rows = np.empty((len(names), ROW))
+    for k, name in enumerate(names):
+        number = graph.solid_names.index(name)
+        pose = np.linalg.inv(poses[floor]) @ poses[name]
+        rows[k] = make_row(solids.kind[number], pose[:3, :3], pose[:3, 3], solids.size[number])
+    depth, label = np.empty(shape), np.empty(shape, np.int32)
+    draw(image, rows, -1, depth, label)
+    return np.where(depth >= FAR, np.inf, depth), label, names

@@ -1,0 +1,166 @@
+"""What a reversible jump is: an involution on (scene, random choices), as in Gen's traces (Green 1995; Cusumano-Towner
+2020).
+
+A move draws its random choices u given the scene G and maps (G, u) to (G', u') by a map that is its own inverse:
+applied to (G', u') it returns (G, u). With q(u | G) the probability density of the choices and J the absolute Jacobian
+determinant of the continuous numbers of (G', u') by those of (G, u),
+
+    log ratio = log posterior(G') - log posterior(G) + log q(u' | G') - log q(u | G) + log J,
+
+which is Green's rule, positive where G' is the better one. One function takes every step; moves say q, the map and J.
+
+Scenes are sets of objects: names and the order of the list tell nothing, so a scene's density is the prior's density
+of the list times the number of equally likely lists, under the stock measure (Lebesgue on lengths and angles, Haar of
+mass one on rotations). Choices "one object among n" are then counted without any factor for labels. It takes at least
+one continuous number for each object that can be born: two objects are never the same.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.posterior.kernels.base import Info
+from derender.registry import Registry
+from derender.scene.graph import SceneGraph
+from derender.structures.jumps.vocabulary import Vocabulary
+
+
+class State(NamedTuple):
+    """A scene with its densities. log_prior : of the scene as a set; log_likelihood : of the image."""
+
+    graph: SceneGraph
+    log_prior: float
+    log_likelihood: float
+
+
+class Applied(NamedTuple):
+    """What a move makes of (graph, choices): the new graph, the choices of the way back, log J."""
+
+    graph: SceneGraph
+    back: Any
+    log_jacobian: float
+
+
+class Move:
+    """One reversible jump. Subclasses are registered; one instance serves all.
+
+    Attributes
+    ----------
+    name : in the registry.
+    weight : share of the steps, before normalisation.
+    even : whether q(u' | G') = q(u | G) always: then neither is computed.
+    """
+
+    name: str = ""
+    weight: float = 1.0
+    even: bool = False
+
+    def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:
+        """Return random choices u given the scene, or None where the move has nothing to do."""
+        raise NotImplementedError
+
+    def log_choice(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> float:
+        """Return log q(u | G), -inf for what `draw` never returns."""
+        raise NotImplementedError
+
+    def apply(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> Applied | None:
+        """Return (G', u') and log J; None where the map is not defined."""
+        raise NotImplementedError
+
+
+moves: Registry[Move] = Registry("jump", "derender.jumps")
+
+
+class Target:
+    """The posterior over scenes: `prior.log_density + prior.log_orderings + image(graph)`.
+
+    Parameters
+    ----------
+    prior : Prior. image : has `propose(graph) -> float` (log likelihood), `accept()` and `reject()`; None: no image,
+        the target is the prior itself.
+    temperature : exponent on the likelihood.
+    """
+
+    def __init__(self, prior, image: Any = None, temperature: float = 1.0) -> None:
+        self.prior, self.image, self.temperature = prior, image, temperature
+
+    def log_prior(self, graph: SceneGraph) -> float:
+        """Return the log density of a scene as a set."""
+        density = self.prior.log_density(graph)
+        return density + self.prior.log_orderings(graph) if density > -math.inf else density
+
+    def propose(self, graph: SceneGraph) -> float:
+        """Return the log likelihood of a scene; `settle` must follow."""
+        return 0.0 if self.image is None else self.image.propose(graph)
+
+    def settle(self, accepted: bool) -> None:
+        """Keep the scene proposed, or forget it."""
+        if self.image is not None:
+            self.image.accept() if accepted else self.image.reject()
+
+
+def evaluate(target: Target, graph: SceneGraph) -> State:
+    """Return the state of a scene and make it the one that proposals are compared with."""
+    log_prior = target.log_prior(graph)
+    log_likelihood = target.propose(graph)
+    target.settle(True)
+    return State(graph, log_prior, log_likelihood)
+
+
+def log_proposal_ratio(move: Move, words: Vocabulary, graph: SceneGraph, choice: Any) -> tuple[Applied | None, float]:
+    """Return what the move makes of (graph, choice), and log q(u' | G') - log q(u | G) + log J."""
+    applied = move.apply(words, graph, choice)
+    if applied is None:
+        return None, -math.inf
+    if move.even:
+        return applied, applied.log_jacobian
+    forth = move.log_choice(words, graph, choice)
+    back = move.log_choice(words, applied.graph, applied.back)
+    if not (forth > -math.inf and back > -math.inf):
+        return None, -math.inf
+    return applied, back - forth + applied.log_jacobian
+
+
+def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move, state: State) -> tuple[State, Info]:
+    """Take one Metropolis-Hastings-Green step."""
+    refused = state, Info(False, -math.inf, move.name)
+    choice = move.draw(rng, words, state.graph)
+    if choice is None:
+        return refused
+    applied, correction = log_proposal_ratio(move, words, state.graph, choice)
+    if applied is None:
+        return refused
+    log_prior = target.log_prior(applied.graph)
+    if not log_prior > -math.inf:
+        return refused
+    # The threshold is drawn before the image is asked for: a prior far too low need not be drawn.
+    threshold = math.log(1.0 - rng.random())
+    log_likelihood = target.propose(applied.graph)
+    log_ratio = log_prior - state.log_prior + target.temperature * (log_likelihood - state.log_likelihood) + correction
+    accepted = threshold < log_ratio
+    target.settle(accepted)
+    if not accepted:
+        return state, Info(False, log_ratio, move.name)
+    return State(applied.graph, log_prior, log_likelihood), Info(True, log_ratio, move.name)
+
+
+def mixture(weights: Mapping[str, float] | None = None) -> list[tuple[Move, float]]:
+    """Return moves with their shares of the steps; `weights` replaces the default ones, 0 leaves a move out.
+
+    Raises
+    ------
+    DerenderError : an unknown move, a negative weight, nothing left.
+    """
+    given = dict(weights or {})
+    for name, weight in given.items():
+        moves[name]  # raises for one that is unknown
+        if not weight >= 0.0:
+            raise DerenderError(f"the weight of {name} is {weight!r}", remedy="give a number from 0 up")
+    shares = {name: given.get(name, moves[name].weight) for name in moves.names()}
+    total = math.fsum(shares.values())
+    if not total > 0.0:
+        raise DerenderError("no move is left", remedy="give one of them a weight above 0")
+    return [(moves[name], share / total) for name, share in shares.items() if share > 0.0]

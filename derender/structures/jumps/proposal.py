@@ -1,0 +1,257 @@
+"""Where births come from: the prior, or hypotheses seen in the image, each with the density that it was drawn with."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from derender.scene.contacts import contacts
+from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.pose import from_quaternion, inverse, quaternion
+from derender.scene.priors.values import QUATERNION, ROTATION
+from derender.scene.shapes import Body, shapes
+from derender.structures.jumps.charts import free_names, rotation_density, rotation_near
+
+ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
+
+
+class PriorProposal:
+    """A parent, each as likely; then kind, sizes, contact and its numbers from the prior.
+
+    log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
+    """
+
+    def sample(self, rng, words, graph: SceneGraph) -> Vertex | None:
+        """Return a new vertex with a name of its own; None where nothing can grow."""
+        bearers = words.bearers(graph)
+        if not bearers:
+            return None
+        parent = bearers[int(rng.random() * len(bearers))]
+        kind = words.kinds(graph, parent).sample(rng)
+        entry = words.shapes[kind]
+        parameters = entry.sample(rng)
+        shape, top = words.seat(graph, parent)
+        contact = words.prior.contacts.sample(rng, shape, entry.type, top)
+        return Vertex(words.fresh_name(graph, kind), entry.type, parameters, parent, contact, dict(entry.options))
+
+    def log_density(self, words, graph: SceneGraph, vertex: Vertex) -> float:
+        """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""
+        bearers = words.bearers(graph)
+        if vertex.parent not in bearers:
+            return -math.inf
+        kind = words.kind_of(vertex)
+        shape, top = words.seat(graph, vertex.parent)
+        return (
+            -math.log(len(bearers))
+            + words.kinds(graph, vertex.parent).log_density(kind)
+            + words.shapes[kind].log_density(vertex)
+            + words.prior.contacts.log_density(vertex.contact, shape, vertex.shape, top)
+        )
+
+
+class Hypothesis(NamedTuple):
+    """A solid that the image suggests.
+
+    Attributes
+    ----------
+    kind : of the prior's shapes. parameters : psi by name.
+    pose : (4, 4) object to camera.
+    weight : relative probability. length, angle : standard deviations, metres and radians, of where it really is.
+    """
+
+    kind: str
+    parameters: dict[str, float]
+    pose: np.ndarray
+    weight: float = 1.0
+    length: float = 0.004
+    angle: float = 0.05
+
+
+class Component(NamedTuple):
+    """One way in which a hypothesis can hang in the graph, with the centre and the spread of each number."""
+
+    weight: float
+    kind: str
+    parent: str
+    choice: tuple
+    centres: dict
+    spreads: dict
+
+
+class HypothesisProposal:
+    """A mixture of the prior's proposal and of normals about hypotheses.
+
+    The components are a function of the graph that lacks the new object: for each hypothesis, each bearer and each
+    contact that the prior allows there, the numbers of the nearest such contact (`ContactType.invert`), weighed by
+    exp(-misfit / length / 5), the misfit being what the ideal contact leaves over in metres. A vertex's density is
+
+        share_prior p_prior(v) + (1 - share_prior) sum_k w_k prod_i N(v_i; centre_ki, spread_ki),
+
+    over the components with the vertex's own parent, kind and contact; the normals are cut to the prior's support and
+    normalised there, on a period they are cut to half of it on either side; rotations turn by a normal vector.
+    """
+
+    def __init__(self, hypotheses: Sequence[Hypothesis], on_prior: float = ON_PRIOR) -> None:
+        self.hypotheses = tuple(hypotheses)
+        self.on_prior = on_prior
+        self.fallback = PriorProposal()
+        self._last: tuple = (None, [])
+
+    def components(self, words, graph: SceneGraph) -> list[Component]:
+        """Return the mixture's components, their weights summing to one; empty where no hypothesis hangs anywhere."""
+        if self._last[0] is graph:
+            return self._last[1]
+        found = []
+        poses = graph.poses()
+        for hypothesis in self.hypotheses:
+            shape = words.shapes[hypothesis.kind].type
+            body = Body(shapes[shape], np.array([hypothesis.parameters[p.name] for p in shapes[shape].parameters]),
+                        words.shapes[hypothesis.kind].options)  # fmt: skip
+            for parent in words.bearers(graph):
+                if words.kinds(graph, parent).log_density(hypothesis.kind) == -math.inf:
+                    continue
+                relative = inverse(poses[parent]) @ hypothesis.pose
+                choices = words.contacts(graph, parent, hypothesis.kind)
+                for choice in () if choices is None else choices.choices:
+                    found += _component(words, graph, hypothesis, parent, body, relative, choice)
+        total = math.fsum(component.weight for component in found)
+        found = [c._replace(weight=c.weight / total) for c in found if c.weight > 1e-6 * total] if total > 0 else []
+        total = math.fsum(component.weight for component in found)
+        found = [component._replace(weight=component.weight / total) for component in found]
+        self._last = (graph, found)
+        return found
+
+    def sample(self, rng, words, graph: SceneGraph) -> Vertex | None:
+        """Return a new vertex; None where nothing can grow or a number fell outside its support by rounding."""
+        components = self.components(words, graph)
+        if not components or rng.random() < self.on_prior:
+            return self.fallback.sample(rng, words, graph)
+        threshold, chosen = rng.random(), components[-1]
+        for component in components:
+            threshold -= component.weight
+            if threshold < 0.0:
+                chosen = component
+                break
+        values = {}
+        for name, centre in chosen.centres.items():
+            spread = chosen.spreads.get(name)
+            if spread is None:
+                values[name] = centre
+            elif name == QUATERNION:
+                values[name] = tuple(quaternion(rotation_near(rng, from_quaternion(centre), spread)))
+            else:
+                values[name] = _draw(rng, centre, *spread)
+        return vertex_of(words, graph, chosen, values)
+
+    def log_density(self, words, graph: SceneGraph, vertex: Vertex) -> float:
+        """Return the log density of drawing this vertex for a graph that lacks it."""
+        components = self.components(words, graph)
+        prior = self.fallback.log_density(words, graph, vertex)
+        if not components:
+            return prior
+        kind = words.kind_of(vertex)
+        choice = (vertex.contact.type, vertex.contact.parent_face, vertex.contact.child_face)
+        values = {**vertex.contact.values, **{f"shape.{key}": x for key, x in vertex.parameters.items()}}
+        total = self.on_prior * math.exp(prior) if prior > -math.inf else 0.0
+        for component in components:
+            if (component.kind, component.parent, component.choice) == (kind, vertex.parent, choice):
+                total += (1.0 - self.on_prior) * component.weight * math.exp(_log_normal(component, values))
+        return math.log(total) if total > 0.0 else -math.inf
+
+
+def _component(words, graph, hypothesis, parent, body, relative, choice) -> list[Component]:
+    """Return the component of one hypothesis in one contact, if that is possible at all."""
+    table = words.table(*words.seat(graph, parent), body.shape.name, choice)
+    kind = contacts[choice[0]]
+    found = kind.invert(relative, graph.body(parent), body, *choice[1:])
+    reach = 0.5 * float(np.linalg.norm(body.size()))
+    tilts = [x for name, x in found.slack.items() if name.startswith("tilt")] if body.shape.name != "sphere" else []
+    misfit = found.outside + reach * found.angle
+    misfit += 0.0 if "gap" in free_names(table) else abs(found.slack.get("gap", 0.0))
+    misfit += reach * math.hypot(*[0.0, 0.0, *tilts][-2:])
+    if misfit > 0.05:
+        return []
+    centres: dict[str, Any] = {}
+    spreads: dict[str, Any] = {}
+    for name, value in words.shapes[hypothesis.kind]._table:
+        centres[f"shape.{name}"] = value if isinstance(value, float) else hypothesis.parameters[name]
+        if not isinstance(value, float):
+            spreads[f"shape.{name}"] = (hypothesis.length, value.support, None)
+    parameters = {p.name: p for p in kind.parameters(graph.body(parent).shape, body.shape, *choice[1:])}
+    for name, value in table.items():
+        if name == QUATERNION:
+            centres[name] = tuple(found.phi[part] for part in ROTATION) if not isinstance(value, tuple) else value
+            if not isinstance(value, tuple):
+                spreads[name] = hypothesis.angle
+            continue
+        centres[name] = value if isinstance(value, float) else found.values[name]
+        if not isinstance(value, float):
+            period = parameters[name].period
+            low, high = value.support
+            if period is not None and math.isfinite(low) and abs(high - low - period) < 1e-9:
+                centres[name] = low + (centres[name] - low) % period
+            elif period is not None:
+                centres[name] = low + (centres[name] - low) % math.tau if math.isfinite(low) else centres[name]
+                period = None
+            width = hypothesis.length if parameters[name].unit == "m" else hypothesis.angle
+            width = hypothesis.length / (2.0 * reach) if parameters[name].unit == "" else width
+            spreads[name] = (width, (low, high), period)
+    weight = hypothesis.weight * math.exp(-misfit / (5.0 * hypothesis.length))
+    return [Component(weight, hypothesis.kind, parent, choice, centres, spreads)]
+
+
+def vertex_of(words, graph, component, values) -> Vertex:
+    """Return a new object of a component with these numbers by name, those of its shape after `shape.`."""
+    entry = words.shapes[component.kind]
+    parameters = {name: values[f"shape.{name}"] for name, _ in entry._table}
+    numbers = {key: x for key, x in values.items() if not key.startswith("shape.")}
+    if QUATERNION in numbers:
+        numbers.update(zip(ROTATION, map(float, numbers.pop(QUATERNION)), strict=True))
+    contact = Contact(*component.choice, numbers)  # type: ignore[call-arg]
+    name = words.fresh_name(graph, component.kind)
+    return Vertex(name, entry.type, parameters, component.parent, contact, dict(entry.options))
+
+
+def _cut(centre, width, support, period) -> tuple[float, float]:
+    """Return the ends of a normal, in standard deviations from its centre."""
+    if period is not None:
+        return -0.5 * period / width, 0.5 * period / width
+    return (support[0] - centre) / width, (support[1] - centre) / width
+
+
+def _draw(rng, centre, width, support, period) -> float:
+    low, high = _cut(centre, width, support, period)
+    bottom, top = ndtr(low), ndtr(high)
+    if not top - bottom > 1e-12:  # the centre is far outside: a uniform draw where there are ends, see _log_one
+        return support[0] + (support[1] - support[0]) * rng.random()
+    x = centre + width * float(ndtri(bottom + (top - bottom) * rng.random()))
+    if period is not None:
+        return support[0] + (x - support[0]) % period
+    return min(max(x, support[0]), support[1])
+
+
+def _log_one(x, centre, width, support, period) -> float:
+    low, high = _cut(centre, width, support, period)
+    mass = float(ndtr(high) - ndtr(low))
+    if not support[0] <= x <= support[1]:
+        return -math.inf
+    if not mass > 1e-12:
+        return -math.log(support[1] - support[0])
+    offset = x - centre
+    if period is not None:
+        offset -= period * round(offset / period)
+    return -0.5 * (offset / width) ** 2 - math.log(width * mass * math.sqrt(2.0 * math.pi))
+
+
+def _log_normal(component, values) -> float:
+    """Return the log density of a vertex's numbers under one component."""
+    total = 0.0
+    for name, spread in component.spreads.items():
+        if name == QUATERNION:
+            turned = from_quaternion([values[part] for part in ROTATION])
+            total += rotation_density(turned, from_quaternion(component.centres[name]), spread)
+        else:
+            total += _log_one(values[name], component.centres[name], *spread)
+    return total

@@ -1,0 +1,270 @@
+"""Which known object each solid is and where: search, then a posterior over identities.
+
+The search for solids of unknown sizes says where something stands.  There every object of the library is tried in every
+way of lying; the best are placed one after the other while they gain more than their price, against what is placed
+already; what then is still unexplained may be solids of unknown sizes.  For each object placed, all others and "none of
+them" compete by their refined energies.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from derender.detection.search.greedy import Settings
+from derender.detection.solids.image import draw, make_row, rotation_of
+from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.misfit import misfit_map
+from derender.detection.solids.polish import FREE
+from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
+from derender.detection.solids.support import standing_on
+from derender.scene.solids import BOX, MESH, SPHERE
+from derender.structures.known.image import draw_known, known_misfit, walk_known
+from derender.structures.known.library import Known, turn
+
+LEAST_TILT = np.radians(0.5)
+SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])
+REACH = 0.02  # metres off its support at which an object still stands on it
+TRIED = 4  # ways of lying that are refined, of all that are looked at
+STRANGER = 3.0  # nats, of the prior odds of a library's object to a solid that is none of them
+SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter each other: most meshes are rounder
+
+
+@dataclass(frozen=True)
+class Placed:
+    """One solid of the answer.
+
+    Attributes
+    ----------
+    known : the object that it is, None for a solid of unknown sizes.
+    row : (ROW,) of its proxy: its rotation and centre are the object's own.
+    anchor : index of the solid of the first search that stood there.
+    base : height of what it stands on, NaN for none. gain : nats that it gained when it was placed.
+    form, cube : of a solid of unknown sizes, as in State.
+    """
+
+    known: Known | None
+    row: np.ndarray
+    anchor: int
+    base: float = 0.0
+    gain: float = 0.0
+    form: int = FREE
+    cube: bool = False
+
+
+class Placement:
+    """Puts known objects into one image.
+
+    Parameters
+    ----------
+    rng, image, settings : as in search. state : what the first search found.
+    library : Known objects. others : whether solids that are none of them may be there.
+    """
+
+    def __init__(self, rng, image, state: State, settings: Settings, library: tuple[Known, ...], others: bool) -> None:
+        self.rng, self.image, self.state, self.settings = rng, image, state, settings
+        self.library, self.others = library, others
+        self.tilt = max(settings.tilt, LEAST_TILT)
+        _, self.label, _, _ = self.view_of(state.rows)
+
+    def view_of(self, rows):
+        """Return depth, label, misfit, total of rows over the floor."""
+        depth, label, misfit = blank(self.image)
+        draw(self.image, rows, -1, depth, label)
+        return depth, label, misfit, misfit_map(self.image, depth, misfit)
+
+    def view(self, placed, skip=-1):
+        """Return depth, label and misfit of the scene without number `skip`."""
+        depth, label, misfit = blank(self.image)
+        unknown = [k for k, item in enumerate(placed) if item.known is None and k != skip]
+        rows = np.array([placed[k].row for k in unknown]).reshape(-1, 16)
+        draw(self.image, rows, -1, depth, label)
+        label[:] = np.where(label >= 0, np.array([*unknown, -1])[label], label)
+        for k, item in enumerate(placed):
+            if item.known is not None and k != skip:
+                vertices, triangles = item.known.triangles
+                centre = np.ascontiguousarray(item.row[10:13])
+                draw_known(self.image, vertices, triangles, rotation_of(item.row).copy(), centre, k, depth, label)
+        misfit_map(self.image, depth, misfit)
+        return depth, label, misfit
+
+    def rows(self, placed):
+        """Return the (N, ROW) proxies."""
+        return np.array([item.row for item in placed]).reshape(-1, 16)
+
+    def starts(self, known: Known, anchor: int, bases):
+        """Yield (rotation, centre, base) from which an object may be refined where a solid was found."""
+        row = self.state.rows[anchor]
+        middles = [row[10:12]]
+        seen = self.label == anchor
+        if seen.sum() >= 4:
+            points = self.image.origin + self.image.depth[seen][:, None] * self.image.direction[seen]
+            away = np.median(points[:, :2], axis=0) - self.image.origin[:2]
+            middles.append(np.median(points[:, :2], axis=0) + 0.3 * known.size.min() * away / np.linalg.norm(away))
+        yaw = np.arctan2(row[4], row[1]) if abs(row[9]) > 0.9 else 0.0
+        vertices = known.triangles[0]
+        for way in known.resting():
+            rotation = turn(yaw) @ way
+            low = float((vertices @ rotation[2]).min())
+            for middle in middles:
+                for base in bases:
+                    yield rotation, np.array([*middle, base - low]), base
+
+    def refine(self, known, rotation, centre, base, rows, skip, view, rounds, heat=2.0, scales=SCALES):
+        """Return (energy, rotation, centre) of one object annealed against the rest of the scene."""
+        vertices, triangles = known.triangles
+        size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
+        rotation, centre, energy, _ = walk_known(
+            self.rng, self.image, vertices, triangles, np.ascontiguousarray(rotation), np.ascontiguousarray(centre),
+            known.proxy, size, in_the_way(rows, self.settings), skip, view[0], view[2], base, self.settings.slack,
+            self.tilt, scales.copy(), rounds, heat, 1.0, True,
+        )  # fmt: skip
+        return energy, rotation, centre
+
+    def best_pose(self, known, anchor, placed, view, skip=-1):
+        """Return (energy, Placed) of the best pose of an object at an anchor."""
+        rows = self.rows(placed)
+        tops = {round(highest(item.row), 4): highest(item.row) for k, item in enumerate(placed) if k != skip
+                and self.above(self.state.rows[anchor], item.row)}  # fmt: skip
+        bases = [0.0, *tops.values()]
+        low = lowest(self.state.rows[anchor])
+        if low > 0.02:
+            bases.append(low)
+        vertices, triangles = known.triangles
+        points, buffer = np.empty((len(vertices), 4)), np.empty(self.image.depth.shape)
+        looked = []
+        for rotation, centre, base in self.starts(known, anchor, bases):
+            change, _ = known_misfit(
+                self.image, vertices, triangles, rotation, centre, view[0], view[2], points, buffer
+            )
+            looked.append((change, len(looked), rotation, centre, base))
+        looked.sort()
+        refined = []
+        for _, number, rotation, centre, base in looked[:TRIED]:
+            energy, rotation, centre = self.refine(known, rotation, centre, base, rows, skip, view, 70)
+            refined.append((energy, number, rotation, centre, base))
+        refined.sort()
+        _, _, rotation, centre, base = refined[0]
+        energy, rotation, centre = self.refine(known, rotation, centre, base, rows, skip, view, 200, 1.5, SCALES / 3)
+        return energy, Placed(known, make_row(known.proxy, rotation, centre, known.size), anchor, base, -energy)
+
+    @staticmethod
+    def above(row, other) -> bool:
+        """Whether a solid stands over another, seen from above."""
+        lifted = row.copy()
+        lifted[12] = other[12]
+        return penetration(lifted, other) > 0.004 and highest(row) > highest(other)
+
+    def place(self) -> list[Placed]:
+        """Return what is there: known objects one after the other, then what is none of them."""
+        placed: list[Placed] = []
+        counts = {item.name: item.count for item in self.library}
+        view = self.view(placed)
+        options = {
+            (anchor, known.name): (*self.best_pose(known, anchor, placed, view), 0)
+            for anchor in range(len(self.state)) for known in self.library
+        }  # fmt: skip
+        while options and len(placed) < self.settings.max_objects:
+            key = min(options, key=lambda k: options[k][0])
+            energy, item, seen = options[key]
+            if energy + self.settings.price > 0:
+                break
+            if seen < len(placed):  # others were placed since: what is it worth now?
+                energy, item = self.best_pose(item.known, item.anchor, placed, self.view(placed))
+                options[key] = (energy, item, len(placed))
+                continue
+            placed.append(item)
+            counts[item.known.name] -= 1
+            options = {k: v for k, v in options.items() if k[0] != key[0] and counts[k[1]] > 0}
+        if self.others:
+            placed = self.add_unknown(placed)
+        return self.settle(placed)
+
+    def add_unknown(self, placed):
+        """Return the scene with those solids of the first search that it still needs."""
+        left = sorted(set(range(len(self.state))) - {item.anchor for item in placed}, key=self.state_bottom)
+        for anchor in left:
+            if len(placed) >= self.settings.max_objects:
+                break
+            depth, _, misfit = self.view(placed)
+            item = self.unknown(anchor)
+            row, energy, _ = self.polished(item, placed, -1, (depth, None, misfit, 0.0))
+            energy += self.price_of_unknown(row, item)
+            if energy < 0:
+                placed = [*placed, replace(item, row=row, gain=-energy)]
+        return placed
+
+    def price_of_unknown(self, row, item) -> float:
+        """Return the price in nats of a solid of unknown sizes: `cube_bonus` is what two free sizes cost."""
+        settings, kind = self.settings, int(row[0])
+        sizes = 1 if item.cube or kind == SPHERE else 3 if kind == BOX else 2
+        tilted = settings.free_price if item.form == FREE and kind != SPHERE else 0.0
+        return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + STRANGER * settings.temper
+
+    def state_bottom(self, anchor):
+        """Return how high a solid of the first search begins."""
+        return lowest(self.state.rows[anchor])
+
+    def unknown(self, anchor) -> Placed:
+        """Return the solid of the first search as it was."""
+        state = self.state
+        base = state.bottoms[anchor]
+        return Placed(None, state.rows[anchor].copy(), anchor, base, 0.0, state.forms[anchor], state.cubes[anchor])
+
+    def polished(self, item, placed, skip, view, rounds=250):
+        """Return (row, energy, misfit change) of a solid of unknown sizes polished against the rest."""
+        rest = State(self.rows(placed), [FREE] * len(placed), [False] * len(placed), [FLOOR] * len(placed),
+                     [np.nan] * len(placed))  # fmt: skip
+        return run_polish(self.rng, self.image, rest, skip, item.row, item.form, item.cube, view, item.base,
+                          self.settings, rounds)  # fmt: skip
+
+    def parents(self, placed) -> tuple[list[int], list[float]]:
+        """Return what each stands on and how high that is."""
+        state = State(self.rows(placed), [item.form for item in placed], [item.cube for item in placed],
+                      [FLOOR] * len(placed), [item.base for item in placed])  # fmt: skip
+        found = [standing_on(state, k, REACH) for k in range(len(placed))]
+        return [parent for parent, _ in found], [base for _, base in found]
+
+    def settle(self, placed):
+        """Return the scene with every object held to what it stands on and refined against all others."""
+        for sweep in range(2):
+            _, bases = self.parents(placed)
+            for k in range(len(placed)):
+                item = replace(placed[k], base=bases[k])
+                view = self.view(placed, k)
+                if item.known is None:
+                    row, _, _ = self.polished(item, placed, k, (*view, 0.0))
+                else:
+                    pose = rotation_of(item.row).copy(), item.row[10:13].copy()
+                    _, rotation, centre = self.refine(item.known, *pose, item.base, self.rows(placed), k, view, 200,
+                                                      1.0001 - sweep, SCALES / 6)  # fmt: skip
+                    row = make_row(item.known.proxy, rotation, centre, item.known.size)
+                placed[k] = replace(item, row=row)
+        return placed
+
+    def identities(self, placed, k) -> list[tuple[float, Placed]]:
+        """Return (energy, Placed) of everything that number `k` might be instead, itself first."""
+        view = self.view(placed, k)
+        rows, anchor = self.rows(placed), placed[k].anchor
+        own = placed[k]
+        found = []
+        if own.known is not None:
+            pose = rotation_of(own.row).copy(), own.row[10:13].copy()
+            energy, _, _ = self.refine(own.known, *pose, own.base, rows, k, view, 1, 0.0)
+            found.append((energy + self.settings.price, own))
+        for known in self.library:
+            if known is not own.known:
+                energy, item = self.best_pose(known, anchor, placed, view, k)
+                found.append((energy + self.settings.price, item))
+        if self.others:
+            item = self.unknown(anchor) if own.known is not None else own
+            row, energy, _ = self.polished(item, placed, k, (*view, 0.0))
+            energy += self.price_of_unknown(row, item)
+            found.insert(0 if own.known is None else len(found), (energy, replace(item, row=row)))
+        return found
+
+
+def identity_probabilities(found: list[tuple[float, Placed]], temper: float) -> np.ndarray:
+    """Return the probabilities of identities from their energies."""
+    energies = np.array([energy for energy, _ in found]) / temper
+    weight = np.exp(-(energies - energies.min()))
+    return weight / weight.sum()

@@ -1,0 +1,222 @@
+"""How well an object of known shape explains the image, drawn by its triangles; its pose refined: compiled.
+
+As in image.py and polish.py of solids/, in the floor frame; a pose is a rotation (3, 3) and centre (3,).
+"""
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.solids.image import pixels_within
+from derender.detection.solids.misfit import LIMIT, WALL, change_within
+from derender.detection.solids.polish import resting_energy
+from derender.render.raycast.mesh import fill_triangle
+
+STEPS = 6
+
+
+@njit(cache=True, nogil=True)
+def project(image, vertices, rotation, centre, points):
+    """Fill points (V, 4) with pixel column, row, inverse depth, height over the floor; return (i0, i1, j0, j1).
+
+    The rectangle is empty where a vertex lies behind the camera.
+    """
+    p = image.projection
+    left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
+    height, width = image.depth.shape
+    for k in range(vertices.shape[0]):
+        a, b, c = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+        x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + centre[0]
+        y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + centre[1]
+        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + centre[2]
+        w = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
+        points[k, 3] = z
+        if w < 1e-3:
+            return 0, 0, 0, 0
+        u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / w
+        v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / w
+        points[k, 0], points[k, 1], points[k, 2] = u, v, 1.0 / w
+        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    return pixels_within(left, right, top, bottom, height, width)
+
+
+@njit(cache=True, nogil=True)
+def rasterise(triangles, points, i0, i1, j0, j1, buffer):
+    """Fill the rectangle of buffer (H, W) with the inverse depth of projected triangles, 0 where there is none.
+
+    Triangles are wound counter-clockwise seen from outside; those that face away are left out.
+    """
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            buffer[j, i] = 0.0
+    for k in range(triangles.shape[0]):
+        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        if (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1]) > (
+            (points[c, 0] - points[a, 0]) * (points[b, 1] - points[a, 1])
+        ):
+            continue  # it faces away
+        fill_triangle(buffer, points[a, 0], points[a, 1], points[a, 2], points[b, 0], points[b, 1], points[b, 2],
+              points[c, 0], points[c, 1], points[c, 2], i0, i1, j0, j1)  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def draw_known(image, vertices, triangles, rotation, centre, index, depth, label):
+    """Draw one object into depth and label (H, W), in place."""
+    points = np.empty((vertices.shape[0], 4))
+    buffer = np.empty(depth.shape)
+    i0, i1, j0, j1 = project(image, vertices, rotation, centre, points)
+    rasterise(triangles, points, i0, i1, j0, j1, buffer)
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            if buffer[j, i] > 0.0 and 1.0 / buffer[j, i] < depth[j, i]:
+                depth[j, i] = 1.0 / buffer[j, i]
+                label[j, i] = index
+
+
+@njit(cache=True, nogil=True)
+def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, points, buffer):
+    """Return (change of the misfit when the object is added to a scene, height of its lowest vertex).
+
+    points (>= V, 4) and buffer (H, W) are scratch.
+    """
+    height, width = image.depth.shape
+    i0, i1, j0, j1 = project(image, vertices, rotation, centre, points)
+    low = 1e30
+    for k in range(vertices.shape[0]):
+        low = min(low, points[k, 3])
+    if i0 >= i1 or j0 >= j1:
+        return 0.0, low
+    rasterise(triangles, points, i0, i1, j0, j1, buffer)
+    if image.taps.size == 1:
+        total = 0.0
+        for j in range(j0, j1):
+            for i in range(i0, i1):
+                weight = image.weight[j, i]
+                if weight > 0.0 and buffer[j, i] * depth[j, i] > 1.0:
+                    r = image.depth[j, i] - 1.0 / buffer[j, i]
+                    total += min(r * r * weight, LIMIT) - misfit[j, i]
+        return total, low
+    radius = image.taps.size - 1
+    left, right = max(i0 - 2 * radius, 0), min(i1 + 2 * radius, width)
+    top, bottom = max(j0 - 2 * radius, 0), min(j1 + 2 * radius, height)
+    window = np.empty((bottom - top, right - left))
+    for j in range(top, bottom):
+        for i in range(left, right):
+            z = depth[j, i]
+            if i0 <= i < i1 and j0 <= j < j1 and buffer[j, i] > 0.0:
+                z = min(z, 1.0 / buffer[j, i])
+            window[j - top, i - left] = min(z, WALL)
+    return change_within(image, window, left, top, i0, i1, j0, j1, misfit), low
+
+
+@njit(cache=True, nogil=True)
+def standing_energy(row, low, base, others, skip, slack, lean, tilt):
+    """Return the energy of standing off its base, of sinking into the floor or into others, and of leaning.
+
+    row : the object's proxy; low : its lowest point; base : height of what it stands on, NaN for none.
+    lean : radians from the way it was said to lie; tilt : their standard deviation.
+    """
+    return resting_energy(row, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2
+
+
+@njit(cache=True, nogil=True)
+def rotate_about(rotation, axis, angle):
+    """Turn the rotation (3, 3) about an axis of the floor frame, in place."""
+    c, s = np.cos(angle), np.sin(angle)
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    for column in range(3):
+        x, y = rotation[a, column], rotation[b, column]
+        rotation[a, column], rotation[b, column] = c * x - s * y, s * x + c * y
+
+
+@njit(cache=True, nogil=True)
+def fill_row(row, kind, rotation, centre, size):
+    """Write the proxy's row, in place."""
+    row[0] = kind
+    for a in range(3):
+        for b in range(3):
+            row[1 + 3 * a + b] = rotation[a, b]
+        row[10 + a] = centre[a]
+        row[13 + a] = size[a]
+
+
+@njit(cache=True, nogil=True)
+def walk_known(
+    rng,
+    image,
+    vertices,
+    triangles,
+    start_rotation,
+    start_centre,
+    proxy,
+    size,
+    others,
+    skip,
+    depth,
+    misfit,
+    base,
+    slack,
+    tilt,
+    scale,
+    rounds,
+    heat,
+    temper,
+    adapt,
+):
+    """Walk the pose of one object, the rest of the scene held still.
+
+    Steps: along the floor's x, y, z; turns about the vertical and about the floor's x and y through the centre. Each is
+    its own reverse with the sign changed and keeps Lebesgue x Haar, so the log acceptance ratio is the difference of
+    energies alone.
+
+    Parameters
+    ----------
+    proxy, size : kind and (3,) extents of what stands for it against `others` (N, ROW), of which `skip` is left out.
+    depth, misfit : (H, W) of the scene without it. base : height that its lowest point is held to, NaN for none.
+    scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place where `adapt`.
+    heat : temperature at the start, falling to 0: annealing, after which the best is returned; 1: Metropolis, after
+        which the last is returned (exact once `adapt` is over). temper : what the misfit is divided by.
+
+    Returns
+    -------
+    rotation, centre, energy, change of the misfit.
+    """
+    annealing = heat != 1.0
+    rotation, centre = start_rotation.copy(), start_centre.copy()
+    down = np.argmax(np.abs(rotation[2]))
+    points, buffer, row = np.empty((vertices.shape[0], 4)), np.empty(image.depth.shape), np.empty(16)
+    change, low = known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, points, buffer)
+    fill_row(row, proxy, rotation, centre, size)
+    lean = np.arccos(min(abs(rotation[2, down]), 1.0))
+    energy = change / temper + standing_energy(row, low, base, others, skip, slack, lean, tilt)
+    best_rotation, best_centre, best, best_change = rotation.copy(), centre.copy(), energy, change
+    trial_rotation, trial_centre = rotation.copy(), centre.copy()
+    for k in range(rounds):
+        move = int(STEPS * rng.random())
+        step = scale[move] * rng.standard_normal()
+        trial_rotation[:] = rotation
+        trial_centre[:] = centre
+        if move < 3:
+            trial_centre[move] += step
+        else:
+            rotate_about(trial_rotation, 2 if move == 3 else move - 4, 8.0 * step)
+        fill_row(row, proxy, trial_rotation, trial_centre, size)
+        lean = np.arccos(min(abs(trial_rotation[2, down]), 1.0))
+        new_change, low = known_misfit(
+            image, vertices, triangles, trial_rotation, trial_centre, depth, misfit, points, buffer
+        )
+        new = new_change / temper + standing_energy(row, low, base, others, skip, slack, lean, tilt)
+        temperature = heat * (1.0 - k / rounds) if annealing else 1.0
+        accepted = new < energy or (temperature > 0 and rng.random() < np.exp((energy - new) / temperature))
+        if accepted:
+            rotation[:] = trial_rotation
+            centre[:] = trial_centre
+            energy, change = new, new_change
+            if energy < best:
+                best_rotation[:] = rotation
+                best_centre[:] = centre
+                best, best_change = energy, change
+        if adapt:
+            scale[move] = min(max(scale[move] * (1.25 if accepted else 0.93), 5e-5), 0.03)
+    if annealing:
+        return best_rotation, best_centre, best, best_change
+    return rotation, centre, energy, change

@@ -1,0 +1,190 @@
+"""A posterior over which known object each solid is, and where: what `infer --known` answers."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from derender.detection.solids.graph import (
+    FLOOR_NAME,
+    best_contact,
+    floating,
+    order_of,
+    periods_of,
+    pose_of,
+    turns_freely,
+    vertex_of,
+    without,
+)
+from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.polish import MOVES, walk
+from derender.detection.solids.state import FLOOR, NOTHING, in_the_way
+from derender.results.posterior import StructurePosterior
+from derender.scene.contacts import contacts
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import inverse
+from derender.scene.solids import MESH
+from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
+from derender.structures.known.image import walk_known
+from derender.structures.scored_posterior import parameters_of
+
+STEPS = 24  # of each object between two draws
+LEAST_LIKELY = 1e-3
+UNKNOWN = "unknown"
+
+
+def known_posterior(
+    rng, image, state, settings, floor_pose, library, others, chains, draws
+) -> list[StructurePosterior]:
+    """Return the structures: the most probable identities with full chains, each single exchange as it is polished.
+
+    Parameters
+    ----------
+    state : what the search for solids of unknown sizes found. library : Known objects.
+    others : whether solids that are none of them may be there.
+
+    The first part's extras hold `identities`: for each object, the probability of each name of the library.
+    """
+    placement = Placement(rng, image, state, settings, library, others)
+    placed = placement.place()
+    options, probabilities = [], []
+    for k in range(len(placed)):
+        found = placement.identities(placed, k)
+        share = identity_probabilities(found, settings.temper)
+        placed[k] = found[int(np.argmax(share))][1]
+        options.append(found)
+        probabilities.append(share)
+    placed = placement.settle(placed)
+    names = names_of(placed)
+    identities = {
+        name: {
+            item.known.name if item.known else UNKNOWN: float(p)
+            for (_, item), p in zip(found, share, strict=True) if p >= LEAST_LIKELY
+        }
+        for name, found, share in zip(names, options, probabilities, strict=True)
+    }  # fmt: skip
+    best = part_of_known(rng, placement, placed, names, floor_pose, chains, draws)
+    parts = [replace(best, extras={"identities": identities})]
+    for k, (found, share) in enumerate(zip(options, probabilities, strict=True)):
+        for (_, item), p in zip(found, share, strict=True):
+            if item.known is not placed[k].known and p >= LEAST_LIKELY:
+                other = [*placed[:k], item, *placed[k + 1 :]]
+                own = [*names]
+                own[k] = names_of(other)[k]
+                part = part_of_known(rng, placement, other, own, floor_pose, 1, 1)
+                parts.append(replace(part, weight=float(p / share.max())))
+    total = sum(part.weight for part in parts)
+    return [replace(part, weight=part.weight / total) for part in parts]
+
+
+def names_of(placed: list[Placed]) -> list[str]:
+    """Return a name for each: its library's (a second one of the same: name_2), or its shape and a number."""
+    counts: dict[str, int] = {}
+    names: list[str] = []
+    for item in placed:
+        base = item.known.name if item.known else vertex_of(item.row, item.cube, "x").shape
+        counts[base] = counts.get(base, 0) + 1
+        names.append(base if item.known and counts[base] == 1 else f"{base}_{counts[base]}")
+    return names
+
+
+def graph_of(placed, parents, floor_pose, names) -> SceneGraph:
+    """Return the scene graph of what was placed."""
+    parents = list(parents)
+    order = order_of(parents)
+    graph = SceneGraph(np.asarray(floor_pose, float), (Vertex(FLOOR_NAME, "plane", {}, ROOT, Contact("6dof")),))
+    for k in order:
+        item = placed[k]
+        vertex = vertex_of(item.row, item.cube, names[k])
+        if item.known is not None:
+            known = item.known
+            pose = floating(pose_of_known(item.row))
+            vertex = Vertex(names[k], known.shape, known.parameters, ROOT, pose, known.options)
+        parent = FLOOR_NAME if parents[k] == FLOOR else names[parents[k]]
+        contact = best_contact(graph.add(vertex), names[k], parent, item.row)
+        if contact is not None:
+            contact = contact if k in parents else without(contact, "roll")
+            vertex = replace(vertex, parent=parent, contact=contact)
+        graph = graph.add(vertex)
+    return graph
+
+
+def pose_of_known(row) -> np.ndarray:
+    """Return the pose (4, 4) of a known object; a mesh keeps its own axes, whatever its proxy."""
+    pose = pose_of(row)
+    pose[:3, :3] = rotation_of(row)
+    return pose
+
+
+def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, draws) -> StructurePosterior:
+    """Return draws of all numbers under given identities."""
+    placed = list(placed)
+    parents, bases = placement.parents(placed)
+    placed = [replace(item, base=base) for item, base in zip(placed, bases, strict=True)]
+    graph = graph_of(placed, parents, floor_pose, names)
+    fixed = {f"{name}.{key}" for name, item in zip(names, placed, strict=True) if item.known
+             for key in item.known.parameters}  # fmt: skip
+    # how a can that carries nothing is turned about itself nothing tells
+    fixed |= {f"{vertex.name}.contact.theta" for vertex in graph.vertices
+              if turns_freely(vertex) and not graph.children(vertex.name)}  # fmt: skip
+    addresses = tuple(a for a in graph.numbers() if a.partition(".")[0] in names and a not in fixed)
+    values = np.empty((chains, draws, len(addresses)))
+    density = np.empty((chains, draws))
+    for chain in range(chains):
+        now = list(placed)
+        scales = [np.full(MOVES, 1e-3) if item.known is None else SCALES / 10 for item in now]
+        for draw in range(-3, draws):
+            for k in rng.permutation(len(now)):
+                if draw != 0 or chain != 0:  # the very first draw is the best scene as it was polished
+                    now[k] = walk_one(rng, placement, now, k, scales[k], draw < 0)
+            if draw == 0 and chain == 0:
+                now = list(placed)
+            if draw >= 0:
+                numbers = numbers_of_known(graph, now, names, floor_pose)
+                values[chain, draw] = [numbers[a] for a in addresses]
+                density[chain, draw] = -placement.view(now)[2].sum() / placement.settings.temper
+    return StructurePosterior(graph, addresses, values, np.zeros((chains, draws)), density, 1.0,
+                              periods_of(graph, addresses))  # fmt: skip
+
+
+def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
+    """Return one solid after some Metropolis steps given the others."""
+    item, settings, image = placed[k], placement.settings, placement.image
+    depth, _, misfit = placement.view(placed, k)
+    rows = in_the_way(placement.rows(placed), settings)
+    if item.known is None:
+        row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
+                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
+        return replace(item, row=row)
+    known = item.known
+    vertices, triangles = known.triangles
+    size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
+    rotation, centre, _, _ = walk_known(
+        rng, image, vertices, triangles, rotation_of(item.row).copy(), item.row[10:13].copy(), known.proxy, size, rows,
+        k, depth, misfit, item.base, settings.slack, placement.tilt, scale, STEPS, 1.0, settings.temper, adapt,
+    )  # fmt: skip
+    return replace(item, row=make_row(known.proxy, rotation, centre, known.size))
+
+
+def numbers_of_known(graph, placed, names, floor_pose) -> dict[str, float]:
+    """Return the graph's numbers by address when what was placed is here, contacts kept."""
+    poses = {ROOT: np.asarray(floor_pose, float), FLOOR_NAME: graph.poses()[FLOOR_NAME]}
+    bodies = {FLOOR_NAME: graph.body(FLOOR_NAME), ROOT: graph.body(ROOT)}
+    numbers = {}
+    for vertex in graph.vertices:
+        if vertex.name not in names:
+            continue
+        item = placed[names.index(vertex.name)]
+        if item.known is None:
+            vertex = replace(vertex, parameters=parameters_of(item.row, vertex.shape))
+            local = pose_of(item.row)
+            numbers.update({f"{vertex.name}.{key}": value for key, value in vertex.parameters.items()})
+        else:
+            local = pose_of_known(item.row)
+        poses[vertex.name], bodies[vertex.name] = floor_pose @ local, vertex.body
+        relative = inverse(poses[vertex.parent]) @ poses[vertex.name]
+        contact = vertex.contact
+        found = contacts[contact.type].invert(
+            relative, bodies[vertex.parent], vertex.body, contact.parent_face, contact.child_face
+        )
+        numbers.update({f"{vertex.name}.contact.{key}": found.values[key] for key in contact.values})
+    return numbers

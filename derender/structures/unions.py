@@ -1,0 +1,144 @@
+"""Structures in which two boxes are one, or their union is cut in another way, and how probable each is.
+
+Weighed as alternatives.py says, whose changes are of one solid.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from derender.compilation.threads import in_threads
+from derender.detection.search.moves import cut_anew, touching_pairs
+from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.misfit import LIMIT
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR
+from derender.detection.solids.statics import CERTAIN, shares_of_load
+from derender.detection.solids.support import TOUCHING, final_parents
+from derender.scene.solids import BOX
+from derender.structures.alternatives import (
+    HOPELESS,
+    IMPROBABLE,
+    QUICK,
+    changed,
+    climbed,
+    weighed_whole,
+)
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.refined import at_mode, floor_pose_of, local_evidence, near_evidence
+from derender.structures.draws.sensor import model_depth
+
+NEIGHBOURS = 0.004  # metres between boxes that may be one
+DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
+THOROUGH = 600  # for each solid where two are cut anew: all edges about them may be a little off
+FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change when it is cut anew, before any climb
+
+
+def merged_row(row, other):
+    """Return the row of the upright box about two upright boxes, along the axes of the first."""
+    rotation = row[1:10].reshape(3, 3)
+    corners = []
+    for r in (row, other):
+        turn = r[1:10].reshape(3, 3)
+        corners += [r[10:13] + turn @ (0.5 * r[13:16] * (2.0 * np.array(s) - 1.0)) for s in np.ndindex(2, 2, 2)]
+    along = np.array(corners) @ rotation
+    low, high = along.min(axis=0), along.max(axis=0)
+    new = row.copy()
+    new[10:13] = rotation @ (0.5 * (low + high))
+    new[13:16] = high - low
+    return new
+
+
+def merges(rng, best, rules):
+    """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
+    state = best.state
+    tasks = []
+    for i in range(len(state)):
+        for j in range(len(state)):
+            if i == j or int(state.rows[i][0]) != BOX or int(state.rows[j][0]) != BOX:
+                continue
+            if FREE in (state.forms[i], state.forms[j]) or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
+                continue
+            grown = state.rows[i].copy()
+            grown[13:16] += 2.0 * NEIGHBOURS
+            if penetration(grown, state.rows[j]) > 0.0:
+                tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
+    return [found for found in in_threads(rng, tasks) if found is not None]
+
+
+def merged(rng, best, i, j, rules):
+    """Return (Refined, log odds against the best) of solid `j` being part of `i`; None where that is hopeless."""
+    state = best.state
+    new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
+    lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
+    new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
+    new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
+    new = new.without(j)
+    place = i - (j < i)
+    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [place])
+    if trial.log_prior + trial.log_likelihood <= best.log_prior + best.log_likelihood - HOPELESS:
+        return None
+    odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
+    if odds > -IMPROBABLE:
+        odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
+    return trial, odds
+
+
+def recuts(rng, best, rules):
+    """Return (Refined, log odds against the best) of two boxes that touch being cut in another way, or one and all that
+    it touches and runs on through.
+
+    Where they are flush the image does not tell the cuts apart; which solids their contacts can hold does.
+    """
+    state, floor = best.state, floor_pose_of(best)
+    pairs = [(i, j) for i, j in touching_pairs(state) if FREE not in (state.forms[i], state.forms[j])]
+    ways = [((i,), j) for i, j in pairs]
+    ways += [(all_of, j) for j in range(len(state)) if len(all_of := tuple(i for i, k in pairs if k == j)) > 1]
+    states = [grown_into(state, cut, j) for cut, j in ways]
+    flush = [
+        on_supports(new) for new in states
+        if new is not None and change_of_image(best, *make_chart(new, floor, rules)) < FLUSH_ENOUGH
+    ]  # fmt: skip
+    rough = climbed(rng, best, flush, rules, QUICK, DOUBTFUL)
+    found = weighed_whole(rng, best, [each.state for each in rough] * 2, rules, THOROUGH)
+    if rules.floating or not found:
+        return found
+    tips = unheld(state)
+    return [(trial, odds + np.log(CERTAIN) * (tips - unheld(trial.state))) for trial, odds in found]
+
+
+def grown_into(state, cut, j):
+    """Return the state with box j grown into others, which are cut back (moves.cut_anew), held to nothing yet; None:
+    nothing of one is left."""
+    new = state.copy()
+    for i in cut:
+        pieces = cut_anew(new.rows[i], new.rows[j])
+        if pieces is None:
+            return None
+        (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
+        new.bottoms[i] = new.bottoms[j] = np.nan
+    return new
+
+
+def change_of_image(best, chart, values):
+    """Return how much worse another chart's image explains that of the best in nats, no pixel more than LIMIT."""
+    numbers, camera = best.sensor.values, best.sensor.camera
+    before, after = model_depth(best.chart, best.values, camera), model_depth(chart, values, camera)
+    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * before**2
+    return float(np.minimum(0.5 * ((after - before) / noise) ** 2, LIMIT).sum())
+
+
+def on_supports(state):
+    """Return the state with each upright solid on what bears it, and held to its top."""
+    state = state.copy()
+    state.parents = final_parents(state)
+    for k, parent in enumerate(state.parents):
+        if state.forms[k] == UPRIGHT:
+            state.bottoms[k] = 0.0 if parent == FLOOR else highest(state.rows[parent])
+    return state
+
+
+def unheld(state):
+    """Return how many upright solids would tip off what is level with their bottoms, did no friction hold them."""
+    upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT]
+    return sum(not shares_of_load(state.rows, k, TOUCHING, friction=0.0) for k in upright)

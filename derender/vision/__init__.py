@@ -1,1 +1,0 @@
-"""What a camera sees: cameras, depth files, renderers, likelihoods. Knows no sampler."""

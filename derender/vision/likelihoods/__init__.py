@@ -1,8 +1,0 @@
-"""The library of likelihoods of depth images. A new one is a file with a class under `@likelihoods.register(name)`."""
-
-from derender.vision.likelihoods.base import Likelihood, likelihoods
-
-# The built-in types register themselves when they are imported.
-from derender.vision.likelihoods import gaussian, robust  # isort: skip
-
-__all__ = ["Likelihood", "gaussian", "likelihoods", "robust"]

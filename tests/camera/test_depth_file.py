@@ -1,0 +1,242 @@
+"""Depth files: each format as its tools write it, every fault in one line, round trips, and mutated files."""
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from derender.camera.depth_file import SUFFIXES, encode_npz, read_depth, write_depth
+from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
+
+FILES = Path(__file__).parent / "files"
+CAMERA = Camera(5.0, 5.0, 1.5, 1.0, 4, 3)
+# What the files were made of: 3 x 4, one pixel without a return.
+TRUTH = np.arange(12).reshape(3, 4) / 16 + 0.5
+TRUTH[0, 0] = np.nan
+
+
+@pytest.mark.parametrize(
+    "name", ["opencv_16bit.png", "imageio_16bit.png", "opencv_16bit.tiff", "tifffile_big_endian_16bit.tiff"]
+)
+def test_reads_16_bit_units_as_the_tool_writes_them(name):
+    path = FILES / name
+    image = read_depth(path)
+    assert np.allclose(image.depth, TRUTH, atol=0.0005001, equal_nan=True)  # half a millimetre of rounding
+    assert image.camera_is_guess
+    assert np.allclose(read_depth(path, depth_scale=0.1).depth, image.depth / 10, equal_nan=True)
+    tenth = Camera(5.0, 5.0, 1.5, 1.0, 4, 3, depth_scale=0.1)
+    assert np.allclose(read_depth(path, tenth).depth, image.depth / 10, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", ["opencv_float.tiff", "tifffile_float.tiff", "tifffile_bigtiff_float.tiff"])
+def test_reads_float_metres_as_the_tool_writes_them(name):
+    assert np.array_equal(read_depth(FILES / name).depth, TRUTH, equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", ["<f4", "<f8", ">f4", "<f2", "<u2", "<i4"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_reads_npy_as_numpy_writes_it(dtype, order, tmp_path):
+    array = np.nan_to_num(TRUTH) * (1000 if dtype[1] in "ui" else 1)
+    np.save(tmp_path / "depth.npy", np.asarray(array.round() if dtype[1] in "ui" else array, dtype=dtype, order=order))
+    assert np.allclose(read_depth(tmp_path / "depth.npy").depth, TRUTH, atol=0.0005001, equal_nan=True)
+
+
+@pytest.mark.parametrize("layout", ["Z", "V", "View Layer.Depth.Z", "grey", "with colour"])
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("compression", ["ZIP", "ZIPS", "PIZ", "RLE", "NO"])
+def test_reads_exr_as_renderers_write_it(layout, half, compression, tmp_path):
+    import OpenEXR
+
+    kind = np.float16 if half else np.float32
+    pixels = np.nan_to_num(TRUTH, nan=np.inf if half else 1e10).astype(kind)  # Blender's sky
+    if layout == "grey":
+        channels = {name: pixels.copy() for name in "RGB"}
+    elif layout == "with colour":
+        colour = np.random.default_rng(0).random((3, 4)).astype(kind)
+        channels = {"R": colour, "G": colour * 2, "B": colour * 3, "A": colour, "Z": pixels}
+    else:
+        channels = {layout: pixels}
+    header = {"compression": getattr(OpenEXR, compression + "_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    path = tmp_path / "depth.exr"
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+    assert np.array_equal(read_depth(path).depth, TRUTH.astype(kind).astype(float), equal_nan=True)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_written_is_read_back(suffix, tmp_path):
+    path = tmp_path / f"depth{suffix}"
+    write_depth(path, TRUTH, CAMERA)
+    image = read_depth(path, None if suffix == ".npz" else CAMERA)
+    assert np.allclose(image.depth, TRUTH, atol=0.0005001 if suffix == ".png" else 1e-7, equal_nan=True)
+    assert image.camera == CAMERA and not image.camera_is_guess
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_an_npz_keeps_camera_meta_and_label_and_its_bytes_do_not_change(tmp_path):
+    label = np.arange(12).reshape(3, 4)
+    for name in ("a.npz", "b.npz"):
+        write_depth(tmp_path / name, TRUTH, CAMERA, meta={"seed": 1}, label=label)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    image = read_depth(tmp_path / "a.npz")
+    assert image.camera == CAMERA and image.meta == {"seed": 1}
+    with np.load(tmp_path / "a.npz") as archive:  # any numpy reads it
+        assert archive["depth"].dtype == np.float32 and archive["depth"][0, 0] == 0
+        assert np.array_equal(archive["label"], label)
+        assert json.loads(str(archive["camera"]))["fx"] == 5
+
+
+def test_standard_streams_carry_whole_files(tmp_path, monkeypatch, capfdbinary):
+    write_depth("-", TRUTH, CAMERA)
+    data = capfdbinary.readouterr().out
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+    image = read_depth("-")
+    assert np.allclose(image.depth, TRUTH, equal_nan=True) and image.camera == CAMERA
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"")))
+    with pytest.raises(DerenderError, match="the file is empty"):
+        read_depth("-")
+
+
+def test_an_npz_of_others_gives_its_intrinsic_matrix(tmp_path):
+    np.savez(tmp_path / "a.npz", depth=TRUTH.astype(np.float32), K=np.array([[5, 0, 1.5], [0, 5, 1], [0, 0, 1]]))
+    assert read_depth(tmp_path / "a.npz").camera == CAMERA
+
+
+def test_a_depth_that_does_not_fit_16_bits_is_refused_and_nothing_is_left(tmp_path):
+    with pytest.raises(DerenderError, match="does not fit into 16 bits"):
+        write_depth(tmp_path / "a.png", np.full((3, 4), 70.0), CAMERA)
+    with pytest.raises(DerenderError, match="choose from .npz"):
+        write_depth(tmp_path / "a.jpg", TRUTH, CAMERA)
+    with pytest.raises(DerenderError):
+        write_depth("/proc/missing/a.npy", TRUTH, CAMERA)
+    assert not list(tmp_path.iterdir())
+
+
+def save(path, array):
+    np.save(path, np.asarray(array), allow_pickle=True)
+
+
+FAULTS = {
+    "missing": (lambda path: None, "No such file"),
+    "a folder": (lambda path: path.mkdir(), "Is a directory"),
+    "empty": (lambda path: path.write_bytes(b""), "the file is empty"),
+    "text": (lambda path: path.write_bytes(b"not a picture"), "not a depth image that derender knows"),
+    "jpeg": (lambda path: Image.new("L", (4, 3)).save(path, "JPEG"), "a JPEG is not a depth image"),
+    "truncated png": (
+        lambda path: path.write_bytes((FILES / "opencv_16bit.png").read_bytes()[:70]),
+        "damaged or cut off",
+    ),
+    "truncated tiff": (lambda path: path.write_bytes((FILES / "opencv_float.tiff").read_bytes()[:40]), "cut off"),
+    "truncated npy": (lambda path: (save(path, TRUTH), path.write_bytes(path.read_bytes()[:-9])), "cut off"),
+    "8-bit": (lambda path: path.write_bytes((FILES / "opencv_8bit.png").read_bytes()), "8 bits a pixel"),
+    "colour": (lambda path: path.write_bytes((FILES / "opencv_colour.png").read_bytes()), "a colour image"),
+    "16-bit colour": (
+        lambda path: path.write_bytes((FILES / "opencv_colour_16bit.png").read_bytes()),
+        "a colour image",
+    ),
+    "double tiff": (lambda path: path.write_bytes((FILES / "tifffile_double.tiff").read_bytes()), "float32 .tiff"),
+    "colour array": (lambda path: save(path, np.zeros((3, 4, 3), np.uint16)), "3 x 4 x 3; this looks like a colour"),
+    "8-bit array": (lambda path: save(path, np.ones((3, 4), np.uint8)), "8 bits a pixel"),
+    "flat array": (lambda path: save(path, np.ones(12)), "height x width"),
+    "no pixels": (lambda path: save(path, np.ones((0, 4))), "0 x 4"),
+    "complex array": (lambda path: save(path, np.ones((3, 4), complex)), "holds complex128"),
+    "text array": (lambda path: save(path, np.full((3, 4), "x")), "holds <U1"),
+    "pickle": (lambda path: save(path, np.array([[{}]], dtype=object)), "holds Python objects"),
+    "all zeros": (lambda path: save(path, np.zeros((3, 4), np.float32)), "no pixel has a depth"),
+    "all NaN": (lambda path: save(path, np.full((3, 4), np.nan)), "no pixel has a depth"),
+    "all inf": (lambda path: save(path, np.full((3, 4), np.inf)), "no pixel has a depth"),
+    "negative": (lambda path: save(path, -np.ones((3, 4))), "12 of 12 depths are negative"),
+    "millimetres": (lambda path: save(path, 700 * np.ones((3, 4))), "--depth-scale"),
+    "wrong size": (lambda path: save(path, np.ones((4, 4))), "the image is 4 x 4 pixels, its camera 4 x 3"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_one_clear_line_that_names_the_file(fault, tmp_path):
+    make, message = FAULTS[fault]
+    path = tmp_path / "image.npy"
+    make(path)
+    with pytest.raises(DerenderError, match=message) as caught:
+        read_depth(path, CAMERA)
+    assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
+
+
+def test_a_saturated_pixel_of_16_bits_is_no_return(tmp_path):
+    units = np.full((12, 16), 800, np.uint16)
+    units[:3] = 65535
+    Image.fromarray(units).save(tmp_path / "saturated.png")
+    depth = read_depth(tmp_path / "saturated.png").depth
+    assert np.isnan(depth[:3]).all() and np.allclose(depth[3:], 0.8)
+
+
+def test_a_depth_scale_that_gives_metres_of_1e5_is_refused():
+    with pytest.raises(DerenderError, match=r"opencv_16bit.png: the median depth is .* set --depth-scale"):
+        read_depth(FILES / "opencv_16bit.png", depth_scale=1e5)
+    with pytest.raises(DerenderError, match="--depth-scale"):
+        read_depth(FILES / "opencv_16bit.png", depth_scale=1e-4)
+
+
+def test_a_header_cannot_ask_for_memory_that_the_file_does_not_fill(tmp_path):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)})
+    (tmp_path / "bomb.npy").write_bytes(stream.getvalue() + bytes(64))
+    with pytest.raises(DerenderError, match="1000000000000 numbers announced"):
+        read_depth(tmp_path / "bomb.npy")
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("depth.npy", stream.getvalue() + bytes(10**7))
+    with pytest.raises(DerenderError, match="numbers announced"):
+        read_depth(tmp_path / "bomb.npz")
+    chunks = (b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0), b"IDAT")
+    packed = (struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks)
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+    with pytest.raises(DerenderError, match="too many pixels"):
+        read_depth(tmp_path / "bomb.png")
+
+
+def whole_files():
+    """Return one good file of each format, as bytes."""
+    files = [path.read_bytes() for path in FILES.glob("*_*.*") if "8bit" not in path.name]
+    stream = io.BytesIO()
+    np.save(stream, TRUTH)
+    from derender.camera.exr import encode_exr
+
+    exr = encode_exr(np.nan_to_num(TRUTH))
+    return [*files, stream.getvalue(), encode_npz(np.nan_to_num(TRUTH), CAMERA, {"seed": 1}), exr]
+
+
+WHOLE = whole_files()
+
+
+def mutate(draw, content):
+    """Return the bytes with a few changes: overwritten, cut out, put in, cut off."""
+    content = bytearray(content)
+    for _ in range(draw(st.integers(1, 5))):
+        at = draw(st.integers(0, len(content)))
+        new = draw(st.binary(max_size=6))
+        content[at : at + draw(st.integers(0, 8))] = new
+    if draw(st.booleans()):
+        del content[draw(st.integers(0, len(content))) :]
+    return bytes(content)
+
+
+@settings(max_examples=1500, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_a_mutated_file_never_gives_a_traceback(data, tmp_path):
+    path = tmp_path / "image"
+    path.write_bytes(mutate(data.draw, data.draw(st.sampled_from(WHOLE))))
+    try:
+        image = read_depth(path)
+    except DerenderError as error:
+        assert str(error).startswith(str(path)) and "\n" not in str(error)
+    else:
+        depth = image.depth[np.isfinite(image.depth)]
+        assert image.depth.shape == image.camera.shape and depth.size and depth.min() > 0

@@ -1,0 +1,288 @@
+"""The cache of compiled functions: never stale, anywhere, for any number of processes."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import derender
+from derender.compilation.cache import PACKAGE, _candidates, _read, njit, source_stamp
+from derender.compilation.compiler import fcntl
+
+PROBE = """
+import sys
+
+from derender.answer import ANSWER  # a constant: numba alone would go on returning the old one
+from derender.compilation.cache import njit
+
+@njit(cache=True, nogil=True)
+def inner(x):
+    return x + ANSWER
+
+@njit(cache=True, nogil=True)
+def kernel(x):
+    return inner(x)
+
+if __name__ == "__main__":
+    print(kernel(1), "numba" not in sys.modules or bool(kernel.dispatcher._cache_hits))
+"""
+
+
+WARM = """
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.cache import njit
+
+class Pair(NamedTuple):
+    values: np.ndarray
+    factor: float
+
+@njit(cache=True, nogil=True)
+def kernel(rng, pair, more=2.0):
+    if pair.factor < 0.0:
+        raise ValueError("a negative factor")
+    return pair.factor * pair.values + more, rng.random(), (len(pair.values), more > 1.0)
+
+def told(*arguments):
+    try:
+        return repr(kernel(np.random.default_rng(1), *arguments)).replace(" ", "")
+    except Exception as fault:
+        return type(fault).__name__ + str(fault).replace(" ", "")
+
+if __name__ == "__main__":
+    values = np.arange(3.0)
+    for given in (Pair(values, 2.0), Pair(values, -1.0), Pair(values[::2], 2.0), Pair(np.float32(values), 2.0)):
+        print(told(given), told(given, 0.5), told(given, 1))
+    print("numba" in sys.modules)
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A small package named derender, with the real cache module and one kernel that uses another file's constant."""
+    folder = tmp_path / "derender"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    shutil.copytree(PACKAGE / "compilation", folder / "compilation", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "answer.py").write_text("ANSWER = 41\n")
+    (folder / "probe.py").write_text(PROBE)
+    return folder
+
+
+def start(package, **environment):
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    return subprocess.Popen(
+        [sys.executable, "-m", "derender.probe"],
+        cwd=package.parent,
+        text=True,
+        env={**clean, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def run(package, **environment):
+    process = start(package, **environment)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return out.split(), err
+
+
+def test_compiles_once_says_so_once_and_notices_a_constant_elsewhere(package):
+    out, err = run(package)
+    assert out == ["42", "False"] and err.count("compiling kernels") == 1
+    out, err = run(package)
+    assert out == ["42", "True"] and err == ""
+    entries = sorted([*package.glob("__pycache__/*.nbc"), *package.glob("__pycache__/*.run")])
+    assert len(entries) == 3  # inner's is for compiling it into others alone
+    (package / "answer.py").write_text("ANSWER = 1\n")
+    assert run(package)[0] == ["2", "False"]
+    assert not any(entry.exists() for entry in entries)  # stale entries are deleted
+
+
+def test_what_was_compiled_is_called_without_numba(package):
+    """Its answers, faults, arrays, tuples, defaults and random numbers are numba's."""
+    (package / "probe.py").write_text(WARM)
+    cold, warm = (run(package)[0] for _ in range(2))
+    assert cold[-1] == "True" and warm[-1] == "False" and cold[:-1] == warm[:-1]
+
+
+def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_path):
+    elsewhere, home = tmp_path / "elsewhere", tmp_path / "home"
+    assert run(package, NUMBA_CACHE_DIR=str(elsewhere))[0] == ["42", "False"]
+    assert list(elsewhere.rglob("*.nbc")) and not list(package.rglob("*.nbc"))
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    (package / "__pycache__").write_text("a file where the folder would be: not even root can write into it")
+    for hit in ("False", "True"):
+        assert run(package, XDG_CACHE_HOME=str(home), LOCALAPPDATA=str(home), HOME=str(home))[0] == ["42", hit]
+    assert list(home.rglob("*.nbc"))
+
+
+def test_where_nothing_can_be_written_it_compiles_each_time(package, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    (package / "__pycache__").write_text("")
+    broken = dict.fromkeys(("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA", "HOME"), str(blocked))
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    if hasattr(os, "getuid"):
+        (temporary / f"derender-{os.getuid()}").symlink_to(tmp_path)  # somebody else's trap: not used
+    for _ in range(2):
+        assert run(package, TMPDIR=str(temporary), **broken)[0] == ["42", "False"]
+
+
+def test_processes_that_start_together_do_not_harm_each_other(package):
+    """One of them compiles, the others wait for it."""
+    processes = [start(package) for _ in range(4)]
+    loaded = []
+    for process in processes:
+        out, err = process.communicate(timeout=240)
+        assert process.returncode == 0 and out.split()[0] == "42", err
+        loaded.append(out.split()[1])
+    assert sorted(loaded) == (["False", "True", "True", "True"] if fcntl else sorted(loaded))
+    assert run(package)[0] == ["42", "True"]
+    assert not list(package.rglob("*.tmp.*")) and not list(package.rglob("*.lock"))
+
+
+def test_what_cannot_be_compiled_is_nobodys_turn_any_more(package):
+    (package / "probe.py").write_text(
+        PROBE.split("if __name__")[0]
+        + """
+import pathlib
+try:
+    kernel(())
+except Exception as error:
+    print(type(error).__name__, list(pathlib.Path(".").rglob("*.lock")))
+"""
+    )
+    assert run(package)[0] == ["TypingError", "[]"]
+
+
+def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
+    (package / "probe.py").write_text(
+        PROBE.replace(
+            "def inner",
+            """def slow(x):
+    return x
+
+
+import os
+from derender.compilation import compiler as kernel_compiler
+
+if os.environ.get("DIE"):
+    kernel_compiler._KernelCache.save_overload = lambda *_: os._exit(9)
+
+
+@njit(cache=True, nogil=True)
+def inner""",
+        )
+    )
+    process = start(package, DIE="1")
+    process.communicate(timeout=120)
+    assert process.returncode == 9
+    assert run(package)[0] == ["42", "False"]
+
+
+def test_what_was_loaded_can_be_compiled_into_another(package):
+    """The bitcode of an entry is parsed only then."""
+    (package / "probe.py").write_text(
+        PROBE.replace(
+            "print(kernel(1)",
+            """import os
+    print((inner if os.environ.get("INNER") else kernel)(1)""",
+        )
+    )
+    assert run(package, INNER="1")[0] == ["42", "False"]
+    assert run(package)[0] == ["42", "False"]  # inner is loaded and linked into kernel, which is compiled
+    assert run(package)[0] == ["42", "True"]
+
+
+def test_stamps_follow_imports():
+    def reached(source):
+        waiting, seen = [source], set()
+        while waiting:
+            file = waiting.pop()
+            if file not in seen:
+                seen.add(file)
+                waiting += _read(file)[1]
+        return {str(file.relative_to(PACKAGE)) for file in seen}
+
+    files = reached(PACKAGE / "posterior" / "compiled" / "steps.py")
+    names = {name.replace(os.sep, "/") for name in files}
+    assert {"render/raycast/lanes.py", "render/raycast/lane_code.py", "scene/solids.py", "posterior/kernels/window.py",
+            "scene/distributions/uniform_rotation.py"} <= names  # fmt: skip
+    assert "posterior/compiled/steps.py" not in reached(PACKAGE / "render" / "raycast" / "engine.py")
+    assert source_stamp(PACKAGE / "scene" / "solids.py") != source_stamp(PACKAGE / "scene" / "pose.py")
+
+
+def test_every_kernel_of_the_package_uses_this_cache():
+    for source in Path(derender.__file__).parent.rglob("*.py"):
+        if source.parts[-2:] != ("compilation", "compiler.py"):
+            assert "from numba import njit" not in source.read_text(), source
+
+
+def test_the_source_folder_comes_before_the_users(tmp_path):
+    folders = list(_candidates(tmp_path / "module.py"))
+    assert tmp_path / "__pycache__" in folders[:2]
+
+
+FACTORY = """
+import sys
+import numpy as np
+from derender.compilation.cache import njit
+
+def make(factor):
+    @njit(cache=True)
+    def scaled(x):  # too long to be compiled into its callers
+        total = 0.0
+{loops}
+        return total
+    return scaled
+
+once, twice = make(1), make(2)
+
+@njit(cache=True)
+def first(x):
+    return once(x) + once(2.0 * x)
+
+@njit(cache=True)
+def second(x):
+    return twice(x) + twice(2.0 * x)
+
+if __name__ == "__main__":
+    print(*(globals()[name](np.ones(2)) for name in sys.argv[1:]))
+"""
+LOOP = """
+        for i in range({k}, x.size, 2):
+            total += factor * np.sqrt(x[i]) + {k} * x[i - 1]"""
+LOOPS = "".join(LOOP.format(k=k) for k in range(40))
+
+
+def test_closures_compiled_by_different_processes_are_told_apart(package):
+    (package / "probe.py").write_text(FACTORY.format(loops=LOOPS))
+
+    def answers(*names):
+        process = subprocess.run([sys.executable, "-m", "derender.probe", *names], cwd=package.parent, text=True,
+                                 capture_output=True, check=True)  # fmt: skip
+        return process.stdout.split()
+
+    alone = answers("first") + answers("second")
+    assert alone[0] != alone[1]
+    assert answers("first", "second") == alone
+
+
+def test_a_closure_that_holds_what_has_no_name_is_refused():
+    held = object()
+
+    def closure():
+        return held
+
+    with pytest.raises(TypeError, match="numbers and words"):
+        njit(closure)

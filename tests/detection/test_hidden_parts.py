@@ -1,0 +1,119 @@
+"""What hides of a solid: a side of a box, a part of a disc, all of it; and the names of solids whose sides hide."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from calibration import make_scene as make_prior_scene
+
+from derender.camera.intrinsics import Camera
+from derender.detection.search.round_proposals import rim_circle
+from derender.detection.solids.image import make_row
+from derender.detection.solids.naming import matched_names
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.render.likelihoods import likelihoods
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX
+from derender.structures.alternatives import all_seen, changes, of_one_solid
+from derender.structures.draws.chart import HELD, make_chart
+from derender.structures.draws.refined import at_mode
+from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.infer import point_estimate
+
+RULES = Rules(0.0015)
+
+
+def floor_pose():
+    """The floor in front of a camera .7 m away that looks down by 40 degrees."""
+    pose = rotation_x(math.pi / 2 + 0.7)
+    pose[2, 3] = 0.7
+    return pose
+
+
+def solid(kind, x, y, size, theta=0.3):
+    return make_row(kind, rotation_z(theta)[:3, :3], np.array([x, y, size[2] / 2]), np.array(size, float))
+
+
+def on_the_floor(*solids):
+    """The State of (row, cube) that stand on the floor."""
+    state = State()
+    for row, cube in solids:
+        state = state.add(row, UPRIGHT, cube, FLOOR, 0.0)
+    return state
+
+
+def weighed(rng, shown, believed):
+    """The Refined of a state, given an image of another."""
+    view = Camera(75.0, 75.0, 39.5, 29.5, 80, 60)
+    chart, start = make_chart(shown, floor_pose(), RULES)
+    likelihood = likelihoods["gaussian"]
+    numbers = likelihood.complete({"sigma": 0.001})
+    sensor = Sensor(view, likelihood.sample(rng, model_depth(chart, start, view), numbers), likelihood, numbers)
+    return at_mode(rng, believed, floor_pose(), sensor, RULES)
+
+
+def test_a_box_with_a_hidden_side_may_be_a_cube():
+    row = solid(BOX, 0.0, 0.0, [0.144, 0.063, 0.064])
+    state = on_the_floor((row, False))
+    best = weighed(np.random.default_rng(6), state, state)
+    sides = [new.rows[0][13] for new in changes(best, 0) if new.cubes[0]]
+    assert min(abs(side - 0.063) for side in sides) < 0.002
+
+
+def test_what_bears_another_is_no_cube_that_leaves_it_in_the_air():
+    """The top of the middle one of three hides behind the uppermost, and as a cube it would end 14 mm below it."""
+    lower, middle = solid(BOX, 0.0, 0.0, [0.09, 0.08, 0.08]), solid(BOX, -0.02, 0.0, [0.05, 0.052, 0.072], 0.4)
+    upper = solid(BOX, -0.03, -0.02, [0.09] * 3, 1.0)
+    middle[12] += 0.08
+    upper[12] += 0.152
+    state = State().add(lower, UPRIGHT, False, FLOOR, 0.0).add(middle, UPRIGHT, False, 0, 0.08)
+    state = state.add(upper, UPRIGHT, True, 1, 0.152)
+    rng = np.random.default_rng(3)
+    hanging = [odds for trial, odds in of_one_solid(rng, weighed(rng, state, state), 1, RULES)
+               if not trial.chart.flags[2, HELD]]  # fmt: skip
+    assert hanging and max(hanging) < -8.0
+
+
+def test_a_cube_keeps_the_name_of_the_box_that_it_was_however_far_that_reached():
+    long, short = solid(BOX, 0.0, 0.0, [0.06, 0.16, 0.06], 0.0), solid(BOX, 0.0, -0.05, [0.06] * 3, 0.0)
+    beside = solid(BOX, 0.065, -0.05, [0.06] * 3, 0.0)
+    before, after = on_the_floor((long, False)), on_the_floor((beside, True), (short, True))
+    assert matched_names(after, before, ["box_1"]) == ["solid_1", "box_1"]
+
+
+def test_what_shows_nowhere_is_weighed_nowhere():
+    """The floor has no end, and so many places out of sight that no image would outweigh them."""
+    near, away = (solid(BOX, 0.0, 0.0, [0.06] * 3), True), (solid(BOX, 3.0, 0.0, [0.06] * 3), True)
+    shown = on_the_floor(near)
+    assert all_seen(weighed(np.random.default_rng(7), shown, shown))
+    assert not all_seen(weighed(np.random.default_rng(7), shown, on_the_floor(near, away)))
+
+
+def test_the_rim_of_a_disc_is_found_where_a_part_is_hidden():
+    step = 0.004
+    x, y = np.meshgrid(*[np.arange(-0.06, 0.06, step)] * 2)
+    disc = np.column_stack([x.ravel(), y.ravel()])
+    disc = disc[np.hypot(*disc.T) < 0.05]
+    for hidden in (-1.0, 0.01, -0.01):
+        left = disc[disc @ [0.8, 0.6] > hidden]
+        ((centre, radius),) = rim_circle(left, step)
+        assert np.linalg.norm(centre) < step and radius == pytest.approx(0.05, abs=step)
+    # a broken twin: the spread of what is left
+    assert np.sqrt(2 * left.var(axis=0).mean()) < 0.05 - 2 * step
+    assert rim_circle(disc[:2], step) == []
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_pieces_on_both_sides_of_what_hides_it_are_one_box(seed):
+    """Of a box 67 pixels show, beside and above another: three small solids explained them, each of them well."""
+    _, image, _, camera = make_prior_scene(9016, "tabletop")
+    state, _ = point_estimate(np.random.default_rng(seed), image, camera)
+    assert len(state) == 3
+    assert sorted(state.parents).count(FLOOR) == 2

@@ -1,0 +1,66 @@
+"""Who bears a solid's weight, against MuJoCo's contact forces and by the lever rule."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from scene_makers import random_size, settle  # noqa: E402
+
+from derender.detection.solids.image import KINDS, make_row  # noqa: E402
+from derender.detection.solids.state import FLOOR  # noqa: E402
+from derender.detection.solids.statics import push_on, shares_of_load, surface_distance  # noqa: E402
+from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
+
+
+def upright(centre, size, kind=BOX):
+    return make_row(kind, np.eye(3), centre, size)
+
+
+def test_what_bears_most_is_what_mujoco_says():
+    rng = np.random.default_rng(3)
+    told = 0
+    for _ in range(10):
+        kinds = [str(rng.choice(["box", "cube"])) for _ in range(14)]
+        sizes = np.array([random_size(rng, kind, 0.06, 0.12) for kind in kinds])
+        settled = settle(rng, kinds, sizes, 0.02, 0.0, 8.0)  # tumbled: some lean on others
+        if settled is None:
+            continue
+        poses, parents = settled
+        rows = np.array([make_row(KINDS[k], p[:3, :3], p[:3, 3], s)
+                         for k, p, s in zip(kinds, poses, sizes, strict=True)])  # fmt: skip
+        for k, parent in enumerate(parents):
+            shares = shares_of_load(rows, k, 0.002)
+            assert max(shares, key=lambda j: shares[j]) == (FLOOR if parent == "floor" else parent)
+            told += parent != "floor"
+    assert told > 2
+
+
+def test_a_beam_on_two_posts_is_shared_by_the_lever_rule():
+    beam = upright([0.0, 0.0, 0.12], [0.4, 0.02, 0.04])
+    posts = [upright([x, 0.0, 0.05], [0.01, 0.02, 0.1]) for x in (-0.05, 0.15)]
+    shares = shares_of_load(np.array([beam, *posts]), 0, 0.003)
+    assert shares[1] == pytest.approx(0.75, abs=0.05) and shares[2] == pytest.approx(0.25, abs=0.05)
+    assert FLOOR not in shares
+
+
+def test_what_would_tip_off_is_borne_by_nobody():
+    rows = np.array([upright([0.09, 0.0, 0.15], [0.1, 0.1, 0.1]), upright([0.0, 0.0, 0.05], [0.1, 0.1, 0.1])])
+    assert shares_of_load(rows, 0, 0.003) == {}
+    rows[0, 10] = 0.03
+    assert shares_of_load(rows, 0, 0.003) == {1: pytest.approx(1.0)}
+
+
+@pytest.mark.parametrize("kind", [BOX, SPHERE, CYLINDER])
+def test_distances_are_to_the_surface(kind):
+    row = upright([0.0, 0.0, 0.0], [0.1, 0.1, 0.1], kind)
+    assert surface_distance(row, np.array([[0.0, 0.0, 0.08], [0.0, 0.045, 0.0]])) == pytest.approx([0.03, -0.005])
+
+
+@pytest.mark.parametrize("kind", [BOX, SPHERE, CYLINDER])
+def test_what_stands_on_a_box_is_pushed_up_by_it(kind):
+    below = upright([0.0, 0.0, 0.05], [0.1, 0.1, 0.1])
+    assert push_on(upright([0.03, 0.02, 0.149], [0.1, 0.1, 0.1], kind), below) == pytest.approx([0, 0, 1.0])

@@ -1,0 +1,312 @@
+"""From depth images to structures: each step on scenes whose answer is known."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from calibration import make_scene as make_prior_scene  # noqa: E402
+from scene_makers import kinect_noise, make_scene, photograph  # noqa: E402
+
+from derender.detection.floor import find_floor  # noqa: E402
+from derender.detection.pyramid import reduce  # noqa: E402
+from derender.detection.search.observation import (  # noqa: E402
+    drawn,
+    neighbour_correlation,
+    observe,
+    patches_of,
+    rounding_of,
+)
+from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration  # noqa: E402
+from derender.detection.solids.misfit import added_misfit, misfit_map  # noqa: E402
+from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk  # noqa: E402
+from derender.detection.solids.state import FLOOR, State  # noqa: E402
+from derender.errors import DerenderError  # noqa: E402
+from derender.evaluation.convex import intersection_volume  # noqa: E402
+from derender.scene.pose import random_rotation, rotation_z  # noqa: E402
+from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
+from derender.structures.infer import infer_structure, point_estimate  # noqa: E402
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+NAMES = {BOX: "box", SPHERE: "sphere", CYLINDER: "cylinder"}
+
+
+def random_row(rng, kind, spread=0.08):
+    size = rng.uniform(0.04, 0.12, 3)
+    if kind != BOX:
+        size[1] = size[0]
+    if kind == SPHERE:
+        size[2] = size[0]
+    return make_row(kind, random_rotation(rng)[:3, :3], rng.uniform(-spread, spread, 3), size)
+
+
+def solid_of(row):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = row[1:10].reshape(3, 3), row[10:13]
+    return {"type": NAMES[int(row[0])], "pose": pose, "size": row[13:16]}
+
+
+@pytest.mark.parametrize("kinds", [(BOX, BOX), (SPHERE, SPHERE), (BOX, SPHERE), (BOX, CYLINDER)])
+def test_penetration_is_positive_exactly_where_solids_share_volume(rng, kinds):
+    for _ in range(60):
+        first, second = random_row(rng, kinds[0]), random_row(rng, kinds[1])
+        depth, volume = penetration(first, second), intersection_volume(solid_of(first), solid_of(second))
+        if depth <= 0:
+            assert volume < 1e-9
+        elif depth > 0.003:  # an edge against a rounded side may be taken for up to a millimetre of overlap
+            assert volume > 0
+
+
+def test_penetration_is_how_far_two_boxes_must_move_apart(rng):
+    for _ in range(30):
+        first = random_row(rng, BOX)
+        second = first.copy()
+        axis = int(rng.integers(3))
+        overlap = rng.uniform(0.001, 0.03)
+        second[10:13] += first[1:10].reshape(3, 3)[:, axis] * (first[13 + axis] - overlap)
+        assert penetration(first, second) == pytest.approx(overlap, abs=1e-9)
+
+
+def test_a_gap_is_never_more_than_the_distance_and_across_faces_all_of_it(rng):
+    """Also where another axis parts the solids first: what stands on nothing is told by how far it is from anything."""
+    low = make_row(BOX, np.eye(3), [0.0, 0.0, 0.05], [0.08, 0.09, 0.1])
+    high = make_row(BOX, rotation_z(0.7)[:3, :3], [-0.05, 0.02, 0.156], [0.07, 0.07, 0.07])
+    assert gap_between(high, low) == pytest.approx(0.156 - 0.035 - 0.1, abs=1e-9)
+    for _ in range(20):
+        first, second = random_row(rng, BOX), random_row(rng, BOX)
+        apart = gap_between(first, second)
+        if apart > 0.0:
+            points = [row[10:13] + (rng.uniform(-0.5, 0.5, (400, 3)) * row[13:16]) @ row[1:10].reshape(3, 3).T
+                      for row in (first, second)]  # fmt: skip
+            assert apart <= np.linalg.norm(points[0][:, None] - points[1], axis=-1).min() + 1e-9
+        else:
+            assert apart == pytest.approx(-penetration(first, second))
+
+
+def test_lowest_and_highest_are_those_of_the_corners(rng):
+    from derender.detection.search.moves import corners_of
+
+    for _ in range(20):
+        row = random_row(rng, BOX)
+        heights = corners_of(row)[:, 2]
+        assert lowest(row) == pytest.approx(heights.min(), abs=1e-12)
+        assert highest(row) == pytest.approx(heights.max(), abs=1e-12)
+
+
+def view_of(rng, rows):
+    """Return an Image of solids over the floor at 64 x 48, noise 1 mm."""
+    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+    floor = np.array([[1, 0, 0, 0], [0, -0.6, -0.8, 0.15], [0, 0.8, -0.6, 0.6], [0, 0, 0, 1.0]])
+    image = make_image(np.zeros((48, 64)), 1.0, camera, floor)
+    depth, label = np.empty((48, 64)), np.empty((48, 64), np.int32)
+    draw(image, rows, -1, depth, label)
+    depth = np.where(depth < FAR, depth, np.nan)
+    return make_image(depth + 0.001 * rng.normal(size=depth.shape), 0.001, camera, floor), depth, label, floor, camera
+
+
+def test_drawing_agrees_with_the_ray_caster(rng):
+    from derender.camera.intrinsics import Camera
+    from derender.render.raycast.depth import render_depth
+    from derender.scene.solids import PLANE, Solids
+
+    rows = np.array([random_row(rng, kind) for kind in (BOX, SPHERE, CYLINDER)])
+    _, depth, _, floor, camera = view_of(rng, rows)
+    poses = np.array([floor] + [floor @ solid_of(row)["pose"] for row in rows])
+    solids = Solids(np.array([PLANE, BOX, SPHERE, CYLINDER], np.int32), poses,
+                    np.vstack([np.zeros(3), rows[:, 13:16]]), np.full(4, -1, np.int32))  # fmt: skip
+    other, _ = render_depth(solids, Camera(**camera))
+    assert np.nanmax(np.abs(depth - other)) < 1e-9
+    assert (np.isnan(depth) == np.isnan(other)).all()
+
+
+def test_adding_a_solid_changes_the_misfit_as_drawing_it_does(rng):
+    rows = np.array([random_row(rng, kind) for kind in (BOX, SPHERE, CYLINDER, BOX)])
+    image = view_of(rng, rows)[0]
+    for k in range(4):
+        maps = []
+        for shown in (np.delete(rows, k, axis=0), rows):
+            depth, label, misfit = np.empty((48, 64)), np.empty((48, 64), np.int32), np.empty((48, 64))
+            draw(image, shown, -1, depth, label)
+            maps.append((misfit_map(image, depth, misfit), depth, misfit))
+        (without, depth, misfit), (with_it, _, _) = maps
+        assert added_misfit(image, rows[k], depth, misfit) == pytest.approx(with_it - without, abs=1e-6)
+
+
+def test_floor_is_found_to_a_tenth_of_a_degree(rng):
+    for name in ("settled", "noisy", "tower"):
+        scene = make_scene(rng, name)
+        floor = find_floor(rng, scene["depth"], scene["camera"])
+        assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
+        offset = (scene["floor"][:3, 3] - floor.pose[:3, 3]) @ floor.pose[:3, 2]
+        assert abs(offset) < 0.002
+        assert np.linalg.det(floor.pose[:3, :3]) == pytest.approx(1)
+
+
+def test_an_image_without_a_plane_or_without_pixels_is_a_fault(rng):
+    camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
+    with pytest.raises(DerenderError, match="plane"):
+        find_floor(rng, rng.uniform(0.5, 5.0, (48, 64)), camera)
+    with pytest.raises(DerenderError, match="pixels"):
+        find_floor(rng, np.full((48, 64), np.nan), camera)
+    with pytest.raises(DerenderError, match="on one line"):
+        find_floor(rng, np.full((1, 64), 0.9), camera)
+
+
+def test_reduced_images_show_the_same_points(rng):
+    scene = make_scene(rng, "cubes")
+    depth, camera, factor = reduce(scene["clean"], scene["camera"], 80)
+    assert factor == 2 and depth.shape == (60, 80)
+    # a plane's inverse depth is affine in the pixel: reduction keeps it
+    floor = find_floor(rng, depth, camera)
+    assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5], ids=["independent", "shared"])
+def test_how_much_neighbours_share_their_noise_is_told_from_straight_above_too(rng, share):
+    """A camera that looks straight down sees one distance everywhere: its noise must not choose the near half."""
+    camera = {"fx": 90.0, "fy": 90.0, "cx": 79.5, "cy": 59.5}
+    white = rng.normal(0.0, 0.002, (120, 161))
+    depth = 1.5 + (1 - share) * white[:, 1:] + share * white[:, :-1]
+    expected = share * (1 - share) / (share**2 + (1 - share) ** 2)
+    found = neighbour_correlation(depth, find_floor(rng, depth, camera), camera)
+    # of some 10,000 pairs: 0.01 is one standard error, and as much again for the plane that is fitted to them
+    assert found == pytest.approx(expected, abs=0.05)
+
+
+def test_a_rendering_is_told_from_what_a_sensor_saw(rng):
+    """By its floor, which is where it should be to within rounding; the best sensors here are off by .4 mm."""
+    scene = make_scene(rng, "cubes")
+    clean, camera = scene["clean"], scene["camera"]
+    bent = 4e-4 * np.sin(np.arange(clean.shape[1]) / 9.0)
+    for depth, expected in (
+        (clean, True), (np.round(clean, 3), True), (np.float32(clean).astype(float), True),
+        (clean + 4e-4 * rng.normal(size=clean.shape), False), (np.round(clean + 2 * bent, 3), False),
+        (clean + bent, False),
+    ):  # fmt: skip
+        floor = find_floor(rng, depth, camera)
+        assert drawn(depth, floor, camera, rounding_of(depth)) is expected
+
+
+def upright(yaw, centre, size, kind=BOX):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return make_row(kind, [[c, -s, 0], [s, c, 0], [0, 0, 1]], centre, size)
+
+
+def test_a_box_seen_on_its_corner_has_three_orthogonal_patches(rng):
+    poses = np.eye(4)[None].copy()
+    poses[0, 2, 3] = 0.05
+    for _ in range(20):
+        scene = photograph(rng, ["box"], np.array([[0.1, 0.12, 0.1]]), poses, ["floor"], distance=(0.5, 0.6))
+        towards = np.linalg.inv(scene["floor"])[:2, 3]
+        if np.abs(towards).min() > 0.4 * np.abs(towards).max():
+            break
+    seen = observe(rng, scene["depth"], scene["camera"])
+    patches = patches_of(seen)
+    large = patches.normal[patches.pixels > 60]
+    assert len(large) == 3
+    # plane fits of over 60 pixels with 1 mm noise are good to about half a degree
+    assert np.abs(large @ large.T - np.eye(3)).max() < np.sin(np.radians(3))
+
+
+def test_walks_without_an_image_follow_the_prior_of_sizes(rng):
+    """Broken twin: steps in the size alone, unweighted, would leave the log-normal prior's mean by far."""
+    image = view_of(rng, np.empty((0, 16)))[0]
+    image.weight[:] = 0.0
+    depth, misfit = image.floor, np.zeros_like(image.floor)
+    row, scale = upright(0.3, [0, 0, 0.5], [0.09, 0.09, 0.09]), np.full(MOVES, 0.05)
+    values = []
+    nothing, others = np.empty(0), np.empty((0, 16))
+    for _ in range(3000):
+        row = walk(rng, image, row, FREE, False, others, -1, depth, misfit, np.nan, nothing, 0.0015, 0.0, scale, 60,
+                   1.0, False)  # fmt: skip
+        row[10:13] = [0, 0, 0.5]  # without this the place would wander off for ever: its prior is flat
+        values.append(np.log(row[13:16] / 0.09))
+    values = np.array(values)
+    # `size_energy` is 0.5 (log(s / 0.09) / 0.6)^2 as a density over s: its logarithm has mean 0.36 and deviation 0.6
+    doubled = upright(0, [0, 0, 0.5], [0.09, 0.09, 0.18])
+    assert size_energy(doubled, False) == pytest.approx(0.5 * (np.log(2) / 0.6) ** 2)
+    error = values.std(axis=0) / np.sqrt(len(values) / 10)  # one walk of 60 steps is worth at least a tenth of a draw
+    assert np.abs(values.mean(axis=0) - 0.36).max() < 4 * error.max()
+    assert np.abs(values.std(axis=0) - 0.6).max() < 0.08
+
+
+def test_removing_a_solid_leaves_what_stood_on_it_on_what_it_stood_on():
+    state = State()
+    for k in range(3):
+        state = state.add(upright(0, [0, 0, 0.05 + 0.1 * k], [0.1] * 3), UPRIGHT, True, FLOOR if k == 0 else k - 1)
+    assert state.without(1).parents == [FLOOR, 0]
+    assert state.without(0).parents == [FLOOR, 0]
+    assert state.without(2).parents == [FLOOR, 0]
+
+
+def test_three_stacked_cubes_are_found_with_their_graph(rng):
+    scene = make_scene(rng, "cubes")
+    graph = infer_structure(scene["depth"], scene["camera"], {"method": "map"}, rng).best_graph()
+    graph.check()
+    assert len(graph.names) == 4
+    chain, name = [], "floor"
+    while graph.children(name):
+        (name,) = graph.children(name)
+        chain.append(name)
+    assert len(chain) == 3
+    for name in chain:
+        assert np.abs(graph.body(name).size() - 0.1).max() < 0.005
+        assert graph.vertex(name).contact.type == "face-to-face"
+    assert graph.degrees_of_freedom() == 6 + 3 * 3
+
+
+def test_the_same_seed_gives_the_same_answer():
+    scene = make_scene(np.random.default_rng(5), "settled")
+    first, _ = point_estimate(np.random.default_rng(1), scene["depth"], scene["camera"])
+    second, _ = point_estimate(np.random.default_rng(1), scene["depth"], scene["camera"])
+    assert np.array_equal(first.rows, second.rows)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder"])
+def test_round_solids_are_told_from_boxes(rng, kind):
+    size = np.array([0.08, 0.08, 0.08 if kind == "sphere" else 0.12])
+    poses = np.eye(4)[None].copy()
+    poses[0, 2, 3] = size[2] / 2
+    scene = photograph(rng, [kind], size[None], poses, ["floor"])
+    graph = infer_structure(scene["depth"], scene["camera"], {"method": "map"}, rng).best_graph()
+    (name,) = graph.children("floor")
+    assert graph.vertex(name).shape == kind
+    assert np.abs(graph.body(name).size() - size).max() < 0.004
+
+
+def test_an_empty_floor_has_no_solids(rng):
+    scene = photograph(rng, ["box"], np.full((1, 3), 0.1), np.eye(4)[None], ["floor"])
+    depth, _ = render_floor_scene([], np.empty((0, 4, 4)), np.empty((0, 3)), scene["floor"], scene["camera"])
+    noisy = kinect_noise(rng, depth, np.full(depth.shape, -1))
+    state, _ = point_estimate(rng, noisy, scene["camera"])
+    assert len(state) == 0
+
+
+@pytest.mark.parametrize("seed", [1103, 1141])
+def test_blurred_silhouettes_are_not_filled_with_thin_solids(seed):
+    """1103 has too few steps to tell its blur before it is explained; 1141 is seen before the horizon."""
+    graph, image, _, camera = make_prior_scene(seed, "tabletop")
+    state, seen = point_estimate(np.random.default_rng(seed), image, camera)
+    assert len(state) == len(graph.names) - 1
+    assert seen.image.taps.size == 2  # the blur was half a pixel
+
+
+def test_what_a_floor_is_uneven_by_is_no_solid(rng):
+    """A slab of 6 mm and half a metre on a floor, as real tables are off their plane."""
+    camera = {"fx": 140.0, "fy": 140.0, "cx": 79.5, "cy": 59.5, "width": 160, "height": 120}
+    floor = np.array([[1, 0, 0, 0], [0, -0.6, -0.8, 0.15], [0, 0.8, -0.6, 0.9], [0, 0, 0, 1.0]])
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[0, :3, 3], poses[1, :3, 3] = [0.0, 0.25, 0.003], [0.0, -0.1, 0.05]
+    sizes = np.array([[0.5, 0.3, 0.006], [0.1, 0.08, 0.1]])
+    depth, _ = render_floor_scene(["box", "box"], floor @ poses, sizes, floor, camera)
+    state, _ = point_estimate(rng, depth + 0.001 * rng.normal(size=depth.shape), camera)
+    assert len(state) == 1 and state.rows[0, 13:16] == pytest.approx(sizes[1], abs=0.004)

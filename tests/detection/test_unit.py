@@ -1,0 +1,66 @@
+"""Scenes much larger or smaller than a table are searched in a unit of their own."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+from scene_makers import SETS, make_scene, photograph  # noqa: E402
+
+from derender.detection.solids.image import render_floor_scene  # noqa: E402
+from derender.detection.unit import FARTHEST, NEAREST, part_in_metres, unit_of  # noqa: E402
+from derender.scene.pose import rotation_z, translation  # noqa: E402
+from derender.structures.infer import draw_graph, infer_structure  # noqa: E402
+
+
+def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
+    for distance in (NEAREST, 0.7, FARTHEST):
+        assert unit_of(np.full((4, 5), distance)) == 1.0
+    assert unit_of(np.full((4, 5), 10 * FARTHEST)) == pytest.approx(10.0)
+    assert unit_of(np.full((4, 5), 0.1 * NEAREST)) == pytest.approx(0.1)
+    assert unit_of(np.full((4, 5), np.nan)) == 1.0
+    table_in_a_hall = np.where(np.arange(100) < 40, 0.8, 9.0)[None]
+    assert unit_of(table_in_a_hall) == 1.0
+
+
+def test_every_length_of_a_posterior_is_converted():
+    """With balls, cans and boxes that lie, lean and stand: each draw is the same scene, larger."""
+    scene = make_scene(np.random.default_rng([70000, SETS.index("mixed")]), "mixed")
+    found = infer_structure(scene["depth"], scene["camera"], {"draws": 4}, np.random.default_rng(1))
+    part = found.best_part
+    large = part_in_metres(part, 3.0)
+    for draw in range(2):
+        one, other = part.graph_at(0, draw), large.graph_at(0, draw)
+        assert other.names == one.names
+        assert other.solids().size == pytest.approx(3.0 * one.solids().size, abs=1e-9)
+        for name, pose in one.poses().items():
+            assert other.poses()[name][:3, 3] == pytest.approx(3.0 * pose[:3, 3], abs=1e-9)
+            assert other.poses()[name][:3, :3] == pytest.approx(pose[:3, :3], abs=1e-9)
+    numbers, threefold = part.extras["likelihood"], large.extras["likelihood"]
+    assert threefold["sigma"] == pytest.approx(3.0 * numbers["sigma"]) and threefold["blur"] == numbers["blur"]
+
+
+@pytest.mark.parametrize("times", [0.1, 12.0])
+def test_a_scene_many_times_as_large_or_small_is_found(times):
+    """Of millimetres, or of rooms whose floor is seen far beyond ten metres."""
+    sizes = np.array([[0.1, 0.08, 0.06], [0.07, 0.05, 0.12]])
+    poses = np.stack([translation(-0.08, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])
+    scene = photograph(np.random.default_rng(3), ["box"] * 2, sizes, poses, ["floor"] * 2)
+    sizes, floor = sizes * times, scene["floor"].copy()
+    poses = np.array([item["pose"] for item in scene["objects"]])
+    poses[:, :3, 3] *= times
+    floor[:3, 3] *= times
+    depth, _ = render_floor_scene(["box"] * 2, poses, sizes, floor, scene["camera"])
+    noise = 0.001 * times
+    depth = depth + noise * np.random.default_rng(0).normal(size=depth.shape)
+    found = infer_structure(depth, scene["camera"], {"draws": 10}, np.random.default_rng(0))
+    graph = found.best_graph()
+    solids = graph.solids()
+    said, true = (each[np.argsort(each.prod(axis=1))] for each in (solids.size[1:], sizes))
+    assert np.sort(said, axis=1) == pytest.approx(np.sort(true, axis=1), rel=0.05)
+    drawn, label, _ = draw_graph(graph, depth.shape, scene["camera"])
+    assert np.median(np.abs(depth - drawn)[label >= 0]) < noise
+    assert found.meta["likelihood"]["sigma"] == pytest.approx(noise, rel=0.25)

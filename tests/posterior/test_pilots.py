@@ -1,0 +1,135 @@
+"""What pilots find together before any draw is kept."""
+
+import numpy as np
+import pytest
+from small_scenes import SceneWorld
+from toy_worlds import World
+
+from derender import data_path
+from derender.posterior import pilots
+from derender.posterior.kernels import mixture
+from derender.posterior.kernels.base import Tuning
+from derender.posterior.kernels.place_mixture import fitted
+from derender.posterior.sampler import MixtureSampler, ReadableBackend
+from derender.posterior.settings import Settings
+from derender.posterior.space import Block, Unknown
+from derender.posterior.target import default_parts
+from derender.scene.distributions import distributions
+
+
+class Narrow(World):
+    noise = 0.003
+
+
+def two_modes():
+    """A place seen through its square alone: two modes, a hundredth of the prior wide and far apart."""
+    unknowns = [Unknown("a.contact.x", distributions["uniform"](-1.0, 1.0))]
+    return Narrow(unknowns, [Block("a.contact", (0,))], lambda values: values**2)
+
+
+def test_pilots_find_every_mode():
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"window": {}}]), thin=3)
+    prepared = sampler.prepared(2, chains=3, jobs=2)
+    places = prepared.places[:, 0]
+    assert np.all(np.abs(np.abs(places) - 0.6) < 0.03)
+    assert 0.1 < np.mean(places > 0) < 0.9
+    again = sampler.prepared(2, chains=3, jobs=1)
+    np.testing.assert_array_equal(prepared.places, again.places)
+
+
+def tower(seed):
+    """Return a tower of Figure 4 that `scripts/calibrate.py` draws: values, and the target of its image."""
+    world = SceneWorld(data_path("priors/figure-4.yaml").read_text())
+    rng = np.random.default_rng([17, seed])
+    truth = world.space.sample(rng)
+    return truth, world.target(rng, truth)
+
+
+def test_scouts_turn_an_object_back():
+    """Two cubes half a period off, one after the other; twelve numbers cost six nats, give or take two and a half."""
+    truth, target = tower(9)
+    wrong, parts = truth, mixture(target.space, [{"drift": {}}, {"slide": {}}])
+    for name in ("green", "yellow"):
+        wrong = target.put(wrong, {name: target.placement(wrong, name) + [np.pi / 4, 0.0, 0.0]})[0]
+    singles = {
+        name: target.backend([part for part in parts if part.block.objects == (name,)])
+        for name in ("blue", "green", "red", "yellow")
+    }
+    density = np.array(singles["red"].evaluate(wrong))
+    places, densities = pilots.scouted(np.random.default_rng(0), target.space, singles, wrong, density)
+    right = sum(singles["red"].evaluate(truth))
+    assert density.sum() < right - 100.0
+    assert densities.sum(axis=1).max() > right - 8.0
+    np.testing.assert_allclose(singles["red"].evaluate(places[0]), densities[0])
+
+
+@pytest.mark.parametrize("seed", [9, 90])
+def test_pilots_find_the_tower_in_the_image(seed):
+    """Cubes that hide half of each other: one at a wrong angle costs thousands of nats and is hard to turn back."""
+    truth, target = tower(seed)
+    sampler = MixtureSampler(target, mixture(target.space, default_parts()), population=Settings().population)
+    prepared = sampler.prepared(seed, chains=4, jobs=2)
+    backend = sampler.backend()
+    best = max(sum(backend.evaluate(place)) for place in prepared.places[::20])
+    assert best > sum(backend.evaluate(truth)) - 8.0
+
+
+def test_pilots_climb_until_the_density_has_settled(monkeypatch):
+    """Stages go on while the mean log density rises, and end at the most of them."""
+    counted = []
+    genuine = pilots.climb
+
+    def rising(*arguments):
+        counted.append(1)
+        return genuine(*arguments)._replace(density=10.0 * len(counted))
+
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
+    monkeypatch.setattr(pilots, "climb", rising)
+    sampler.prepared(2, chains=1, jobs=1)
+    assert len(counted) == pilots.MOST_STAGES
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_place_mixture_is_a_density_around_the_seam(size):
+    """Drawn as the kernel draws, E[f / q] over a box is its volume: the same constant for any box, also at the seam."""
+    rng = np.random.default_rng(3)
+    period = np.pi / 2
+    centres = np.concatenate([rng.normal(0.0, 0.05, (40, size)), rng.normal(0.3, 0.02, (40, size))])
+    centres[:, 0] %= period
+    mixture_of_places = fitted(centres, (period, *[0.0] * (size - 1)))
+    drawn = []
+    for _ in range(20_000):
+        k = int(rng.integers(len(centres)))
+        step = mixture_of_places.factors[k] @ rng.standard_normal(size) * np.sqrt(5 / rng.chisquare(5))
+        if abs(step[0]) <= period / 2:
+            drawn.append(centres[k] + step)
+    drawn = np.array(drawn)
+    drawn[:, 0] %= period
+    weights = np.array([1 / mixture_of_places.density(place) for place in drawn])
+    estimates = []
+    for low in (-0.02, 0.28):
+        turned = (drawn[:, 0] - low) % period < 0.04
+        inside = turned & np.all((drawn[:, 1:] > low) & (drawn[:, 1:] < low + 0.04), axis=1)
+        values = np.where(inside, weights, 0.0)
+        estimates.append((values.mean(), values.std() / np.sqrt(len(values))))
+    (first, error), (second, other) = estimates
+    assert abs(first - second) < 4.5 * np.hypot(error, other)
+    assert error < 0.1 * first and other < 0.1 * second
+
+
+@pytest.mark.parametrize("better", [0, 1])
+def test_neighbours_exchange_places_by_the_metropolis_rule(better):
+    """The colder rung takes the better place, whoever has it; here nothing else moves and the rule leaves no doubt."""
+    world = two_modes()
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    parts = mixture(world.space, [{"drift": {"scale": 1e-12}}])
+    cold = Tuning(np.zeros(1), np.eye(1), {})
+    start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
+    backend = ReadableBackend(target, parts)
+    last = pilots.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
+                        pilots.STRETCH, 1).last  # fmt: skip
+    np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)

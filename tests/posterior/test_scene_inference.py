@@ -1,0 +1,197 @@
+"""Inference with a given structure, as a whole."""
+
+import numpy as np
+import pytest
+from invariance import bound
+from small_scenes import LOOKED_AT, OPENING, TOWER, SceneWorld, read
+
+from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
+from derender.posterior.forward import observe
+from derender.posterior.kernels import mixture
+from derender.posterior.settings import Settings, read_settings
+from derender.sampling import diagnostics
+from derender.structures.given import infer_scene, targets
+
+TWO_NUMBERS = (
+    OPENING
+    + """
+  box:
+    shape: {type: box, length: 0.2, width: 0.12, height: 0.1}
+    parent: floor
+    contact: {type: face-to-face, theta: {uniform: [0, 180 deg]}, x: {normal: [0, 0.05]}, y: 0.0}
+likelihood: {type: gaussian, sigma: 0.4, blur: 0.7, background: 1.5}
+"""
+)
+FEW = Settings(draws=300, warmup=100, chains=2)
+
+
+def image_of(text, seed=4):
+    world = SceneWorld(text)
+    rng = np.random.default_rng(seed)
+    truth = world.space.sample(rng)
+    return world, truth, world.target(rng, truth).images.observed
+
+
+@pytest.mark.parametrize("method", ["mcmc", "smc"])
+def test_posterior_of_two_numbers_by_quadrature(method):
+    """Means, spreads and correlation against a sum over a 160 x 160 grid; errors judged by their own MCSE."""
+    world, _, image = image_of(TWO_NUMBERS)
+    target = world._target(image)
+    thetas = (np.arange(160) + 0.5) * np.pi / 160
+    places = np.linspace(-0.2, 0.2, 160)
+    logs = np.empty((160, 160))
+    backend = target.backend(mixture(world.space, [{"resimulate": {}}]))
+    for i, theta in enumerate(thetas):
+        for j, x in enumerate(places):
+            logs[i, j] = sum(backend.evaluate(np.array([theta, x])))
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    theta, x = np.meshgrid(thetas, places, indexing="ij")
+    result = infer_scene(world.document, image, world.document.camera, Settings(draws=1500), method, seed=5)
+    values = result.posterior.parts[0].values
+    tests = {
+        "cos": (np.cos(2 * theta), np.cos(2 * values[..., 0])),
+        "sin": (np.sin(2 * theta), np.sin(2 * values[..., 0])),
+        "x": (x, values[..., 1]),
+        "x2": (x**2, values[..., 1] ** 2),
+        "x cos": (x * np.cos(2 * theta), values[..., 1] * np.cos(2 * values[..., 0])),
+    }
+    for name, (exact, drawn) in tests.items():
+        expected = float(np.sum(weight * exact))
+        if method == "smc":  # particles of one population share ancestors: judged between the populations
+            error = np.std(drawn.mean(axis=1), ddof=1) / np.sqrt(len(drawn))
+            assert abs(drawn.mean() - expected) < 13 * error, name  # Student's t with 3 degrees of freedom
+        else:
+            assert abs(drawn.mean() - expected) < bound(len(tests)) * diagnostics.mean_mcse(drawn), name
+
+
+def test_a_wrong_posterior_is_seen():
+    """The quadrature test's twin: chains on another image disagree with this one's grid by many standard errors."""
+    world, _, image = image_of(TWO_NUMBERS)
+    _, _, other = image_of(TWO_NUMBERS, seed=11)
+    means = [
+        infer_scene(world.document, picture, world.document.camera, Settings(draws=500), seed=5)
+        .posterior.parts[0]
+        .values[..., 1]
+        for picture in (image, other)
+    ]
+    error = np.hypot(*(diagnostics.mean_mcse(values) for values in means))
+    assert abs(means[0].mean() - means[1].mean()) > bound(5) * error
+
+
+@pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
+def test_same_bytes_for_any_jobs(text):
+    world, _, image = image_of(text)
+    one, two = (infer_scene(world.document, image, world.document.camera, FEW, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(one.posterior.parts[0].values, two.posterior.parts[0].values)
+    np.testing.assert_array_equal(one.posterior.parts[0].log_likelihood, two.posterior.parts[0].log_likelihood)
+
+
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
+    from derender.sampling import chains
+
+    world, _, image = image_of(TOWER)
+    whole = infer_scene(world.document, image, world.document.camera, FEW)
+    calls = iter(range(10_000))
+    genuine = chains.run_chain
+    monkeypatch.setattr(
+        "derender.sampling.workers.run_chain",
+        lambda plan, number, stop, progress: genuine(plan, number, lambda: next(calls) >= 3, progress),
+    )
+    infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path)
+    monkeypatch.undo()
+    again = infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path, resume=True)
+    np.testing.assert_array_equal(again.posterior.parts[0].values, whole.posterior.parts[0].values)
+
+
+def test_map_is_one_scene_no_worse_than_the_truth():
+    world, truth, image = image_of(TOWER)
+    result = infer_scene(world.document, image, world.document.camera, FEW, "map")
+    part = result.posterior.parts[0]
+    assert part.values.shape[:2] == (1, 1)
+    target = world._target(image)
+    assert part.log_density[0, 0] > target.log_prior(truth) + target.log_likelihood(truth)
+
+
+def test_open_faces_become_weighted_structures():
+    """A box that lies on one of two faces with unlike heights: the image says which."""
+    faces = "child_face: {categorical: {-z: 1, -x: 1}}, "
+    text = TWO_NUMBERS.replace("type: face-to-face, ", f"type: face-to-face, {faces}")
+    text = text.replace("sigma: 0.4", "sigma: 0.05")
+    document = read(text)
+    world = SceneWorld(text)
+    rng = np.random.default_rng(2)
+    truth = world.space.sample(rng)
+    image = world.target(rng, truth).images.observed
+    result = infer_scene(document, image, document.camera, FEW)
+    best = result.posterior.best_part
+    assert best.weight > 0.95
+    assert best.graph.structure() == world.template.structure()
+
+
+def boxes_on_any_face(count: int) -> str:
+    faces = "{categorical: {-z: 1, -x: 1, +x: 1, -y: 1, +y: 1, +z: 1}}"
+    return "".join(
+        f"""
+  box_{k}:
+    shape: {{type: box, length: 0.1, width: 0.08, height: 0.06}}
+    parent: floor
+    contact: {{type: face-to-face, child_face: {faces}, theta: {{uniform: [0, 180 deg]}}, x: {0.2 * k}, y: 0}}"""
+        for k in range(count)
+    )
+
+
+def test_no_structure_is_overlooked():
+    """Three boxes on any of six faces: 216 ways, eight of each say the same, and the 27 are equally likely."""
+    head = "derender: 1\nroot: {distance: 1, elevation: 40 deg}\n"
+    head += "objects:\n  floor: {shape: plane, contact: {type: 6dof}}"
+    image, camera = np.ones((18, 24)), Camera.from_field_of_view(24, 18)
+    found = targets(read(head + boxes_on_any_face(3) + "\n"), image, camera, 0)
+    assert len(found) == 27
+    np.testing.assert_allclose([density for _, density in found], np.log(1 / 27), atol=1e-9)
+    with pytest.raises(DerenderError, match="more than 64 combinations of parents and faces open"):
+        targets(read(head + boxes_on_any_face(4) + "\n"), image, camera, 0)
+
+
+def test_settings_are_data():
+    text = TOWER + "inference: {kernels: [{resimulate: {weight: 1}}, drift], order: cycle, thin: 3, draws: 7}\n"
+    settings = read_settings(read(text).inference)
+    assert settings.kernels == [{"resimulate": {"weight": 1}}, {"drift": None}]
+    assert settings.cycle and settings.thin == 3 and settings.draws == 7
+    assert read_settings(None) == Settings()
+
+
+@pytest.mark.parametrize(
+    "section, what",
+    [
+        ("{kernel: []}", "kernels"),
+        ("{order: circle}", "choose mixture or cycle"),
+        ("{thin: 0}", "thin"),
+        ("{kernels: [3]}", "not a name with options"),
+    ],
+)
+def test_faults_in_settings_are_told(section, what):
+    with pytest.raises(DerenderError, match=what):
+        read_settings(read(TOWER + f"inference: {section}\n").inference)
+
+
+def test_noise_that_fewer_pixels_would_hide_is_not_looked_for():
+    """Where an image counts as fewer pixels, noise and lost pixels come out too few: that is told, not answered."""
+    document = read(TWO_NUMBERS.replace("sigma: 0.4", "sigma: {log-uniform: [0.1, 1]}, effective_pixels: 100"))
+    with pytest.raises(DerenderError, match="likelihood.sigma: .*effective_pixels.*give it as a number"):
+        infer_scene(document, np.ones(document.camera.shape), document.camera, FEW)
+
+
+def test_an_image_of_so_many_pixels_has_the_noise_that_is_said():
+    """What it is worth is no property of its pixels: 5 mm of noise are not 50 in an image that counts as 100."""
+    document = read(TWO_NUMBERS.replace("sigma: 0.4", "sigma: 0.005, effective_pixels: 10"))
+    clean = np.full((64, 64), 1.0)
+    noisy = observe(np.random.default_rng(0), clean, document.likelihood)  # blurred, which an even image does not show
+    assert np.std(noisy - clean) == pytest.approx(0.005, rel=4 / np.sqrt(2 * clean.size))
+
+
+def test_nothing_unknown_is_told():
+    document = read(TWO_NUMBERS.replace("{uniform: [0, 180 deg]}", "0.3").replace("{normal: [0, 0.05]}", "0.0"))
+    with pytest.raises(DerenderError, match="nothing is unknown"):
+        infer_scene(document, np.ones((18, 24)), document.camera)

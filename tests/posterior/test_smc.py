@@ -1,0 +1,39 @@
+"""Tempered populations: the evidence that they estimate is the integral."""
+
+import math
+
+import numpy as np
+import pytest
+from toy_worlds import World
+
+from derender.posterior import smc
+from derender.posterior.kernels import mixture
+from derender.posterior.sampler import ReadableBackend
+from derender.posterior.smc import tempered
+from derender.posterior.space import Block, Unknown
+from derender.scene.distributions import distributions
+
+
+class Narrow(World):
+    noise = 0.02
+
+
+@pytest.mark.parametrize("broken, share", [(False, 0.5), (False, 0.25), (True, 0.5)])
+def test_evidence_is_the_integral(broken, share, monkeypatch):
+    """A place in [-1, 1] seen through its square: the mean of estimates is it; a twin resamples wrongly."""
+    world = Narrow([Unknown("a.contact.x", distributions["uniform"](-1.0, 1.0))], [Block("a.contact", (0,))],
+                   lambda values: values**2)  # fmt: skip
+    target = world.target(np.random.default_rng(1), np.array([0.6]))
+    parts = mixture(world.space, [{"drift": {}}])
+    x = np.linspace(-1.0, 1.0, 20_001)
+    exact = math.log(np.mean(np.exp([target.log_likelihood(np.array([value])) for value in x])))
+    if broken:
+        genuine = smc.systematic
+        monkeypatch.setattr(smc, "systematic", lambda rng, weights, *count: genuine(rng, np.sqrt(weights), *count))
+    backend = ReadableBackend(target, parts)
+    ratios = [
+        math.exp(tempered(rng, world.space, backend, parts, 40, 2, share=share).log_evidence - exact)
+        for rng in np.random.default_rng(2).spawn(200)
+    ]
+    z = (np.mean(ratios) - 1.0) / (np.std(ratios, ddof=1) / math.sqrt(len(ratios)))
+    assert (abs(z) > 4.5) == broken, (z, np.mean(ratios))

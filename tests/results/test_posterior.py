@@ -1,0 +1,111 @@
+"""posterior.npz: what is saved is what is loaded, to the bit; NetCDF is what ArviZ reads."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import LOOKED_AT, TOWER, SceneWorld
+
+from derender.errors import DerenderError
+from derender.results.netcdf import write_netcdf
+from derender.results.posterior import Posterior, StructurePosterior, load
+
+
+def part(text=TOWER, weight=1.0, seed=0):
+    world = SceneWorld(text)
+    rng = np.random.default_rng(seed)
+    values = np.array([[world.space.sample(rng) for _ in range(5)] for _ in range(2)])
+    poses = np.array([[world.blank.root_pose(v) for v in chain] for chain in values])
+    free_root = any(a.startswith("root.") for a in world.space.addresses)
+    return world, StructurePosterior(
+        world.template,
+        world.space.addresses,
+        values,
+        rng.standard_normal((2, 5)),
+        rng.standard_normal((2, 5)),
+        weight,
+        world.space.periods,
+        poses if free_root else None,
+        {"acceptance": {"drift": 0.25}},
+    )
+
+
+@pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
+def test_saved_is_loaded(tmp_path, text):
+    world, one = part(text)
+    posterior = Posterior((one,), 3, "derender infer x", meta={"camera": {"fx": 1.5}})
+    posterior.save(tmp_path / "posterior.npz")
+    again = load(tmp_path)
+    assert (again.seed, again.command, again.version) == (3, "derender infer x", posterior.version)
+    assert again.meta == {"camera": {"fx": 1.5}} and again.parts[0].extras == {"acceptance": {"drift": 0.25}}
+    np.testing.assert_array_equal(again.parts[0].values, one.values)
+    np.testing.assert_array_equal(again.parts[0].log_density, one.log_density)
+    assert again.parts[0].addresses == one.addresses and again.parts[0].periods == one.periods
+    assert again.best_graph() == posterior.best_graph()
+    drawn = one.graph_at(1, 3)
+    expected = world.blank.graph(one.values[1, 3])
+    for name, pose in expected.poses().items():
+        np.testing.assert_allclose(drawn.poses()[name], pose, atol=1e-12)
+
+
+def test_probabilities_are_sums_of_weights():
+    _, one = part(weight=0.7)
+    other = replace(one, graph=one.graph.remove("top").replace("high", name="lid"), weight=0.3)
+    other = replace(other, addresses=(), values=np.zeros((2, 5, 0)))
+    posterior = Posterior((one, other))
+    assert posterior.object_probability("low") == pytest.approx(1.0)
+    assert posterior.object_probability("top") == pytest.approx(0.7)
+    assert posterior.object_probability("nobody") == 0.0
+    assert posterior.parent_probability("top") == {"high": 1.0}
+    assert posterior.parent_probability("nobody") == {}
+    assert posterior.shape_probability("lid") == {"cube": 1.0}
+    counts = sum("lid" in graph.names for graph in posterior.graphs(np.random.default_rng(0), 400))
+    assert abs(counts - 120) < 4.5 * np.sqrt(400 * 0.21)  # binomial, one failure in 150,000
+
+
+def test_each_draw_is_taken_before_one_is_taken_again():
+    _, one = part()
+    count = one.log_density.size
+    graphs = Posterior((one,)).graphs(np.random.default_rng(0), 2 * count)
+    said = [tuple(graph.numbers()[name] for name in one.addresses) for graph in graphs]
+    assert len(set(said[:count])) == count and sorted(said[:count]) == sorted(said[count:])
+
+
+def test_a_posterior_is_one_line_where_it_is_printed():
+    _, one = part()
+    text = repr(Posterior((one,)))
+    assert text.startswith("<Posterior, structures: 1, the best: <StructurePosterior of weight 1.000: ")
+    assert "chains of" in text and len(text) < 300
+
+
+def test_best_is_the_highest():
+    _, one = part()
+    log_prior = np.zeros((2, 5))
+    log_prior[1, 2] = 50.0
+    graph, density = replace(one, log_prior=log_prior).best()
+    assert graph == one.graph_at(1, 2)
+    assert density == pytest.approx(50.0 + one.log_likelihood[1, 2])
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"junk"])
+def test_what_is_no_posterior_is_told(tmp_path, content):
+    (tmp_path / "posterior.npz").write_bytes(content)
+    with pytest.raises(DerenderError, match="not a posterior"):
+        load(tmp_path)
+    with pytest.raises(DerenderError, match="no posterior here"):
+        load(tmp_path / "nowhere.npz")
+
+
+def test_arviz_opens_the_netcdf(tmp_path):
+    pytest.importorskip("h5netcdf")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        arviz = pytest.importorskip("arviz")
+        _, one = part()
+        assert write_netcdf(tmp_path / "posterior.nc", Posterior((one,), 3, "c"))
+        data = arviz.from_netcdf(str(tmp_path / "posterior.nc"))
+        found = data["posterior"]["low.contact.theta"]
+        np.testing.assert_array_equal(np.asarray(found), one.values[:, :, one.addresses.index("low.contact.theta")])
+        np.testing.assert_array_equal(np.asarray(data["sample_stats"]["lp"]), one.log_density)
+        assert len(arviz.summary(data)) == len(one.addresses)

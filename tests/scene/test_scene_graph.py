@@ -1,0 +1,236 @@
+"""Definition 2.1 and Eq. 1 on graphs: Figure 3, Figure 1, reparenting, and what is not a graph."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry import contact_faults
+
+from derender import data_path
+from derender.document import read_document
+from derender.errors import DerenderError
+from derender.scene.contacts import contacts
+from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.pose import from_quaternion, random_rotation, translation
+from derender.scene.second_support import support_residual
+from derender.scene.separation import overlaps
+from derender.scene.solids import BOX, PLANE
+
+
+def figure_3(which):
+    return read_document(data_path(f"scenes/figure-3-{which}.yaml")).prior.sample(np.random.default_rng(0))
+
+
+def on(parent, **values):
+    faces = values.pop("parent_face", "+z"), values.pop("child_face", "-z")
+    return {"parent": parent, "contact": Contact("face-to-face", *faces, values)}
+
+
+def tower(rng, sides=(0.12, 0.1, 0.08)):
+    """Return a floor and a stack of cubes on it, contacts at random."""
+    vertices = [Vertex("floor", "plane")]
+    for index, side in enumerate(sides):
+        parent = vertices[-1].name
+        offsets = dict(zip("xy", rng.uniform(-0.2, 0.2, 2), strict=True))
+        offsets = offsets if index == 0 else dict(zip("uv", rng.uniform(0, 1, 2), strict=True))
+        theta = rng.uniform(0, math.pi / 2)
+        vertices.append(Vertex(f"cube_{index}", "cube", {"side": side}, **on(parent, theta=theta, **offsets)))
+    return SceneGraph(from_quaternion((0.5, -0.866, 0, 0), (0, 0.1, 0.8)), tuple(vertices))
+
+
+def largest_difference(first, second, names=None):
+    a, b = first.poses(), second.poses()
+    return max(np.abs(a[name] - b[name]).max() for name in names or a)
+
+
+def test_figure_3_is_one_scene_as_two_graphs():
+    left, right = figure_3("contacts"), figure_3("free")
+    assert set(left.poses()) == set(right.poses())
+    assert largest_difference(left, right) < 1e-12
+    assert left.degrees_of_freedom() == 15 and right.degrees_of_freedom() == 24
+    assert overlaps(left.solids()).max() < 1e-12
+
+
+def test_figure_3_perturbing_phi_3_moves_4_and_5_in_the_first_graph_only():
+    left, right = figure_3("contacts"), figure_3("free")
+    moved = left.with_numbers({"green.contact.x": 0.05, "green.contact.theta": 0.6})
+    for name in ("green", "red", "yellow"):
+        assert largest_difference(left, moved, [name]) > 1e-2
+    assert largest_difference(left, moved, ["floor", "root"]) == 0.0
+    # What hangs on green moves with it as one rigid body.
+    for name in ("red", "yellow"):
+        relative = [np.linalg.inv(g.poses()["green"]) @ g.poses()[name] for g in (left, moved)]
+        assert np.abs(relative[0] - relative[1]).max() < 1e-14
+    moved = right.with_numbers({"green.contact.x": 0.05})
+    assert largest_difference(right, moved, ["green"]) > 1e-2
+    assert largest_difference(right, moved, ["floor", "root", "red", "yellow"]) == 0.0
+
+
+def test_a_graph_that_forgets_its_parent_is_seen():
+    """Broken twin of Eq. 1: poses relative to the root in place of the parent are not those of the second graph."""
+    left, right = figure_3("contacts"), figure_3("free")
+    wrong = left.root_pose @ left.relative_pose("yellow")
+    assert np.abs(wrong - right.poses()["yellow"]).max() > 1e-2
+
+
+def test_figure_1_touching_free_scenes_all_interpenetrate_and_stacks_never_do():
+    """Under free poses every pair of solids that meets shares volume; under the stack no edge's pair ever does."""
+    rng = np.random.default_rng(1)
+    touching = interpenetrating = 0
+    for _ in range(400):
+        vertices = []
+        for index in range(3):
+            pose = random_rotation(rng)
+            pose[:3, 3] = rng.uniform(-0.15, 0.15, 3)
+            found = contacts["6dof"].invert(pose)
+            vertices.append(Vertex(f"cube_{index}", "cube", {"side": 0.1}, contact=Contact("6dof", values=found.phi)))
+        depth = overlaps(SceneGraph(np.eye(4), tuple(vertices)).solids())
+        touching += (depth > 0).any()  # a pair that meets has separation 0 or less; 0 exactly has probability nought
+        interpenetrating += (depth > 1e-9).any()
+    assert touching == interpenetrating > 50
+    for _ in range(200):
+        graph = tower(rng)
+        depth = overlaps(graph.solids())
+        for name in graph.names[1:]:
+            first, second = (graph.solid_names.index(each) for each in (name, graph.vertex(name).parent))
+            assert depth[first, second] < 1e-9
+    assert tower(rng).degrees_of_freedom() == 15
+
+
+def test_tree_queries():
+    graph = figure_3("contacts")
+    assert graph.names == ("floor", "green", "red", "yellow")
+    assert graph.children("root") == ("floor",) and graph.children("green") == ("red",)
+    assert graph.descendants("green") == ("red", "yellow") and graph.descendants("yellow") == ()
+    assert graph.path("yellow", "green") == ("yellow", "red")
+    with pytest.raises(ValueError):
+        graph.path("green", "yellow")
+    assert hash(graph.structure()) == hash(graph.with_numbers({"red.side": 0.2}).structure())
+    assert graph.structure() != figure_3("free").structure()
+    assert graph == figure_3("contacts") and graph != graph.with_numbers({"red.side": 0.2})
+    solids = graph.solids()
+    assert solids.kind.tolist() == [PLANE, BOX, BOX, BOX] and solids.kind.dtype == np.int32
+    assert np.allclose(solids.size[3], 0.07) and not solids.size[0].any()
+    assert np.allclose(graph.down(), graph.root_pose[:3, :3] @ [0, 0, -1])
+    assert graph.with_numbers(graph.numbers()) == graph
+
+
+def test_changes():
+    graph = figure_3("contacts")
+    renamed = graph.replace("green", name="lime")
+    assert renamed.vertex("red").parent == "lime" and "green" not in renamed.names
+    assert graph.remove("red").names == ("floor", "green")
+    assert graph.remove("red").add(Vertex("ball", "sphere", {"radius": 0.1})).names[-1] == "ball"
+
+
+@pytest.mark.parametrize("name", ["cube_0", "cube_1", "cube_2"])
+def test_reparent_keeps_every_pose_in_the_world(name):
+    """To every other possible parent and back: poses to 1e-12, the ideal contact comes back without slack."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        graph = tower(rng)
+        free = graph.reparent(name, "root", "6dof")
+        assert largest_difference(graph, free) < 1e-12
+        assert free.degrees_of_freedom() == graph.degrees_of_freedom() + 3
+        if name != "cube_0":  # hung under the floor it floats above it: the gap is slack, and counts
+            under = graph.reparent(name, "floor", "face-to-face")
+            assert largest_difference(graph, under) < 1e-12
+            assert under.vertex(name).contact.values["gap"] > 0.05
+            assert under.degrees_of_freedom() == graph.degrees_of_freedom() + 1
+        parent = graph.vertex(name).parent
+        back = free.reparent(name, parent, "face-to-face")
+        assert largest_difference(graph, back) < 1e-12
+        assert back.structure() == graph.structure()
+        assert back.degrees_of_freedom() == graph.degrees_of_freedom()
+
+
+def test_reparent_reorders_parents_before_children():
+    rng = np.random.default_rng(3)
+    graph = tower(rng).reparent("cube_0", "root", "6dof").reparent("cube_1", "root", "6dof")
+    turned = graph.reparent("cube_0", "cube_1", "face-to-face", "-z", "+z")
+    assert turned.names.index("cube_1") < turned.names.index("cube_0")
+    assert largest_difference(graph, turned) < 1e-12
+
+
+def test_reparent_refuses_cycles_and_faces_that_miss():
+    graph = tower(np.random.default_rng(4))
+    with pytest.raises(DerenderError, match="no cycle"):
+        graph.reparent("cube_0", "cube_2", "face-to-face")
+    far = graph.reparent("cube_2", "root", "6dof").with_numbers({"cube_2.contact.x": 5.0})
+    with pytest.raises(DerenderError, match="misses by"):
+        far.reparent("cube_2", "cube_1", "face-to-face")
+
+
+def bridge(height_of_second=0.1, span=0.3, tilt=0.0):
+    """Return two towers on a floor and a plank on the first that reaches over the second."""
+    floor = Vertex("floor", "plane")
+    first = Vertex("left", "cube", {"side": 0.1}, **on("floor", x=-0.1, y=0.0, theta=0.0))
+    size = {"length": 0.1, "width": 0.1, "height": height_of_second}
+    second = Vertex("right", "box", size, **on("floor", x=0.1, y=0.0, theta=0.0))
+    size = {"length": span, "width": 0.08, "height": 0.02}
+    reach = 0.5 * (0.1 + span)
+    u = 0.5 + 0.5 * 0.1 / reach
+    plank = Vertex("plank", "box", size, **on("left", theta=0.0, u=u, v=0.5, tilt_y=tilt), supports=("right",))
+    return SceneGraph(np.eye(4), (floor, first, second, plank))
+
+
+def test_second_support_of_a_bridge():
+    level = support_residual(bridge(), "plank", "right")
+    assert (level.parent_face, level.child_face) == ("+z", "-z")
+    assert abs(level.gap) < 1e-12 and level.tilt < 1e-12 and level.outside == 0.0
+    short = support_residual(bridge(height_of_second=0.093), "plank", "right")
+    assert short.gap == pytest.approx(0.007, abs=1e-12) and short.distance(0.1) == pytest.approx(0.007)
+    tilted = support_residual(bridge(tilt=0.02), "plank", "right")
+    assert tilted.tilt == pytest.approx(0.02)
+    stub = support_residual(bridge(span=0.05), "plank", "right")
+    assert stub.outside > 0.0
+
+
+def test_check_names_the_address():
+    good = tower(np.random.default_rng(5))
+    good.check()
+    for graph, words in (
+        (good.replace("cube_1", parameters={"side": -0.1}), "cube_1: side is -0.1"),
+        (good.replace("cube_1", parameters={"side": math.nan}), "cube_1: its side is missing"),
+        (
+            good.replace("cube_1", parameters={"sides": 0.1}),
+            "a cube has no parameter 'sides'; did you mean 'side'",
+        ),
+        (good.replace("cube_1", shape="cub", parameters={}), "no shape is called 'cub'; did you mean 'cube'?"),
+        (good.with_numbers({"cube_1.contact.u": 1.5}), "cube_1.contact: u of the face-to-face contact is 1.5"),
+        (good.replace("cube_1", supports=("cube_9",)), "cube_1.supports: no such support"),
+        (
+            good.replace("cube_1", contact=Contact("6dof")),
+            "a cube cannot be in 6dof contact with a cube",
+        ),
+    ):
+        with pytest.raises(DerenderError) as caught:
+            graph.check()
+        assert words in str(caught.value)
+
+
+def test_what_is_not_a_graph():
+    cube = Vertex("a", "cube", {"side": 0.1})
+    for vertices, words in (
+        ((cube, cube), "two objects are called 'a'"),
+        ((Vertex("root", "cube", {"side": 0.1}),), "two objects are called 'root'"),
+        ((Vertex("b", "cube", {"side": 0.1}, "a"), cube), "comes after its child"),
+        ((Vertex("b", "cube", {"side": 0.1}, "c"), cube), "b.parent: the parent 'c' does not exist; choose from root"),
+    ):
+        with pytest.raises(DerenderError, match=words):
+            SceneGraph(np.eye(4), vertices)
+    with pytest.raises(DerenderError, match="no object is called"):
+        SceneGraph(np.eye(4), (cube,)).vertex("aa")
+
+
+def test_brute_force_agrees_on_a_whole_stack():
+    """The poses of the graph, not only each contact alone: every pair with an edge is flush in the world."""
+    rng = np.random.default_rng(6)
+    graph = tower(rng)
+    poses = graph.poses()
+    for name in graph.names[1:]:
+        parent = graph.vertex(name).parent
+        relative = np.linalg.inv(poses[parent]) @ poses[name]
+        assert contact_faults(relative, graph.body(parent), graph.body(name), "+z", 4) == []
+    shifted = translation(0, 0, 1e-6) @ relative
+    assert contact_faults(shifted, graph.body(parent), graph.body(name), "+z", 4) == ["hovers"]

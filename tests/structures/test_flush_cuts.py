@@ -1,0 +1,103 @@
+"""Boxes that are flush can be cut in two ways that look alike: both are weighed, by what holds what."""
+
+import math
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.detection.search.moves import cut_anew
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.statics import CERTAIN
+from derender.render.likelihoods import likelihoods
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.refined import at_mode
+from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.unions import on_supports, recuts, unheld
+
+RULES = Rules(0.0015)
+
+
+def floor_pose():
+    """The floor in front of a camera .7 m away that looks down by 30 degrees."""
+    pose = rotation_x(math.pi / 2 + 0.5)
+    pose[2, 3] = 0.7
+    return pose
+
+
+def boxes(*solids):
+    """The State of boxes given as (x, y, bottom, size), their supports found by contact."""
+    turned, state = rotation_z(0.3), State()
+    for x, y, bottom, size in solids:
+        centre = turned[:3, :3] @ [x, y, bottom + size[2] / 2]
+        state = state.add(make_row(BOX, turned[:3, :3], centre, np.array(size)), UPRIGHT, False, FLOOR, bottom)
+    return on_supports(state)
+
+
+SIDE, BOARD = [0.03, 0.1, 0.1], [0.3, 0.1, 0.03]
+
+
+def shelf():
+    """A board on two sides, flush with both."""
+    return boxes((-0.135, 0, 0, SIDE), (0.135, 0, 0, SIDE), (0, 0, 0.1, BOARD))
+
+
+def hung():
+    """The same outline: one side beside the board's end, that is carried by the other alone."""
+    return boxes((-0.135, 0, 0, [0.03, 0.1, 0.13]), (0.135, 0, 0, SIDE), (0.015, 0, 0.1, [0.27, 0.1, 0.03]))
+
+
+def corner():
+    """An L of two boxes on the floor."""
+    return boxes((0, 0, 0, [0.05, 0.12, 0.06]), (0.065, -0.035, 0, [0.08, 0.05, 0.06]))
+
+
+def weighed(state, seed=0):
+    """Return (Refined of a state given its own image, the ways to cut it with their log odds)."""
+    rng, view = np.random.default_rng(seed), Camera(75.0, 75.0, 39.5, 29.5, 80, 60)
+    chart, start = make_chart(state, floor_pose(), RULES)
+    likelihood = likelihoods["gaussian"]
+    numbers = likelihood.complete({"sigma": 0.001})
+    sensor = Sensor(view, likelihood.sample(rng, model_depth(chart, start, view), numbers), likelihood, numbers)
+    best = at_mode(rng, state, floor_pose(), sensor, RULES)
+    return best, recuts(rng, best, RULES)
+
+
+def test_a_cut_keeps_the_outline_and_another_takes_it_back():
+    one, _, board = hung().rows
+    side, whole = cut_anew(one, board)
+    true_side, _, true_board = shelf().rows
+    np.testing.assert_allclose(side, true_side, atol=1e-12)
+    np.testing.assert_allclose(whole, true_board, atol=1e-12)
+    back, end = cut_anew(whole, side)
+    np.testing.assert_allclose(back, board, atol=1e-12)
+    np.testing.assert_allclose(end, one, atol=1e-12)
+
+
+def test_a_board_that_only_friction_holds_is_not_held():
+    assert unheld(hung()) == 1 and unheld(shelf()) == 0
+
+
+def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
+    best, found = weighed(hung())
+    right = [odds for trial, odds in found if unheld(trial.state) == 0 and sorted(trial.state.rows[:, 15])[-1] < 0.11]
+    assert right and max(right) > 0.5 * np.log(CERTAIN)
+
+
+def test_a_board_on_both_sides_stays_there():
+    """The broken twin: without the odds of what holds, the cuts would be as likely as each other."""
+    best, found = weighed(shelf())
+    wrong = [odds for trial, odds in found if unheld(trial.state) > 0]
+    assert wrong and max(wrong) < -0.5 * np.log(CERTAIN)
+    assert max(odds + np.log(CERTAIN) for trial, odds in found if unheld(trial.state) > 0) > -3.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_ways_to_cut_a_corner_are_both_weighed(seed):
+    _, found = weighed(corner(), seed)
+    assert any(abs(odds) < 4.0 for _, odds in found)

@@ -1,0 +1,414 @@
+"""The densities of every jump, told from the jumps themselves: what they draw, and how their maps stretch numbers.
+
+A test of invariance needs thousands of steps to see a factor of 1.3 where few steps are accepted. Here the choices that
+a move draws for one scene are held against what `log_choice` says of them, constants and all, and the Jacobian of what
+hangs an object elsewhere against differences of all its numbers.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+from jump_worlds import BLOCKS, document_of, generator, prior_of
+from test_jumps import Twin
+
+from derender.scene.graph import ROOT
+from derender.scene.pose import (
+    from_quaternion,
+    from_rotation_vector,
+    quaternion,
+    random_rotation,
+    rotation_angle,
+    rotation_vector,
+    rotation_z,
+    translation,
+)
+from derender.scene.priors.values import ROTATION
+from derender.structures.jumps.base import Target, evaluate, log_proposal_ratio, moves
+from derender.structures.jumps.birth_death import Birth
+from derender.structures.jumps.charts import HAAR, rotation_density, rotation_near
+from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, PriorProposal
+from derender.structures.jumps.smc import STAY, Particle, log_increment
+from derender.structures.jumps.vocabulary import Vocabulary
+
+LEAST = 30  # choices of one kind that are looked at
+SEVERE = 4.5  # standard errors that pass
+COARSE = 0.02  # relative error of the integrals below
+
+
+def leaves_of(choice, path=()):
+    """Yield (path, leaf) of all that nests in a choice."""
+    if isinstance(choice, Mapping):
+        nested = choice.items()
+    elif isinstance(choice, tuple):
+        nested = enumerate(choice)
+    elif is_dataclass(choice):
+        nested = ((field.name, getattr(choice, field.name)) for field in fields(choice))
+    else:
+        yield path, choice
+        return
+    for key, part in nested:
+        yield from leaves_of(part, (*path, key))
+
+
+def with_leaf(choice, path, value):
+    """Return the choice with another leaf."""
+    if not path:
+        return value
+    here, rest = path[0], path[1:]
+    if isinstance(choice, Mapping):
+        return {**choice, here: with_leaf(choice[here], rest, value)}
+    if isinstance(choice, tuple):
+        items = [with_leaf(part, rest, value) if number == here else part for number, part in enumerate(choice)]
+        return type(choice)(*items) if hasattr(choice, "_fields") else tuple(items)
+    return replace(choice, **{here: with_leaf(getattr(choice, here), rest, value)})
+
+
+def profile(move, words, graph, choice, path, values):
+    """Return (grid, density relative to the choice's own) of one number of a choice, the others as they are."""
+    own, reach = move.log_choice(words, graph, choice), values[-1] - values[0]
+
+    def density(x):
+        try:
+            return math.exp(move.log_choice(words, graph, with_leaf(choice, path, float(x))) - own)
+        except ValueError:  # such as a size below zero
+            return 0.0
+
+    grid = np.concatenate([np.quantile(values, np.linspace(0, 1, 31)), np.linspace(values[0], values[-1], 31),
+                           np.linspace(values[0] - 0.5 * reach, values[-1] + 0.5 * reach, 31)])  # fmt: skip
+    if path[-1] in ("theta", "roll") and reach > 6.0:  # any angle is as likely, and the same a turn further
+        low = 0.0 if values[0] >= 0.0 else -math.pi
+        grid = np.clip(grid, low, low + math.tau)
+    grid = np.unique(grid)
+    found = [density(x) for x in grid]
+    for k in range(len(grid) - 1):  # to either side of where it ends
+        if (found[k] > 0.0) != (found[k + 1] > 0.0):
+            ends = [grid[k], grid[k + 1]]
+            for _ in range(25):
+                middle = 0.5 * (ends[0] + ends[1])
+                ends[(density(middle) > 0.0) != (found[k] > 0.0)] = middle
+            grid, found = np.append(grid, ends), [*found, *map(density, ends)]
+    order = np.argsort(grid)
+    return grid[order], np.array(found)[order]
+
+
+def verdict(move, words, graph, count, seed=1):
+    """Return how many standard errors a move's commonest choices are off their density: in where their numbers lie, and
+    in how often such are drawn.
+
+    For choices alike in all but their numbers, these are taken to be independent: the density of one number follows
+    from the others' being held, its integral from there, and what is left of the density is the rest's probability.
+    """
+    rng, found = generator(seed), defaultdict(list)
+    for _ in range(count):
+        choice = move.draw(rng, words, graph)
+        if choice is None:
+            continue
+        leaves = list(leaves_of(choice))
+        numbers = {path: leaf for path, leaf in leaves if isinstance(leaf, float)}
+        if not any(path[-1] in ROTATION for path in numbers):
+            found[tuple((path, leaf) for path, leaf in leaves if path not in numbers)].append((choice, numbers))
+    shares, rates = defaultdict(list), []
+    for drawn in found.values():
+        if len(drawn) < LEAST:
+            continue
+        choice, numbers = drawn[0]
+        left = move.log_choice(words, graph, choice)
+        for path in numbers:
+            values = np.sort([each[path] for _, each in drawn])
+            if values[-1] - values[0] < 1e-12:
+                continue
+            grid, density = profile(move, words, graph, choice, path, values)
+            masses = 0.5 * (density[1:] + density[:-1]) * np.diff(grid)
+            left += math.log(masses.sum())
+            shares[path].extend(np.interp(values, grid, np.concatenate([[0.0], np.cumsum(masses)]) / masses.sum()))
+        rates.append((len(drawn) / count, math.exp(left)))
+    seen, said = np.array(rates).T
+    assert seen.sum() > 0.1
+    off = max(np.abs(errors_off(seen, said, count)).max(), abs(errors_off(seen.sum(), said.sum(), count)))
+    return max(map(unevenness, shares.values()), default=0.0), off
+
+
+def errors_off(seen, said, count):
+    """Return by how many standard errors shares of `count` draws are off their probability, as that is integrated."""
+    return (seen - said) / np.hypot(np.sqrt(seen * (1.0 - 0.9 * seen) / count), COARSE * seen)
+
+
+def unevenness(shares):
+    """Return how many standard errors the mean and the variance of shares are off those of the uniform distribution."""
+    offset, root = np.array(shares) - 0.5, math.sqrt(len(shares))
+    return root * max(abs(np.mean(offset)) * math.sqrt(12.0), abs(np.mean(offset**2) - 1.0 / 12.0) * math.sqrt(180.0))
+
+
+def scene(words, seed, solids=2):
+    """Return a draw from the prior with some solids, three as a pile; none floats or is a ball: their angles hang
+    together."""
+    rng = generator(seed)
+    while True:
+        graph = words.prior.sample(rng)
+        grown = [graph.vertex(name) for name in words.grown(graph)]
+        piled = solids < 3 or len({v.parent for v in grown}) == solids
+        if len(grown) == solids and piled and all(v.shape != "sphere" and v.parent != ROOT for v in grown):
+            return graph
+
+
+# Blocks of which some are cubes: a split and a merge choose kinds.
+CUBES = BLOCKS.replace("shapes:\n", "shapes:\n  cube: {side: {uniform: [0.03, 0.1]}}\n").replace("[box]", "[box, cube]")
+
+
+def words_of(world):
+    return Vocabulary(document_of(CUBES).prior if world == "cubes" else prior_of(world))
+
+
+# where, of how many solids, how many choices
+CHOICES = {
+    "birth-death": [("blocks", 2, 800)],
+    "change-face": [("grammar", 2, 800)],
+    "change-shape": [("grammar", 2, 1500)],
+    "reparent": [("grammar", 2, 1000)],
+    "resimulate": [("grammar", 2, 800)],
+    "split-merge": [("blocks", 3, 400), ("cubes", 2, 800)],
+    "transplant": [("blocks", 2, 800), ("grammar", 3, 800)],
+}
+
+
+@pytest.mark.parametrize(("name", "row"), [(name, row) for name, rows in CHOICES.items() for row in rows])
+def test_choices_are_drawn_as_their_density_says(name, row):
+    world, solids, count = row
+    words = words_of(world)
+    uneven, apart = verdict(moves[name], words, scene(words, 3, solids), count)
+    assert uneven < SEVERE
+    assert apart < SEVERE
+
+
+def test_every_move_whose_choices_have_a_density_has_its_row():
+    assert set(CHOICES) == {name for name in moves.names() if not moves[name].even and name != "exchange"}
+
+
+class Likelier(Twin):
+    """Says that its choices are 1.3 times as likely as they are."""
+
+    def log_choice(self, words, graph, choice):
+        return super().log_choice(words, graph, choice) + math.log(1.3)
+
+
+class Evenly(Twin):
+    """Takes the share of a split for uniform."""
+
+    def log_choice(self, words, graph, choice):
+        share = getattr(choice, "share", None)
+        return super().log_choice(words, graph, choice) - (math.log(6.0 * share * (1.0 - share)) if share else 0.0)
+
+
+@pytest.mark.parametrize(("name", "row"), [(name, rows[0]) for name, rows in CHOICES.items()])
+def test_a_constant_factor_is_seen(name, row):
+    world, solids, count = row
+    words = words_of(world)
+    assert verdict(Likelier(moves[name]), words, scene(words, 3, solids), count)[1] > SEVERE
+
+
+def test_a_density_of_wrong_shape_is_seen():
+    words = words_of("blocks")
+    assert verdict(Evenly(moves["split-merge"]), words, scene(words, 3, 3), 400)[0] > 1.2 * SEVERE
+
+
+# ---- moves whose choices are as likely back as forth ----
+
+
+def evenness(move, count=3000):
+    """Return (standard errors of the mean step from zero, largest difference between log q forth and back)."""
+    words, steps, worst, rng = words_of("rims"), [], 0.0, generator(9)
+    graphs = [scene(words, seed) for seed in range(20)]
+    for number in range(count):
+        graph = graphs[number % len(graphs)]
+        choice = move.draw(rng, words, graph)
+        if choice is None:
+            continue
+        steps += [float(step) / choice.scale for step in choice.steps.values() if not isinstance(step, np.ndarray)]
+        applied = move.apply(words, graph, choice)
+        if applied is not None and number < 200:
+            forth = move.log_choice(words, graph, choice)
+            worst = max(worst, abs(forth - move.log_choice(words, applied.graph, applied.back)))
+    signs = np.sign(steps)
+    return abs(signs.mean()) * math.sqrt(len(signs)), worst
+
+
+class Drifting(Twin):
+    """Steps up a little more often than down."""
+
+    def draw(self, rng, words, graph):
+        choice = super().draw(rng, words, graph)
+        if choice is None or rng.random() < 0.8:
+            return choice
+        return choice._replace(steps={key: abs(step) for key, step in choice.steps.items()})
+
+
+@pytest.mark.parametrize("name", [name for name in moves.names() if moves[name].even])
+def test_even_moves_step_either_way_alike(name):
+    apart, worst = evenness(moves[name])
+    assert apart < SEVERE
+    assert worst < 1e-9
+    assert evenness(Drifting(moves[name]))[0] > SEVERE
+
+
+def test_a_particle_gains_the_weight_of_a_birth():
+    """The increment of SMC is the ratio of a birth whose way back is a death, which the tests above hold to account."""
+    words, move = words_of("blocks"), moves["birth-death"]
+    target, rng, leaves = Target(words.prior), generator(10), set()
+    for seed in range(12):
+        before = evaluate(target, scene(words, seed))
+        vertex = words.proposal.sample(rng, words, before.graph)
+        after = evaluate(target, before.graph.add(vertex))
+        if after.log_prior == -math.inf:
+            continue
+        _, ratio = log_proposal_ratio(move, words, before.graph, Birth(vertex))
+        gained = log_increment(words, Particle(after, vertex.name, before), len(words.grown(after.graph)))
+        assert gained == pytest.approx(after.log_prior - before.log_prior + ratio - math.log(1.0 - STAY), abs=1e-9)
+        leaves.add(len(words.leaves(after.graph)))
+    assert len(leaves) > 1
+
+
+# ---- births about hypotheses ----
+
+
+def birthplace(on_prior):
+    """Return (words, graph) of births about two hypotheses: a box, its angle near the end of its range, and a cube."""
+    words = words_of("grammar")
+    graph = words.prior.sample(generator(4))
+    while words.grown(graph):
+        graph = graph.remove(words.leaves(graph)[0])
+    poses = [graph.poses()["floor"] @ translation(x, 0.02, 0.03) @ rotation_z(theta)
+             for x, theta in ((0.05, 3.12), (-0.05, 0.4))]  # fmt: skip
+    guesses = [Hypothesis("box", {"length": 0.09, "width": 0.05, "height": 0.06}, poses[0], 1.0, 0.02, 0.3),
+               Hypothesis("cube", {"side": 0.06}, poses[1], 0.3, 0.01, 0.1)]  # fmt: skip
+    return Vocabulary(words.prior, HypothesisProposal(guesses, on_prior)), graph
+
+
+def test_births_about_hypotheses_are_drawn_as_their_density_says():
+    words, graph = birthplace(0.0)
+    uneven, apart = verdict(moves["birth-death"], words, graph, 1500)
+    assert uneven < SEVERE
+    assert apart < SEVERE
+
+
+def test_without_hypotheses_births_are_those_of_the_prior():
+    words, graph = birthplace(0.5)
+    vertex = PriorProposal().sample(generator(8), words, graph)
+    density = HypothesisProposal([], 0.5).log_density(words, graph, vertex)
+    assert density == PriorProposal().log_density(words, graph, vertex)
+
+
+def prior_mass(words, graph, factor=1.0, count=2500):
+    """Return (mean, standard error) of prior density over the mixture's, times a factor, of births: one."""
+    rng, fallback, ratios = generator(6), PriorProposal(), []
+    for _ in range(count):
+        vertex = words.proposal.sample(rng, words, graph)
+        ratio = fallback.log_density(words, graph, vertex) - words.proposal.log_density(words, graph, vertex)
+        ratios.append(factor * math.exp(ratio))
+    return np.mean(ratios), np.std(ratios) / math.sqrt(count)
+
+
+def test_births_from_the_prior_have_their_share_in_the_mixture():
+    mean, error = prior_mass(*birthplace(0.5))
+    assert abs(mean - 1.0) < SEVERE * error
+    mean, error = prior_mass(*birthplace(0.5), factor=1.0 / 1.3)
+    assert abs(mean - 1.0) > SEVERE * error
+
+
+@pytest.mark.parametrize("angle", [0.2, 1.2])
+def test_rotations_near_another_have_their_density(angle):
+    """The mean of 1 / density over draws that turn by less than a is Haar's mass of those, (a - sin a) / pi."""
+    rng, within = generator(7), 2.0 * min(angle, 1.0)
+    centre, found = random_rotation(rng), []
+    for _ in range(4000):
+        turned = rotation_near(rng, centre, angle)
+        near = rotation_angle(centre, turned) < within
+        found.append(math.exp(-rotation_density(turned, centre, angle)) if near else 0.0)
+    mass = (within - math.sin(within)) / math.pi
+    assert abs(np.mean(found) - mass) < SEVERE * np.std(found) / math.sqrt(len(found))
+
+
+# ---- the Jacobian of hanging an object elsewhere ----
+
+
+def numbers_of(words, graph, choice):
+    """Return ({address: number} of the vertex and its rest, rotation or None): nine coordinates of a posed box."""
+    vertex = graph.vertex(choice.name)
+    free = words.free_numbers(graph, choice.name)
+    found = {("rest", key): x for key, x in choice.rest.contact.items()}
+    found |= {("log", place): x for place, x in enumerate(choice.rest.shape)}
+    for part, key in free:
+        if key == "quat_wxyz":
+            continue
+        found[part, key] = vertex.parameters[key] if part == "shape" else vertex.contact.values.get(key, 0.0)
+    turned = None
+    if vertex.contact.type == "6dof":
+        turned = from_quaternion([vertex.contact.values[part] for part in ROTATION])
+    return found, turned
+
+
+def shifted(graph, choice, keys, shift):
+    """Return the scene and the choice after a shift of the numbers `keys`, and of a rotation where there is more."""
+    vertex, rest = graph.vertex(choice.name), choice.rest
+    parameters, values = dict(vertex.parameters), dict(vertex.contact.values)
+    contact, shape = dict(rest.contact), list(rest.shape)
+    for (part, key), step in zip(keys, shift, strict=False):
+        {"rest": contact, "log": shape, "shape": parameters, "contact": values}[part][key] += step
+    if len(shift) > len(keys):
+        turned = from_quaternion([values[part] for part in ROTATION]) @ from_rotation_vector(shift[len(keys) :])
+        values.update(zip(ROTATION, map(float, quaternion(turned)), strict=True))
+    moved = replace(vertex, parameters=parameters, contact=replace(vertex.contact, values=values))
+    vertices = tuple(moved if other is vertex else other for other in graph.vertices)
+    return replace(graph, vertices=vertices), choice._replace(rest=rest._replace(contact=contact, shape=tuple(shape)))
+
+
+def measured_jacobian(move, words, graph, choice, applied):
+    """Return log |det| of the new nine coordinates by the old ones, in the stock measure, from differences; None where
+    an angle goes round within a step."""
+    keys, turned = numbers_of(words, graph, choice)
+    keys, size = list(keys), len(keys) + 3 * (turned is not None)
+    _, origin = numbers_of(words, applied.graph, applied.back)
+
+    def after(shift):
+        new = move.apply(words, *shifted(graph, choice, keys, shift))
+        if new is None:
+            return None
+        numbers, rotation = numbers_of(words, new.graph, new.back)
+        turn = [] if origin is None else list(rotation_vector((np.linalg.inv(origin) @ rotation)[:3, :3]))
+        return np.array([*(numbers[key] for key in sorted(numbers, key=str)), *turn])
+
+    columns = []
+    for step in 1e-6 * np.eye(size):
+        ends = after(step), after(-step)
+        if ends[0] is None or ends[1] is None or np.abs(ends[0] - ends[1]).max() > 1e-2:
+            return None
+        columns.append((ends[0] - ends[1]) / 2e-6)
+    matrix = np.array(columns)
+    assert matrix.shape == (9, 9)
+    return math.log(abs(np.linalg.det(matrix))) + HAAR * ((turned is not None) - (origin is not None))
+
+
+@pytest.mark.parametrize("name", ["reparent", "change-face", "change-shape"])
+def test_jacobian_of_hanging_a_solid_elsewhere(name):
+    """Differences of all nine numbers of a posed box give the determinant (1e-4: steps of 1e-6)."""
+    move, ways, worst = moves[name], set(), 0.0
+    for world in ("grammar", "blocks", "rims", "slack"):
+        words, rng = Vocabulary(prior_of(world)), generator(13)
+        for _ in range(120):
+            graph = words.prior.sample(rng)
+            choice = move.draw(rng, words, graph)
+            if choice is None or graph.children(choice.name) or choice.rest.contact.keys() & {"roll"}:
+                continue
+            applied = move.apply(words, graph, choice)
+            if applied is None or "sphere" in (choice.slot.kind, graph.vertex(choice.name).shape):
+                continue
+            measured = measured_jacobian(move, words, graph, choice, applied)
+            if measured is not None:
+                worst = max(worst, abs(measured - applied.log_jacobian))
+                ways.add((graph.vertex(choice.name).contact.type, graph.vertex(choice.name).shape,
+                          choice.slot.choice[0], choice.slot.kind))  # fmt: skip
+    assert len(ways) > 1
+    assert worst < 1e-4

@@ -1,0 +1,156 @@
+"""A tiny world whose posterior over structures is also computed by brute force: chain and SMC must agree with it."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from jump_worlds import document_of, generator
+
+from derender.camera.intrinsics import Camera
+from derender.render.raycast.evaluator import DepthEvaluator
+from derender.structures.jumps.base import Target, evaluate, mixture
+from derender.structures.jumps.chain import jump_chain
+from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
+from derender.structures.jumps.slots import SlotImage
+from derender.structures.jumps.smc import structure_smc
+from derender.structures.jumps.vocabulary import Vocabulary
+
+# At most two objects, cubes or balls, on the floor or on a cube; 16 x 12 pixels with noise that leaves doubt.
+TINY = """
+derender: 1
+root: {distance: 0.5, elevation: 60 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+structure:
+  type: grammar
+  offspring: {floor: {categorical: {0: 0.2, 1: 0.5, 2: 0.3}}, cube: {categorical: {0: 0.6, 1: 0.4}}}
+shapes: {cube: {side: {uniform: [0.04, 0.1]}}, sphere: {radius: {uniform: [0.02, 0.05]}}}
+contacts:
+  standing: {type: face-to-face, parent_face: top, child_face: -z, x: {normal: [0, 0.04]}, y: {normal: [0, 0.04]},
+             theta: 20 deg}
+  rolling: {type: point-on-face, parent_face: top, x: {normal: [0, 0.04]}, y: {normal: [0, 0.04]}}
+constraints: [at-most: 2]
+"""
+CAMERA = Camera(fx=20.0, fy=20.0, cx=7.5, cy=5.5, width=16, height=12)
+VALUES = {"sigma": 0.1, "background": 0.7}
+CONSTRAINT_DRAWS = 4000
+
+
+def key_of(graph):
+    """Return what tells two structures of the tiny world apart: kinds and parents as a multiset."""
+    kind = {"floor": "floor", **{v.name: v.shape for v in graph.vertices if v.name != "floor"}}
+    return tuple(sorted((kind[v.name], kind[v.parent]) for v in graph.vertices if v.name != "floor"))
+
+
+@functools.cache
+def observed(seed):
+    prior = document_of(TINY).prior
+    rng = generator(seed, 77)
+    truth = prior.sample(rng)
+    evaluator = DepthEvaluator(CAMERA, np.ones((12, 16)), "gaussian", VALUES)
+    evaluator.load(truth.solids())
+    return prior, truth, evaluator.model_depth() + VALUES["sigma"] * rng.standard_normal((12, 16))
+
+
+@functools.cache
+def reference(seed, draws=10_000):
+    """Return ({structure: probability}, their standard errors, log evidence) by weighing draws of the prior."""
+    prior, _, image = observed(seed)
+    rng = generator(seed, 78)
+    engine = SlotImage(CAMERA, image, "gaussian", VALUES)
+    logs, keys = [], []
+    for _ in range(draws):
+        graph = prior.sample(rng)
+        logs.append(engine.propose(graph))
+        engine.accept()
+        keys.append(key_of(graph))
+    logs = np.array(logs)
+    weights = np.exp(logs - logs.max())
+    total = weights.sum()
+    shares, errors = {}, {}
+    for key in set(keys):
+        inside = np.array([k == key for k in keys])
+        share = weights[inside].sum() / total
+        shares[key] = float(share)
+        errors[key] = float(np.sqrt(np.sum(weights**2 * (inside - share) ** 2)) / total)
+    return shares, errors, float(logs.max() + math.log(total / draws)), float(total**2 / np.sum(weights**2))
+
+
+def words_with_hypotheses(prior, truth):
+    """Return the vocabulary whose births are drawn around the true solids, 1 cm off, half of them."""
+    poses = truth.poses()
+    guesses = [
+        Hypothesis(v.shape, dict(v.parameters), poses[v.name], 1.0, 0.015, 0.3)
+        for v in truth.vertices
+        if v.name != "floor"
+    ]
+    return Vocabulary(prior, HypothesisProposal(guesses, 0.5) if guesses else None)
+
+
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_chain_agrees_with_brute_force(seed):
+    prior, truth, image = observed(seed)
+    shares, errors, _, effective = reference(seed)
+    assert effective > 100
+    words = words_with_hypotheses(prior, truth)
+    target = Target(prior, SlotImage(CAMERA, image, "gaussian", VALUES))
+    draws = jump_chain(generator(seed, 79), target, words, truth, 3000, 500, 3, mixture())
+    keys = [key_of(state.graph) for state in draws.states]
+    for key in set(shares) | set(keys):
+        walked = np.array([k == key for k in keys], float)
+        batches = walked.reshape(30, -1).mean(axis=1)
+        error = math.hypot(batches.std(ddof=1) / math.sqrt(30), errors.get(key, 0.0))
+        assert abs(walked.mean() - shares.get(key, 0.0)) < 4.5 * error + 2e-3, key
+
+
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_smc_agrees_with_brute_force(seed):
+    """Structure probabilities and evidence from several independent populations, against brute force, within errors."""
+    prior, truth, image = observed(seed)
+    shares, errors, log_evidence, effective = reference(seed)
+    words = words_with_hypotheses(prior, truth)
+    target = Target(prior, SlotImage(CAMERA, image, "gaussian", VALUES))
+    bare = truth
+    for name in truth.names:
+        if name != "floor" and name in bare.names:
+            bare = bare.remove(name)
+    runs, evidences = [], []
+    for run in range(6):
+        draws = structure_smc(generator(seed, 80, run), target, words, bare, 80, 2, mixture(), 10, 3)
+        runs.append([key_of(state.graph) for state in draws.states])
+        evidences.append(draws.log_evidence)
+    for key in set(shares) | {k for keys in runs for k in keys}:
+        rates = np.array([np.mean([k == key for k in keys]) for keys in runs])
+        error = math.hypot(rates.std(ddof=1) / math.sqrt(6), errors.get(key, 0.0), 0.02)
+        assert abs(rates.mean() - shares.get(key, 0.0)) < 4.5 * error, key
+    # The prior is known up to what `at-most` rules out: its mass is estimated from draws without the constraint.
+    rng = generator(81)
+    kept = np.mean([len(prior._sample(rng).vertices) <= 3 for _ in range(CONSTRAINT_DRAWS)])
+    ratios = np.exp(np.array(evidences) - log_evidence - math.log(kept))
+    error = math.hypot(ratios.std(ddof=1) / math.sqrt(6), 1.0 / math.sqrt(effective), 0.03)
+    assert abs(ratios.mean() - 1.0) < 4.5 * error
+
+
+def test_engine_with_places_in_reserve_equals_a_full_evaluation():
+    """Births, deaths and more solids than places: the same log likelihood as a fresh engine's (to 1e-6 nats)."""
+    prior, truth, image = observed(1)
+    engine = SlotImage(CAMERA, image, "gaussian", VALUES)
+    target = Target(prior, engine)
+    rng, graph = generator(82), truth
+    evaluate(target, graph)
+    for number in range(60):
+        proposed = prior.sample(rng) if number % 7 else truth
+        if number % 20 == 19:
+            for _ in range(9):  # more than the reserve
+                vertex = Vocabulary(prior).proposal.sample(rng, Vocabulary(prior), proposed)
+                proposed = proposed.add(vertex)
+        value = engine.propose(proposed)
+        fresh = DepthEvaluator(CAMERA, image, "gaussian", VALUES).load(proposed.solids())
+        assert abs(value - fresh) < 1e-6
+        accepted = rng.random() < 0.5
+        target.settle(accepted)
+        graph = proposed if accepted else graph
+        fresh = DepthEvaluator(CAMERA, image, "gaussian", VALUES).load(graph.solids())
+        assert abs(engine.propose(graph) - fresh) < 1e-6
+        engine.reject()

@@ -1,0 +1,368 @@
+"""Every reversible jump: there and back, invariance of the prior, broken twins that fail."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from invariance import bound
+from jump_worlds import TEXTS, generator, prior_of
+
+from derender.scene.pose import from_rotation_vector, translation
+from derender.scene.priors.values import ROTATION
+from derender.structures.jumps import mixture, split_merge
+from derender.structures.jumps.base import Applied, Move, Target, evaluate, log_proposal_ratio, moves, step
+from derender.structures.jumps.recast import Cast
+from derender.structures.jumps.vocabulary import Vocabulary
+
+
+@pytest.fixture(scope="module", params=list(TEXTS))
+def words(request):
+    return Vocabulary(prior_of(request.param))
+
+
+def draws(words, move, seed, wanted, tries=4000):
+    """Yield (graph, choice, applied, log ratio) of moves that are possible."""
+    rng, found = generator(seed), 0
+    for _ in range(tries):
+        graph = words.prior.sample(rng)
+        choice = move.draw(rng, words, graph)
+        if choice is None:
+            continue
+        applied, ratio = log_proposal_ratio(move, words, graph, choice)
+        if applied is None:
+            continue
+        yield graph, choice, applied, ratio
+        found += 1
+        if found == wanted:
+            return
+
+
+def solids_by_name(graph):
+    """Return {name: (kind, parent, contact, numbers ...)} with floats rounded, to compare scenes as sets."""
+    return {
+        vertex.name: (
+            vertex.shape,
+            vertex.parent,
+            (vertex.contact.type, vertex.contact.parent_face, vertex.contact.child_face),
+            dict(vertex.parameters),
+            dict(vertex.contact.values),
+        )
+        for vertex in graph.vertices
+    }
+
+
+def close(first, second, tolerance=1e-7):
+    """Assert that two nests of tuples, dicts, numbers and words agree; rotations up to sign, angles up to a turn."""
+    if isinstance(first, dict):
+        first, second = _signed(first), _signed(second)
+        assert set(first) == set(second), (first, second)
+        for key in first:
+            if key == "theta" or (isinstance(key, tuple) and key[-1] == "theta"):
+                # a difference of 1e-16 at the period's end turns 0 into the period: compare on the circle
+                gap = abs(first[key] - second[key])
+                gaps = [abs(gap - math.tau / order) for order in (1, 2, 4)]
+                assert min(gap, *gaps) < tolerance
+            else:
+                close(first[key], second[key], tolerance)
+    elif isinstance(first, tuple | list):
+        assert len(first) == len(second), (first, second)
+        for a, b in zip(first, second, strict=True):
+            close(a, b, tolerance)
+    elif isinstance(first, np.ndarray):
+        assert np.allclose(first, second, atol=tolerance)
+    elif isinstance(first, float):
+        assert abs(first - second) < tolerance, (first, second)
+    elif hasattr(first, "__dataclass_fields__"):
+        close({k: getattr(first, k) for k in first.__dataclass_fields__},
+              {k: getattr(second, k) for k in first.__dataclass_fields__}, tolerance)  # fmt: skip
+    else:
+        assert first == second, (first, second)
+
+
+def _signed(values):
+    if set(ROTATION) <= set(values):
+        quat = np.array([values[part] for part in ROTATION])
+        quat = quat * np.sign(quat[np.argmax(np.abs(quat))])
+        return {**values, **dict(zip(ROTATION, map(float, quat), strict=True))}
+    return values
+
+
+@pytest.mark.parametrize("name", moves.names())
+def test_there_and_back(words, name):
+    """The way back restores the scene and the choices, and negates the log ratio (to 1e-6: two inversions of poses)."""
+    for graph, choice, applied, ratio in draws(words, moves[name], 1, 25, tries=400):
+        back, back_ratio = log_proposal_ratio(moves[name], words, applied.graph, applied.back)
+        assert back is not None
+        assert abs(ratio + back_ratio) < 1e-6
+        close(solids_by_name(back.graph), solids_by_name(graph))
+        assert np.allclose(back.graph.root_pose, graph.root_pose, atol=1e-9)
+        close(back.back, choice)
+
+
+# ---- invariance: a draw from the prior stays one ----
+
+# Where each move has the most to do, and how many replicates show its twins. A prior draw is moved a few times by one
+# move alone; the mean change of any function of the scene must be zero within its own standard error.
+ROWS = {
+    "birth-death": ("grammar", 600),
+    "change-face": ("rims", 300),
+    "change-shape": ("grammar", 500),
+    "exchange": ("algorithm-1", 900),
+    "reparent": ("blocks", 700),
+    "resimulate": ("grammar", 600),
+    "slide": ("rims", 400),
+    "split-merge": ("blocks", 450),
+    "transplant": ("grammar", 900),
+    "wiggle": ("slack", 900),
+}
+STEPS = 3
+
+
+def features(words, graph, log_prior):
+    """Return functions of a scene as a set: counts of objects and edges, sums of sizes, offsets, angles and slack."""
+    found = dict.fromkeys(
+        ("cube", "box", "cylinder", "sphere", "edges", "floating", "first", "carried", "last", "square", "volume", "u",
+         "v", "uu", "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt", "face", "side"),
+        0.0)  # fmt: skip
+    for name in words.grown(graph):
+        vertex = graph.vertex(name)
+        sizes, numbers = list(vertex.parameters.values()), vertex.contact.values
+        found[vertex.shape] += 1.0
+        found["edges"] += vertex.parent not in words.base and vertex.parent != "root"
+        found["floating"] += vertex.parent == "root"
+        found["first"] += sizes[0]
+        found["carried"] += sizes[0] * (vertex.parent not in words.base and vertex.parent != "root")
+        found["last"] += sizes[-1]
+        found["square"] += sizes[-1] ** 2
+        found["volume"] += sizes[0] * sizes[len(sizes) // 2] * sizes[-1]
+        u, v, theta = (numbers.get(key, centre) for key, centre in (("u", 0.5), ("v", 0.5), ("theta", 0.0)))
+        found["u"] += u
+        found["v"] += v
+        found["uu"] += (u - 0.5) ** 2
+        found["vv"] += (v - 0.5) ** 2
+        found["uv"] += (u - 0.5) * (v - 0.5)
+        found["cosine"] += math.cos(2.0 * theta)
+        found["sine"] += math.sin(4.0 * theta)
+        x, y = numbers.get("x", 0.0), numbers.get("y", 0.0)
+        found["x"] += x
+        found["xx"] += x * x
+        found["xy"] += x * y
+        found["z"] += numbers.get("z", 0.0)
+        found["turn"] += numbers.get("qw", 0.0) ** 2
+        found["gap"] += abs(numbers.get("gap", 0.0))
+        found["tilt"] += numbers.get("tilt_x", 0.0) ** 2
+        found["face"] += (vertex.contact.child_face or "")[:1] == "-"
+        found["side"] += vertex.contact.type == "side-on-face"
+    return np.array([*found.values(), log_prior])
+
+
+def verdict(words, move, replicates, seed=3):
+    """Return (largest |z| over the features, share of the steps that changed the scene, bound on |z|)."""
+    target, differences, accepted = Target(words.prior), [], 0
+    for child in np.random.SeedSequence(seed).spawn(replicates):
+        rng = np.random.default_rng(child)
+        state = evaluate(target, words.prior.sample(rng))
+        before = features(words, state.graph, state.log_prior)
+        for _ in range(STEPS):
+            state, info = step(rng, target, words, move, state)
+            accepted += info.accepted
+        differences.append(features(words, state.graph, state.log_prior) - before)
+    differences = np.array(differences)
+    spread = differences.std(axis=0, ddof=1)
+    alive = spread > 1e-9  # below, a feature changed by rounding only
+    z = np.abs(differences.mean(axis=0)[alive]) / spread[alive] * math.sqrt(replicates)
+    return float(z.max()), accepted / (STEPS * replicates), bound(len(z))
+
+
+def test_every_move_has_its_row():
+    assert sorted(ROWS) == sorted(moves.names())
+    assert {name for name, _ in TWINS} == set(moves.names())
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_leaves_the_prior_as_it_is(name):
+    world, replicates = ROWS[name]
+    worst, accepted, limit = verdict(Vocabulary(prior_of(world)), moves[name], replicates)
+    assert accepted > 0.01
+    assert worst < limit
+
+
+def test_the_mixture_leaves_the_frequencies_of_structures():
+    """A long chain over the prior visits structures as often as the prior draws them (to 4 standard errors)."""
+    words = Vocabulary(prior_of("grammar"))
+    rng, target = generator(8), Target(words.prior)
+    state = evaluate(target, words.prior.sample(rng))
+    steps, shares = [move for move, _ in mixture()], [share for _, share in mixture()]
+    chain = []
+    for number in rng.choice(len(steps), size=8_000, p=shares):
+        state, _ = step(rng, target, words, steps[number], state)
+        chain.append([len(words.grown(state.graph)), len(words.leaves(state.graph)),
+                      sum(v.shape == "box" for v in state.graph.vertices)])  # fmt: skip
+    independent = []
+    for _ in range(3000):
+        graph = words.prior.sample(rng)
+        independent.append([len(words.grown(graph)), len(words.leaves(graph)),
+                            sum(v.shape == "box" for v in graph.vertices)])  # fmt: skip
+    chain, independent = np.array(chain, float), np.array(independent, float)
+    for column in range(3):
+        for function in (lambda x: x, lambda x: x == 0.0, lambda x: x >= 3.0):
+            walked, drawn = function(chain[:, column]).astype(float), function(independent[:, column]).astype(float)
+            batches = walked.reshape(40, -1).mean(axis=1)
+            error = math.hypot(batches.std(ddof=1) / math.sqrt(40), drawn.std(ddof=1) / math.sqrt(len(drawn)))
+            assert abs(walked.mean() - drawn.mean()) <= 4.0 * error
+
+
+@pytest.mark.parametrize("name", ["slide", "change-face"])
+def test_jacobian_of_what_stays_in_place(name):
+    """Differences of the child's (theta, u, v) give the determinant (1e-3: steps of 1e-6), which is rarely one."""
+    words, seen = Vocabulary(prior_of("rims")), []
+    for graph, choice, applied, _ in draws(words, moves[name], 5, 60):
+        children = graph.children(choice.name)
+        if len(children) != 1 or set(graph.children(children[0])):
+            continue
+        child, keys = graph.vertex(children[0]), ("theta", "u", "v")
+
+        def after(shift, graph=graph, choice=choice, child=child, keys=keys):
+            values = child.contact.values
+            numbers = {f"{child.name}.contact.{k}": values[k] + d for k, d in zip(keys, shift, strict=True)}
+            new = moves[name].apply(words, graph.with_numbers(numbers), choice)
+            return None if new is None else np.array([new.graph.vertex(child.name).contact.values[k] for k in keys])
+
+        columns = [(after(h), after(-h)) for h in 1e-6 * np.eye(3)]
+        if any(end is None for pair in columns for end in pair):
+            continue
+        matrix = np.array([(high - low) / 2e-6 for high, low in columns])
+        if np.abs(matrix).max() < 1e3:  # no angle went round
+            seen.append((math.log(abs(np.linalg.det(matrix))), applied.log_jacobian))
+    measured, stated = np.array(seen).T
+    assert len(seen) > 10
+    assert np.abs(measured - stated).max() < 1e-3
+    assert np.abs(stated).max() > 0.05  # so one without a Jacobian fails here
+
+
+@pytest.mark.parametrize("foot", ["-z", "+x"])
+def test_jacobian_of_the_boxes_of_a_split(foot, monkeypatch):
+    """Differences of two posed boxes by the whole's and the choices give the determinant (1e-6: steps of 1e-5).
+
+    Tilts are small where moves are accepted, so that no test of invariance sees their sin(a) / a.
+    """
+    rng = generator(11)
+    graph = SimpleNamespace(vertex=lambda name: SimpleNamespace(contact=SimpleNamespace(child_face=foot)))
+    extents, rotation = np.exp(rng.normal(size=3)), from_rotation_vector(rng.normal(size=3))
+    choice = split_merge.Split("a", "box", "box", "b", None, 0.3, (0.2, -0.1), (0.1, -0.2, 0.05, 0.3, 0.6, -0.7), 0)
+
+    def boxes(shift):
+        """Return the whole and the two boxes after a shift (18,) of log extents, pose, share, logs and place."""
+        pose = translation(*shift[3:6]) @ rotation @ from_rotation_vector(shift[6:9])
+        whole = Cast(extents * np.exp(shift[:3]), pose, 0.0)
+        monkeypatch.setattr(split_merge, "release", lambda *_: whole)
+        moved = choice._replace(share=choice.share + shift[9], logs=tuple(choice.logs + shift[10:12]),
+                                place=tuple(choice.place + shift[12:]))  # fmt: skip
+        return moves["split-merge"]._boxes(None, graph, moved)
+
+    whole, low, high, k = boxes(np.zeros(18))
+
+    def coordinates(shift):
+        found = []
+        for box, origin in zip(boxes(shift)[1:3], (low, high), strict=True):
+            turned = origin.pose[:3, :3].T @ box.pose[:3, :3]
+            found += [np.log(box.extents), box.pose[:3, 3], 0.5 * (turned - turned.T)[[2, 0, 1], [1, 2, 0]]]
+        return np.concatenate(found)
+
+    columns = [(coordinates(h) - coordinates(-h)) / 2e-5 for h in 1e-5 * np.eye(18)]
+    measured = math.log(abs(np.linalg.det(np.array(columns)))) - math.log(8.0 * math.pi**2)
+    assert split_merge._core(whole, low, high, k, choice.place[4:]) == pytest.approx(measured, abs=1e-6)
+
+
+# ---- broken twins: each move with a fault that people make ----
+
+
+class Twin(Move):
+    """A move that does as another one but for its fault."""
+
+    def __init__(self, original):
+        self.original, self.name = original, original.name
+
+    def draw(self, rng, words, graph):
+        return self.original.draw(rng, words, graph)
+
+    def log_choice(self, words, graph, choice):
+        return self.original.log_choice(words, graph, choice)
+
+    def apply(self, words, graph, choice):
+        return self.original.apply(words, graph, choice)
+
+
+class WithoutJacobian(Twin):
+    """Forgets that the numbers before and after measure different volumes."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        return None if applied is None else applied._replace(log_jacobian=0.0)
+
+
+class WithoutChoices(Twin):
+    """Takes every choice for as likely forth as back."""
+
+    def log_choice(self, words, graph, choice):
+        return min(super().log_choice(words, graph, choice), 0.0) * 0.0
+
+
+class WrongCount(Twin):
+    """Counts all objects as if every one could die."""
+
+    def log_choice(self, words, graph, choice):
+        if hasattr(choice, "vertex"):
+            return super().log_choice(words, graph, choice)
+        return math.log(0.5 / len(words.grown(graph)))
+
+
+class Growing(Twin):
+    """Adds 4 % to a size on its way, which is no involution, with no word about it."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        if applied is None or getattr(choice, "name", None) == "root":
+            return applied
+        name = choice.name if hasattr(choice, "name") else choice.lower
+        vertex = applied.graph.vertex(name)
+        if name in words.base:
+            return applied
+        grown = {key: 1.04 * x for key, x in vertex.parameters.items()}
+        return Applied(applied.graph.replace(name, parameters=grown), applied.back, applied.log_jacobian)
+
+
+class LargeBelow(Twin):
+    """Likes an exchange that brings the larger solid down, and dislikes the way back as much."""
+
+    def apply(self, words, graph, choice):
+        applied = super().apply(words, graph, choice)
+        if applied is None:
+            return None
+        gain = 10.0 * (graph.vertex(choice.upper).psi.sum() - graph.vertex(choice.lower).psi.sum())
+        return applied._replace(log_jacobian=gain)
+
+
+TWINS = [
+    ("birth-death", WrongCount),
+    ("birth-death", WithoutChoices),
+    ("change-face", Growing),
+    ("change-shape", WithoutJacobian),
+    ("change-shape", WithoutChoices),
+    ("exchange", Growing),
+    ("exchange", LargeBelow),
+    ("reparent", WithoutJacobian),
+    ("resimulate", WithoutChoices),
+    ("slide", Growing),
+    ("split-merge", WithoutJacobian),
+    ("transplant", WithoutChoices),
+    ("wiggle", Growing),
+]
+
+
+@pytest.mark.parametrize(("name", "twin"), TWINS)
+def test_broken_twin_fails(name, twin):
+    world, replicates = ROWS[name]
+    worst, _, limit = verdict(Vocabulary(prior_of(world)), twin(moves[name]), replicates)
+    assert worst > limit

@@ -1,0 +1,164 @@
+"""Worlds of a few numbers in which prior, data and posterior are cheap: where kernels are proved."""
+
+import math
+
+import numpy as np
+
+from derender.posterior.space import Block, Space, Unknown
+from derender.scene.distributions import Categorical, distributions
+
+
+class Coded(Categorical):
+    """A categorical over 0 .. n - 1, as the values of discrete unknowns are stored."""
+
+
+class World:
+    """Unknowns with normal observations of some functions of them."""
+
+    noise = 0.5
+
+    def __init__(self, unknowns, blocks, model, slides=(), relocations=(), below=()):
+        self.space = Space(unknowns, blocks)
+        self.space.slides, self.space.relocations, self.space.below = slides, relocations, dict(below)
+        self.model = model
+
+    def target(self, rng, values):
+        clean = self.model(values)
+        return Target(self, clean + self.noise * rng.standard_normal(len(clean)))
+
+
+class Target:
+    def __init__(self, world, data):
+        self.world, self.space, self.data = world, world.space, data
+
+    def log_prior(self, values):
+        return self.space.log_prior(values)
+
+    def log_likelihood(self, values):
+        residual = (self.data - self.world.model(values)) / self.world.noise
+        return -0.5 * float(residual @ residual)
+
+    def summary(self):
+        return self.data
+
+    def derivative(self):
+        return Slope(self)
+
+    def keep_children(self, values, moved, block):
+        """The child's place in the world is x + s(x) u; u becomes what keeps it there."""
+        x, u, new = values[1], values[2], moved[1]
+        kept = moved.copy()
+        kept[2] = (x + _stretch(x) * u - new) / _stretch(new)
+        return kept, math.log(_stretch(x) / _stretch(new))
+
+    def placement_periods(self, name):
+        return {"a": (math.pi, 0.0), "b": (0.0,)}[name]
+
+    def placement(self, values, name):
+        """The place of a in the world: its angle, and x + x^3; of b: x + s(x) u."""
+        theta, x, u = values
+        return np.array([theta, x + x**3]) if name == "a" else np.array([x + _stretch(x) * u])
+
+    def placements(self, name, archive):
+        return np.array([self.placement(values, name) for values in archive])
+
+    def put(self, values, places):
+        """The Jacobians |dx' / dx| = (1 + 3 x^2) / (1 + 3 x'^2) and |du' / du| = s(x) / s(x') at the same motion."""
+        (_, x, u), moved, log_jacobian = values, values.copy(), 0.0
+        if "a" in places:
+            far = places["a"][1]
+            root = 2 / math.sqrt(3) * math.sinh(math.asinh(1.5 * math.sqrt(3) * far) / 3)  # of x + x^3 = far
+            moved[:2] = places["a"][0], root
+            log_jacobian += math.log((1 + 3 * x * x) / (1 + 3 * root * root))
+        where = places["b"][0] if "b" in places else x + _stretch(x) * u
+        moved[2] = (where - moved[1]) / _stretch(moved[1])
+        return moved, log_jacobian + math.log(_stretch(x) / _stretch(moved[1]))
+
+
+class Slope:
+    """Gradient by differences of the log posterior, Gauss-Newton precision by differences of the model."""
+
+    def __init__(self, target):
+        self.target = target
+
+    def at(self, values, temperature):
+        target, space = self.target, self.target.space
+        step = 1e-5
+        gradient, images = [], []
+        for i in range(space.directions[-1]):
+            tangent = np.zeros(space.directions[-1])
+            tangent[i] = step
+            places = [space.move(values, space.everything, sign * tangent) for sign in (1, -1)]
+            density = [space.log_prior(place) + temperature * target.log_likelihood(place) for place in places]
+            difference = (density[0] - density[1]) / (2 * step)
+            gradient.append(difference if math.isfinite(difference) else 0.0)
+            high, low = (target.world.model(place) / target.world.noise for place in places)
+            images.append((high - low) / (2 * step))
+        precision = temperature * np.array(images) @ np.array(images).T + np.diag(1 / space.scales**2)
+        return np.array(gradient), precision
+
+
+def _stretch(x):
+    return math.exp(1.2 * x)
+
+
+def angle_and_child():
+    """An angle, a place x, and a child's u whose place in the world depends on x."""
+    unknowns = [
+        Unknown("a.contact.theta", distributions["von-mises"](0.3, 1.0, math.pi), math.pi),
+        Unknown("a.contact.x", distributions["normal"](0.0, 1.0)),
+        Unknown("b.contact.u", distributions["uniform"](-1.0, 1.5)),
+    ]
+    blocks = [Block("a.contact", (0, 1)), Block("b.contact", (2,))]
+
+    def model(values):
+        theta, x, u = values
+        return np.array([math.sin(2 * theta) + x, math.cos(2 * theta), x + _stretch(x) * u])
+
+    relocations = ("a.contact", "b.contact")
+    return World(unknowns, blocks, model, slides=("a.contact",), relocations=relocations, below={"b": "a"})
+
+
+def box_with_sides():
+    """A box's angle, length and width, seen through its second moments; and a discrete face."""
+    unknowns = [
+        Unknown("a.contact.theta", distributions["uniform"](0.0, math.pi), math.pi),
+        Unknown("a.length", distributions["uniform"](0.5, 2.0)),
+        Unknown("a.width", distributions["gamma"](4.0, 0.25)),
+        Unknown("a.contact.child_face", Coded({0: 0.5, 1: 0.3, 2: 0.2})),
+    ]
+    blocks = [Block("a.contact", (0, 3)), Block("a.shape", (1, 2))]
+
+    def model(values):
+        theta, length, width, face = values
+        c, s = math.cos(theta), math.sin(theta)
+        return np.array([
+            length**2 * c * c + width**2 * s * s,
+            (length**2 - width**2) * c * s,
+            length * width * (1 + 0.4 * face),
+        ])  # fmt: skip
+
+    return World(unknowns, blocks, model)
+
+
+def floating():
+    """A rotation and a length; the rotation is seen through where it takes two axes."""
+    unknowns = [
+        Unknown("a.contact.quat_wxyz", distributions["uniform-rotation"]()),
+        Unknown("a.contact.z", distributions["log-normal"](1.0, 0.5)),
+    ]
+    blocks = [Block("a.contact", (0, 1))]
+
+    def model(values):
+        w, x, y, z, length = values
+        return np.array([
+            length * (1 - 2 * (y * y + z * z)),
+            length * 2 * (x * y + w * z),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ])  # fmt: skip
+
+    return World(unknowns, blocks, model)
+
+
+WORLDS = {"angle": angle_and_child, "box": box_with_sides, "floating": floating}
