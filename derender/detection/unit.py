@@ -32,7 +32,10 @@ def in_metres(posterior, unit):
     meta = dict(posterior.meta)
     meta["noise"] *= unit
     meta["likelihood"] = likelihood_in_metres(meta["likelihood"], unit)
-    return replace(posterior, parts=parts, meta=meta)
+    explanation = posterior.explanation
+    if explanation is not None:
+        explanation = explanation._replace(depth=explanation.depth * np.float32(unit))
+    return replace(posterior, parts=parts, meta=meta, explanation=explanation)
 
 
 def part_in_metres(part, unit):

@@ -17,6 +17,7 @@ import numpy as np
 from derender import __version__
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
+from derender.results.explanation import Explanation
 from derender.sampling import diagnostics
 from derender.scene.constraints import Constraint
 from derender.scene.graph import Contact, SceneGraph, Vertex
@@ -97,6 +98,8 @@ class Posterior:
     parts : the structures found, any order; their weights sum to one.
     seed, command : what made it; version : of derender that did.
     meta : what else is worth knowing, as JSON would hold it (the camera, seconds, lost chains ...).
+    explanation : what the most probable scene says of each pixel of the image, where that was worked out; a file does
+        not hold it.
     """
 
     parts: tuple[StructurePosterior, ...]
@@ -104,6 +107,7 @@ class Posterior:
     command: str = ""
     version: str = __version__
     meta: Mapping[str, Any] = field(default_factory=dict)
+    explanation: Explanation | None = None
 
     def __repr__(self) -> str:
         return f"<Posterior, structures: {len(self.parts)}, the best: {self.best_part!r}>"

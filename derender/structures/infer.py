@@ -1,11 +1,13 @@
 """From a bare depth image to a posterior over scene graphs: observe, propose, search, sample."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from derender.detection.given_floor import read_floor
 from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings
-from derender.detection.search.observation import CORRELATED, closer_look, observe, patches_of
+from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import search
 from derender.detection.search.surface import make_surface
@@ -142,7 +144,27 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
-    return Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
+    posterior = Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
+    return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))
+
+
+def explanation_of(posterior, seen, depth, camera):
+    """Return what the most probable scene says of each pixel of the image as it came, an Explanation."""
+    from derender.results.explanation import explain
+
+    rows, columns = (nearest_pixels(after, 1, before, seen.factor)
+                     for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
+    camera = whole_camera(camera, depth.shape)
+    return explain(posterior.best_graph(), depth, camera, seen.floor.sigma, seen.behind[rows[:, None], columns])
+
+
+def whole_camera(camera, shape):
+    """Return the Camera that a mapping of fx, fy, cx, cy or a Camera is for an image of this shape."""
+    from derender.camera.intrinsics import Camera
+
+    if isinstance(camera, Camera):
+        return camera
+    return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
 def likelihood_of(parts, seen, depth, camera, temper):
@@ -150,14 +172,12 @@ def likelihood_of(parts, seen, depth, camera, temper):
 
     That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
     """
-    from derender.camera.intrinsics import Camera
     from derender.structures.draws.sensor import image_likelihood, too_far
 
     best = max(parts, key=lambda part: part.weight)
     if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
         return best.extras["likelihood"]
-    if not isinstance(camera, Camera):
-        camera = Camera(**{**camera, "width": depth.shape[1], "height": depth.shape[0]})
+    camera = whole_camera(camera, depth.shape)
     worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
     name, numbers = image_likelihood(camera, depth, best.best()[0].solids(), worth)
     return {"type": name, **numbers}

@@ -37,6 +37,7 @@ class Observation(NamedTuple):
     correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real
         sensors.
     background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
+    behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     """
 
@@ -50,6 +51,7 @@ class Observation(NamedTuple):
     factor: int
     correlation: float
     background: float
+    behind: np.ndarray
     backdrop: bool
 
 
@@ -111,7 +113,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding):
         away = good & ~mask & ~near(mask, int(AWAY / np.median(footprint[good])) + 1)
         image.floor[away] = image.depth[away]
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
-                       float(background.sum() / max(good.sum(), 1)), backdrop is not None)  # fmt: skip
+                       float(background.sum() / max(good.sum(), 1)), background, backdrop is not None)  # fmt: skip
 
 
 def closer_look(seen, depth, camera):

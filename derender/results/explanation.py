@@ -1,0 +1,91 @@
+"""What a scene says of each pixel of the image it was inferred from: which object is seen there, and how far away."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.compilation.cache import njit
+from derender.render.raycast.depth import render_depth
+from derender.scene.graph import SceneGraph
+
+FLOOR, BACKGROUND, UNEXPLAINED = -1, -2, -3
+NEAR, NEAR_SHARE = 0.01, 0.01  # metres, and share of the depth: what is seen so near the floor shows the floor
+NOISES = 4.0  # standard deviations of the noise within which a pixel shows the floor
+WINDOW = 2  # pixels on either side over which the background's surface is smoothed
+STEP = 0.02  # share of the depth: what differs more from the middle of the window lies on another surface
+
+
+class Explanation(NamedTuple):
+    """What the most probable scene says of each pixel, at the size of the image as it came.
+
+    Attributes
+    ----------
+    label : (H, W) int32, index into `names`; or FLOOR; BACKGROUND (walls, clutter, another table, the room behind);
+        UNEXPLAINED: something is seen that is none of these.
+    depth : (H, W) float32 metres of the surface that explains the pixel; NaN where nothing does.
+    names : names of the solids, without floors, in the order of the graph's vertices.
+    """
+
+    label: np.ndarray
+    depth: np.ndarray
+    names: tuple[str, ...]
+
+    def share(self, seen: np.ndarray, within: float = 0.03) -> float:
+        """Return which share of the valid pixels of `seen` (H, W) is explained to so many metres."""
+        valid = np.isfinite(seen) & (seen > 0)
+        with np.errstate(invalid="ignore"):
+            near = np.abs(self.depth - seen) < within
+        return float(near[valid].mean()) if valid.any() else 0.0
+
+
+def explain(
+    graph: SceneGraph, seen: np.ndarray, camera: Camera, noise: float = 0.0, background: np.ndarray | None = None
+) -> Explanation:
+    """Return the Explanation of an image by a scene.
+
+    Parameters
+    ----------
+    graph : the scene, its root in the camera's axes. seen : (H, W) float metres, NaN or 0 = no return.
+    camera : of this image. noise : standard deviation in metres of what is seen of the floor.
+    background : (H, W) bool, pixels that show neither floor nor solid; each is explained by the mean of the surface
+        about it (a plane is its own), so that single outliers are not.
+    """
+    solids = graph.solids()
+    depth, index = render_depth(solids, camera)
+    numbers, names = [], []
+    for name in graph.solid_names:
+        plane = graph.vertex(name).shape == "plane"
+        numbers.append(FLOOR if plane else len(names))
+        names += [] if plane else [name]
+    label = np.array([*numbers, UNEXPLAINED], np.int32)[index]  # -1, where nothing is hit, is the last
+    valid = np.isfinite(seen) & (seen > 0)
+    filled = np.where(valid, seen, 0.0)
+    if background is not None:
+        behind = background & valid & (label < 0)
+        depth[behind] = smooth_surface(filled, behind)[behind]
+        label[behind] = BACKGROUND
+    with np.errstate(invalid="ignore"):
+        off = np.abs(depth - filled) > np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
+    missed = (label == FLOOR) & valid & off
+    label[missed], depth[missed] = UNEXPLAINED, np.nan
+    return Explanation(label, depth.astype(np.float32), tuple(names))
+
+
+@njit(cache=True, nogil=True)
+def smooth_surface(depth, mask):
+    """Return (H, W) the mean over a window of those pixels of the mask that lie on the same surface; 0 outside it."""
+    height, width = depth.shape
+    out = np.zeros((height, width))
+    for j in range(height):
+        for i in range(width):
+            if not mask[j, i]:
+                continue
+            total, count = 0.0, 0
+            for v in range(max(j - WINDOW, 0), min(j + WINDOW + 1, height)):
+                for u in range(max(i - WINDOW, 0), min(i + WINDOW + 1, width)):
+                    if mask[v, u] and abs(depth[v, u] - depth[j, i]) < STEP * depth[j, i]:
+                        total += depth[v, u]
+                        count += 1
+            out[j, i] = total / count
+    return out

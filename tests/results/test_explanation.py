@@ -1,0 +1,62 @@
+"""What a scene says of each pixel: against a scene whose pixels are known, with what it cannot know added to it."""
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.results.explanation import BACKGROUND, FLOOR, UNEXPLAINED, explain, smooth_surface
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+
+CAMERA = Camera.from_field_of_view(64, 48)
+BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), (slice(38, 42), slice(5, 9))
+
+
+@pytest.fixture
+def graph():
+    """A cube of 20 cm on a floor 1 m below a camera that looks straight down."""
+    root = np.eye(4)
+    root[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    root[2, 3] = 1.0
+    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
+    face = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
+    return SceneGraph(root, (floor, Vertex("red", "cube", {"side": 0.2}, "floor", face)))
+
+
+@pytest.fixture
+def seen(graph):
+    """Its depth image with a wall in the first rows and something else in a corner."""
+    depth = explain(graph, np.ones(CAMERA.shape), CAMERA).depth.astype(float)
+    depth[WALL], depth[GHOST], depth[45, 60] = 0.7, 0.9, np.nan
+    return depth
+
+
+def test_each_pixel_has_its_object_or_says_what_it_is(graph, seen):
+    background = np.zeros(seen.shape, bool)
+    background[WALL] = True
+    told = explain(graph, seen, CAMERA, background=background)
+    assert told.names == ("red",)
+    assert (told.label[BOX] == 0).all() and np.allclose(told.depth[BOX], 0.8)
+    assert (told.label[WALL] == BACKGROUND).all() and np.allclose(told.depth[WALL], 0.7)
+    assert (told.label[GHOST] == UNEXPLAINED).all() and np.isnan(told.depth[GHOST]).all()
+    assert told.label[45, 60] == FLOOR and told.depth[45, 60] == pytest.approx(1.0)
+    assert told.share(seen) == pytest.approx(1.0 - 16 / (64 * 48 - 1))
+
+
+def test_what_lies_before_the_background_stays_an_object(graph, seen):
+    told = explain(graph, seen, CAMERA, background=np.ones(seen.shape, bool))
+    assert (told.label[BOX] == 0).all()
+
+
+def test_noise_about_the_floor_is_the_floor(graph, seen):
+    seen[GHOST] = 0.97
+    assert (explain(graph, seen, CAMERA, noise=0.01).label[GHOST] == FLOOR).all()
+    assert (explain(graph, seen, CAMERA, noise=0.001).label[GHOST] == UNEXPLAINED).all()
+
+
+def test_the_background_is_smoothed_but_not_across_its_steps():
+    rng = np.random.default_rng(0)
+    depth = np.where(np.arange(40)[None] < 20, 1.0, 1.5) + 0.002 * rng.standard_normal((30, 40))
+    smooth = smooth_surface(depth, np.ones(depth.shape, bool))
+    off = smooth - np.where(np.arange(40)[None] < 20, 1.0, 1.5)
+    assert 0.0002 < off.std() < 0.0009
+    assert (smooth_surface(depth, np.zeros(depth.shape, bool)) == 0.0).all()
