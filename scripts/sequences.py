@@ -6,7 +6,8 @@
 A folder holds frame_000.npy ... (float32 metres, NaN where nothing returned), camera.json (with `fps` and `gravity`,
 m/s^2 in camera axes) and truth.json: in the form of track.json, and beside its keys `kind`, `fps`, `gravity`, `floor`
 (4x4, to camera), `speeds` of each object at the first frame (linear, angular, in camera axes) and `pixels` of it in
-each frame. Physics is MuJoCo's at steps of a quarter of a millisecond; `restitution` is that of the first impact as it was.
+each frame. Physics is MuJoCo's at steps of a quarter of a millisecond; `restitution` is that of the first impact as it
+was.
 """
 
 import argparse
