@@ -75,7 +75,9 @@ def command(talk: Talk, **arguments) -> int | None:
     things in the image.
 
     Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
-    DIR/report.html, DIR/summary.json and DIR/observation.npz, and prints a table. Ctrl-C writes what there is.
+    DIR/report.html, DIR/summary.json, DIR/observation.npz, DIR/labels.png (16 bits, k where the pixel shows the k-th
+    object of `derender show DIR --json`) and DIR/explained.npy (the depth of the best scene, metres), and prints a
+    table. Ctrl-C writes what there is.
 
     \b
     Examples:
@@ -101,5 +103,5 @@ def command(talk: Talk, **arguments) -> int | None:
     if outcome.interrupted:
         return 130
     for line in outcome.verdict():
-        talk.say(line, always=bool(outcome.doubts))
-    return 3 if arguments["strict"] and outcome.doubts else None
+        talk.say(line, always=not outcome.trusted)
+    return 3 if arguments["strict"] and not outcome.trusted else None

@@ -30,7 +30,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     from derender.report.contents import report_of
     from derender.report.html import write_report
     from derender.report.tables import parameter_table
-    from derender.report.trust import verdict
+    from derender.results.trust import trusted, verdict
 
     if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
         raise DerenderError("a report is HTML", output, "give a name that ends in .html")
@@ -59,7 +59,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     if table and report.parameters:
         click.echo(parameter_table(report.parameters))
     for line in verdict(report.doubts, report.parameters):
-        talk.say(line, always=bool(report.doubts))
+        talk.say(line, always=not trusted(report.doubts))
 
 
 def title_facts(count: int) -> dict[str, str]:

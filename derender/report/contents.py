@@ -1,12 +1,16 @@
 """What a report shows: gathered from a scene, its image and its posterior, before any of it is drawn."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.report import tables, trust
+from derender.report import tables
+from derender.results import trust
+from derender.results.check import check_fit
+from derender.results.fit import Fit, fit_of
 from derender.scene.solids import Solids
 
 if TYPE_CHECKING:
@@ -31,9 +35,10 @@ class Report(NamedTuple):
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
     structures : (weight, words) of each structure found, most probable first.
     facts : what else is known, shown in the head: seed, version, command, the sensor, times.
-    doubts : why the posterior is not to be trusted, a line each.
+    doubts : reasons to doubt the posterior, from its chains and from its image.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
+    fit : how well the scene fits the image, where there is one.
     """
 
     title: str
@@ -47,7 +52,8 @@ class Report(NamedTuple):
     structures: Sequence[tuple[float, str]] = ()
     facts: Mapping[str, Any] = {}
     likelihood: Mapping[str, Any] = {}
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[trust.Doubt, ...] = ()
+    fit: Fit | None = None
 
 
 def report_of(
@@ -82,6 +88,12 @@ def report_of(
         periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
         rows = tables.parameter_rows(best.addresses, best.values, periods)
         structures = told_structures(posterior)
+    fit, doubts = None, trust.chain_doubts(posterior, rows, lost) if posterior is not None else ()
+    if camera is not None and observed is not None:
+        fit = fit_of(graph, camera, observed, likelihood or {})
+        doubts = (*doubts, *check_fit(fit, observed))
+    if posterior is not None:
+        posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
     return Report(
         title,
         scene_json(graph, posterior),
@@ -94,7 +106,8 @@ def report_of(
         structures,
         {key: value for key, value in known.items() if value not in (None, "")},
         dict(likelihood or {}),
-        trust.doubts_of(posterior, rows, lost) if posterior is not None else (),
+        doubts,
+        fit,
     )
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from derender.report import pictures, svg, tables, trust, viewer
+from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
+from derender.results import trust
 from derender.scene import solids as kinds
 from derender.scene.solids import Solids
 
@@ -51,7 +52,7 @@ def _head(report: Report) -> str:
     solids = [item for item in report.scene["objects"] if item.get("size") is not None]
     words = f"{len(solids)} object{'s' if len(solids) != 1 else ''}"
     facts = " · ".join(f"{escape(str(key))} {escape(str(value))}" for key, value in report.facts.items())
-    mark = ' class="bad"' if report.doubts else ""
+    mark = "" if trust.trusted(report.doubts) else ' class="bad"'
     lines = trust.verdict(report.doubts, report.parameters)
     verdict = "".join(f"<p{mark}>{escape(line[0].upper() + line[1:])}.</p>" for line in lines)
     return f'<h1>{escape(report.title)}</h1><p>{words}</p>{verdict}<p class="soft">{facts}</p>'

@@ -1,14 +1,13 @@
 """Arrays as pictures, without matplotlib: a report has to be written in a fraction of a second."""
 
 import base64
-import struct
-import zlib
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.camera.png import png_bytes
 from derender.scene.solids import Solids
 
 MISSING = np.array([58, 58, 64], dtype=np.uint8)
@@ -31,23 +30,9 @@ NAMED_COLOURS = {
 }
 
 
-def encode_png(pixels: np.ndarray) -> bytes:
-    """Return a PNG file of (height, width, 3) uint8 pixels."""
-    height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)
-    rows[:, 1:] = pixels.reshape(height, -1)
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
-
-
 def png_uri(pixels: np.ndarray) -> str:
     """Return the picture as a data: URI for an HTML page."""
-    return "data:image/png;base64," + base64.b64encode(encode_png(pixels)).decode()
+    return "data:image/png;base64," + base64.b64encode(png_bytes(pixels)).decode()
 
 
 def paint(values: np.ndarray, low: float, high: float, anchors: tuple[str, ...] = DEPTH_ANCHORS) -> np.ndarray:

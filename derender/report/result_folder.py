@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,10 @@ from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
 from derender.results.posterior import Posterior
+from derender.results.trust import Doubt, judgement, trusted
 
-WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json")
+WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
+           "labels.png", "explained.npy")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Outcome:
     ----------
     folder : with the files. posterior : what is in them.
     rows : of the table, see report.tables.parameter_rows.
-    doubts : why the result is not to be trusted, one line each.
+    doubts : reasons to doubt the result.
     interrupted : by Ctrl-C.
     sensor : what the likelihood says of it, in words by name. seconds : that inference took.
     """
@@ -34,10 +36,15 @@ class Outcome:
     folder: Path
     posterior: Posterior
     rows: Sequence[Mapping[str, Any]]
-    doubts: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
     interrupted: bool
     sensor: Mapping[str, str]
     seconds: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether none of the doubts is serious."""
+        return trusted(self.doubts)
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in three digits: what rests on what."""
@@ -52,8 +59,8 @@ class Outcome:
         return "\n".join([*self.structures(), *([parameter_table(self.rows)] if self.rows else [])])
 
     def verdict(self) -> list[str]:
-        """Return whether the draws are to be trusted, in lines."""
-        from derender.report.trust import verdict
+        """Return whether the result is to be trusted, in lines."""
+        from derender.results.trust import verdict
 
         return verdict(self.doubts, self.rows)
 
@@ -67,7 +74,7 @@ class Outcome:
         from rich.table import Table
 
         from derender.report.tables import cells, columns
-        from derender.report.trust import doubtful
+        from derender.results.trust import doubtful
 
         console = Console()
         for line in self.structures():
@@ -89,7 +96,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     """
     from derender.report.contents import likelihood_numbers, report_of, sensor_words
     from derender.report.html import write_report
-    from derender.report.scene_json import scene_json
+    from derender.results.fit import write_explained, write_labels
     from derender.results.netcdf import write_netcdf
 
     graph = posterior.best_graph()
@@ -103,7 +110,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     name = Path(str(posterior.meta["image"])).name
     numbers = likelihood_numbers(likelihood)
     report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost)
-    doubts = report.doubts
+    doubts, fit = report.doubts, report.fit
+    posterior = replace(posterior, meta={**posterior.meta, **judgement(doubts, fit)})
     rows = {
         row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
         for row in report.parameters
@@ -113,15 +121,13 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         "version": posterior.version,
         "seconds": round(seconds, 3),
         **posterior.meta,
-        "trusted": not doubts,
-        "doubts": list(doubts),
         "chains": int(best.values.shape[0]),
         "draws": int(best.values.shape[1]),
         "log_density": float(np.max(best.log_density)),
         "structures": [{"weight": part.weight, "objects": list(part.graph.names)} for part in posterior.parts],
         "extras": best.extras,
         "parameters": rows,
-        "scene": scene_json(graph, posterior),
+        "scene": report.scene,
     }
     with files_together(folder, WRITTEN) as place:
 
@@ -129,6 +135,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
             posterior.save(place / "posterior.npz")
             write_netcdf(place / "posterior.nc", posterior)
+            if fit is not None:
+                write_labels(place / "labels.png", fit.label)
+                write_explained(place / "explained.npy", fit.depth)
             write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 

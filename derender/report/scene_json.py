@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.results.objects import size_intervals
 from derender.scene.graph import SceneGraph
 
 GRAVITY = 9.81  # metres a second squared
@@ -15,17 +16,18 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     Parameters
     ----------
     graph : the scene; with a posterior, its most probable one.
-    posterior : adds `probability` and `parent_probability` to each object, and `support_probability` to what may have
-        a second support; it answers object_probability(name), parent_probability(name) and support_probability(name)
-        -> {other: probability}.
+    posterior : adds `size_interval`, `probability` and `parent_probability` to each object, and `support_probability`
+        to what may have a second support.
 
     Returns
     -------
-    {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}; of an object, `size` is the three full
-    extents along its own axes in metres, None for what has none; `pose` is 4x4 row-major, object to camera; `supports`,
-    where there, names what it rests on besides its parent.
+    {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
+    (results/trust.py) `explained`, `trusted` and `doubts`; of an object, `size` is the three full extents along its own
+    axes in metres, None for what has none; `size_interval` their 90 % intervals, likewise; `pose` is 4x4 row-major,
+    object to camera; `supports`, where there, names what it rests on besides its parent.
     """
     poses = graph.poses()
+    intervals = size_intervals(posterior) if posterior is not None else {}
     objects = []
     for vertex in graph.vertices:
         size = vertex.body.size()
@@ -46,10 +48,13 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
         if vertex.supports:
             entry["supports"] = list(vertex.supports)
         if posterior is not None:
+            entry["size_interval"] = intervals.get(vertex.name)
             entry["probability"] = float(posterior.object_probability(vertex.name))
             parents = posterior.parent_probability(vertex.name)
             entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
             if supports := posterior.support_probability(vertex.name):
                 entry["support_probability"] = {name: float(share) for name, share in supports.items()}
         objects.append(entry)
-    return {"frame": "camera", "gravity": (GRAVITY * graph.down()).tolist(), "objects": objects}
+    meta = {} if posterior is None else posterior.meta
+    judged = {key: meta[key] for key in ("explained", "trusted", "doubts") if key in meta}
+    return {"frame": "camera", "gravity": (GRAVITY * graph.down()).tolist(), "objects": objects, **judged}

@@ -36,8 +36,11 @@ def test_writes_everything(folder, tmp_path):
     assert summary["seed"] == 1 and summary["version"] and summary["command"]
     assert summary["draws"] == 300
     assert set(summary["parameters"]) == {f"yellow.contact.{k}" for k in ("theta", "u", "v")}
-    for name in ("scene.yaml", "posterior.npz", "report.html", "observation.npz"):
+    for name in ("scene.yaml", "posterior.npz", "report.html", "observation.npz", "explained.npy"):
         assert (out / name).stat().st_size > 100
+    assert (
+        (out / "labels.png").exists() and summary["explained"] > 0.9 and summary["trusted"] == (not summary["doubts"])
+    )
     from derender.document import read_document
 
     truth = read_document(folder / "sample_000.yaml").graph.poses()["yellow"]

@@ -14,6 +14,7 @@ from derender.document import built_in_priors, read_document
 from derender.posterior.kernels import kernels
 from derender.report.scene_json import scene_json
 from derender.report.tree_text import scene_lines
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.distributions import distributions
 from derender.scene.shapes import shapes
 
@@ -104,7 +105,7 @@ def test_show_json_is_the_contract(capfd):
     assert "probability" not in yellow
 
 
-class TwoParents:
+class TwoParents(Posterior):
     """A posterior that doubts where things stand."""
 
     def object_probability(self, name):
@@ -120,12 +121,15 @@ class TwoParents:
 def test_a_posterior_adds_its_probabilities():
     assert run("sample", "stack", "--no-images", "-q") == 0
     graph = read_document("sample_000.yaml").graph
-    entry = scene_json(graph, TwoParents())["objects"][1]
+    one = np.zeros((1, 1))
+    doubtful = TwoParents((StructurePosterior(graph, (), np.zeros((1, 1, 0)), one, one),))
+    entry = scene_json(graph, doubtful)["objects"][1]
+    assert entry["size_interval"] == [[side, side] for side in entry["size"]]
     assert entry["probability"] == 0.75 and entry["parent_probability"] == {"floor": 0.9, "green": 0.1}
     assert "support_probability" not in entry
-    assert scene_json(graph, TwoParents())["objects"][3]["support_probability"] == {"green": 0.3}
-    assert "p 0.75 (on floor 0.90, green 0.10, also green 0.30)" in "\n".join(scene_lines(graph, TwoParents()))
-    assert "p 0.75 (on floor 0.90, green 0.10)" in "\n".join(scene_lines(graph, TwoParents()))
+    assert scene_json(graph, doubtful)["objects"][3]["support_probability"] == {"green": 0.3}
+    assert "p 0.75 (on floor 0.90, green 0.10, also green 0.30)" in "\n".join(scene_lines(graph, doubtful))
+    assert "p 0.75 (on floor 0.90, green 0.10)" in "\n".join(scene_lines(graph, doubtful))
 
 
 def test_types_lists_and_explains_what_is_registered(capfd):

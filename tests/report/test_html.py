@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.camera.png import png_bytes
 from derender.render.raycast.depth import render_depth
-from derender.report import pictures, svg, tables, trust
+from derender.report import pictures, svg, tables
 from derender.report.contents import Report
 from derender.report.html import page
 from derender.report.structure_words import structure_words
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines
+from derender.results import trust
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
@@ -166,7 +168,7 @@ def test_page_is_quick(report):
 def test_png_is_a_png():
     rng = np.random.default_rng(1)
     pixels = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    data = pictures.encode_png(pixels)
+    data = png_bytes(pixels)
     import imageio.v3 as imageio
 
     np.testing.assert_array_equal(imageio.imread(data, extension=".png"), pixels)
@@ -227,7 +229,7 @@ def test_of_a_single_draw_there_is_its_value_alone(report):
 def test_populations_that_disagree_are_told(meta):
     """Of leaps and of jumps, however few draws the likeliest structure has."""
     posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((1, 2, 1))))
-    assert trust.doubts_of(posterior, []) == ("the populations' log evidences are 8.0 apart",)
+    assert trust.chain_doubts(posterior, []) == (trust.Doubt("the populations' log evidences are 8.0 apart"),)
 
 
 def test_numbers_are_read_in_their_own_units():

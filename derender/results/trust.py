@@ -1,11 +1,12 @@
-"""Whether a posterior is to be trusted: what its chains say of each other."""
+"""Whether a posterior is to be trusted: what its chains say of each other, and what its image says of it."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from derender.results.fit import Fit
     from derender.results.posterior import Posterior
 
 # Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
@@ -13,6 +14,30 @@ if TYPE_CHECKING:
 LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
 QUICK = 1000  # draws of all chains together, below which it was a quick look
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
+
+
+class Doubt(NamedTuple):
+    """A reason to doubt a result.
+
+    Attributes
+    ----------
+    words : which and where, a plain sentence without a full stop.
+    serious : whether the result is not to be trusted for it; else it is worth knowing.
+    """
+
+    words: str
+    serious: bool = True
+
+
+def trusted(doubts: Sequence[Doubt]) -> bool:
+    """Return whether none of the doubts is serious."""
+    return not any(doubt.serious for doubt in doubts)
+
+
+def judgement(doubts: Sequence[Doubt], fit: "Fit | None" = None) -> dict[str, Any]:
+    """Return what a posterior's `meta` holds of it, as JSON has it: `explained`, `trusted` and `doubts`."""
+    told = {"trusted": trusted(doubts), "doubts": [doubt.words for doubt in doubts]}
+    return told if fit is None else {"explained": round(fit.share, 4), **told}
 
 
 def limits(draws: int) -> tuple[float, float]:
@@ -36,8 +61,8 @@ def worst_of(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any] | Non
     )
 
 
-def doubts_of(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: int = 0) -> tuple[str, ...]:
-    """Return the reasons not to trust a posterior, a line each.
+def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: int = 0) -> tuple[Doubt, ...]:
+    """Return the reasons not to trust a posterior that its chains give.
 
     rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
     """
@@ -48,7 +73,7 @@ def doubts_of(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: i
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
-        return tuple(doubts)
+        return tuple(map(Doubt, doubts))
     largest, smallest = limits(chains * draws)
     over = structures.get("r_hat")
     if over is not None and over > largest:
@@ -58,18 +83,19 @@ def doubts_of(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost: i
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
     if least and least["ess_bulk"] < smallest:
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
-    return tuple(doubts)
+    return tuple(map(Doubt, doubts))
 
 
-def verdict(doubts: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines that say whether draws are to be trusted; none where there are no two chains to compare."""
-    if doubts:
-        return [f"not to be trusted: {doubt}" for doubt in doubts]
+def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return lines that say whether a result is to be trusted; what is worth knowing comes last."""
+    told = [f"not to be trusted: {doubt.words}" for doubt in doubts if doubt.serious]
+    notes = [f"worth knowing: {doubt.words}" for doubt in doubts if not doubt.serious]
     worst, least = worst_of(rows)
-    if worst is None or least is None:
-        return []
+    if told or worst is None or least is None:  # the latter where there are no two chains to compare
+        return told + notes
     largest, smallest = limits(worst["draws"].size)
-    return [
+    agreement = (
         f"the chains agree: R-hat is at most {worst['r_hat']:.3f} (good up to {largest}), effective draws are at least "
         f"{least['ess_bulk']:.0f} (good from {smallest:.0f})"
-    ]
+    )
+    return [agreement, *notes]

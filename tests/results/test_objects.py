@@ -1,0 +1,59 @@
+"""Ranges of sizes: against quantiles of draws that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from derender.results.objects import size_intervals, weighted_quantile
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+
+FACE = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
+GRAPH = SceneGraph(
+    np.eye(4),
+    (
+        Vertex("floor", "plane", {}, ROOT, Contact("6dof")),
+        Vertex("tin", "cylinder", {"radius": 0.05, "height": 0.1}, "floor", FACE),
+        Vertex("die", "cube", {"side": 0.02}, "floor", FACE),
+    ),
+)
+
+
+def part(radius, weight=1.0):
+    values = np.stack([radius, np.zeros_like(radius)], axis=-1).reshape(2, -1, 2)
+    density = np.zeros(values.shape[:2])
+    return StructurePosterior(GRAPH, ("tin.radius", "tin.contact.x"), values, density, density, weight)
+
+
+def test_a_range_holds_ninety_percent_along_the_own_axes():
+    radius = np.random.default_rng(0).normal(0.05, 0.001, 400)
+    told = size_intervals(Posterior((part(radius),)))
+    expected = 2 * np.quantile(radius, [0.05, 0.95])
+    assert told["floor"] is None
+    np.testing.assert_allclose(told["tin"], [expected, expected, [0.1, 0.1]], atol=2e-5)
+    assert told["die"] == [[0.02, 0.02]] * 3
+
+
+def test_structures_count_with_their_weights():
+    ranges = [size_intervals(Posterior((part(np.full(200, 0.05), w), part(np.full(40, 0.06), 1 - w))))["tin"][0]
+              for w in (0.99, 0.9, 0.5, 0.02)]  # fmt: skip
+    np.testing.assert_allclose(ranges[0], [0.1, 0.1])
+    np.testing.assert_allclose(ranges[1], [0.1, 0.12], atol=2e-3)
+    np.testing.assert_allclose(ranges[2], [0.1, 0.12])
+    np.testing.assert_allclose(ranges[3], [0.12, 0.12])
+
+
+def test_a_structure_without_the_object_says_nothing_of_its_size():
+    bare = replace(part(np.full(4, 0.05), 0.4), graph=GRAPH.remove("tin"), addresses=(), values=np.zeros((2, 2, 0)))
+    told = size_intervals(Posterior((part(np.linspace(0.04, 0.06, 100), 0.6), bare)))
+    np.testing.assert_allclose(told["tin"][0], 2 * np.quantile(np.linspace(0.04, 0.06, 100), [0.05, 0.95]), atol=2e-4)
+
+
+def test_weighted_quantiles_are_those_of_repeated_values():
+    rng = np.random.default_rng(1)
+    values, counts = rng.random(30), rng.integers(1, 30, 30)
+    for share in (0.05, 0.5, 0.95):
+        repeated = np.quantile(np.repeat(values, counts), share, method="hazen")
+        gap = np.diff(np.sort(values)).max()
+        assert weighted_quantile(values, counts.astype(float), share) == pytest.approx(repeated, abs=gap)
