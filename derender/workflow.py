@@ -202,7 +202,7 @@ def _structure(seen, document, method, found, chains, draws, seed, progress, run
         chosen |= run
         return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)
     if document is not None:
-        chosen["prior"] = document.prior
+        chosen["prior"], chosen["likelihood"] = document.prior, document.likelihood
     if method in ("mcmc", "smc"):
         chosen |= run
     return infer_structure(seen.depth, seen.camera, chosen, np.random.default_rng(seed), progress)

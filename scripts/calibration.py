@@ -3,9 +3,11 @@ with them; inference gets the image and the camera. Prints the table, writes the
 
     python scripts/calibration.py -n 300 --jobs 2 -o reliability.png
     python scripts/calibration.py -n 60 --keep records.jsonl       goes on where the file ends
+    python scripts/calibration.py -n 60 --size 64x48 --sigma 0.006 --twice      smaller images, more noise, two seeds
 
 An object is right where it overlaps a true one (one to one) by an IoU of 0.25, as in `derender eval`'s graphs; an edge
-where both its ends are right and the true object rests on it. A part of an object counts as hidden where its visible
+where both its ends are right and the true object rests on it. A structure is right as a whole where it has all objects
+of the truth and no other, each with its shape and its parent. A part of an object counts as hidden where its visible
 pixels leave out more than HIDDEN of its extent at either end.
 """
 
@@ -25,14 +27,24 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np  # noqa: E402
 
+from derender.report.scene_json import scene_json  # noqa: E402
+
 DRAWS = 200  # scenes drawn from each posterior
 INSIDE = 0.9  # of the intervals
 HIDDEN = 0.15
+SURE = 0.99  # what is stated at least so surely is counted apart
+DIFFERENT = 0.1  # total variation between the answers of two seeds from which on they disagree
+LEAST = 1e-4  # probability that a truth which no structure found has in the log score
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
-def make_scene(seed, prior):
-    """Return (graph, image, label, camera) of one draw from a prior, noise and blur included."""
+def make_scene(seed, prior, size=None, sigma=None):
+    """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
+
+    size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
+    """
+    from dataclasses import replace
+
     from derender import data_path
     from derender.document import read_document
     from derender.render.likelihoods import likelihoods
@@ -41,17 +53,26 @@ def make_scene(seed, prior):
     document = read_document(data_path(f"priors/{prior}.yaml"))
     rng = np.random.default_rng([seed, 2026])
     graph = document.prior.sample(rng)
-    depth, label = render_depth(graph.solids(), document.camera)
+    camera = document.camera
+    if size is not None:
+        times = size[0] / camera.width
+        camera = replace(camera, width=size[0], height=size[1], fx=camera.fx * times, fy=camera.fy * times,
+                         cx=(camera.cx + 0.5) * times - 0.5, cy=(camera.cy + 0.5) * times - 0.5)  # fmt: skip
+    depth, label = render_depth(graph.solids(), camera)
     values = document.likelihood.sample(rng)
-    return graph, likelihoods[document.likelihood.type].sample(rng, depth, values), label, document.camera
+    if sigma is not None:
+        values["sigma"] = sigma
+    return graph, likelihoods[document.likelihood.type].sample(rng, depth, values), label, camera
 
 
-def one_scene(seed, prior):
-    """Return the record of one scene: statements with their truth, intervals with theirs."""
-    from derender.report.scene_json import scene_json
+def one_scene(seed, prior, size=None, sigma=None, twice=False):
+    """Return the record of one scene: statements with their truth, intervals with theirs.
+
+    twice : infer again with another seed, and say how far the two answers are apart.
+    """
     from derender.structures.infer import infer_structure
 
-    graph, image, label, camera = make_scene(seed, prior)
+    graph, image, label, camera = make_scene(seed, prior, size, sigma)
     start = time.perf_counter()
     posterior = infer_structure(image, camera, {}, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
@@ -59,7 +80,15 @@ def one_scene(seed, prior):
     found = {item["name"]: (number, item) for number, part in reversed(list(enumerate(posterior.parts)))
              for item in solids(scene_json(part.graph))}  # fmt: skip
     record = {"seed": seed, "seconds": seconds, "truth": len(solids(truth)), "objects": [], "edges": [], "shapes": [],
-              "intervals": []}  # fmt: skip
+              "structures": [], "intervals": []}  # fmt: skip
+    answer = structures_of(posterior, truth)
+    record["structures"] = [[share, error, key == true_structure(truth)] for key, (share, error) in answer.items()]
+    if twice:
+        other = structures_of(infer_structure(image, camera, {}, np.random.default_rng([seed, 7])), truth)
+        shares = {key: (answer.get(key, (0.0, 0.0)), other.get(key, (0.0, 0.0))) for key in {*answer, *other}}
+        record["variation"] = 0.5 * sum(abs(a[0] - b[0]) for a, b in shares.values())
+        likeliest = max(answer, key=lambda key: answer[key][0])
+        record["covered"] = bool(covers(*shares[likeliest]))
     matches = [matches_of(scene_json(part.graph), truth) for part in posterior.parts]
     parents = {item["name"]: item["parent"] for item in truth["objects"]}
     kinds = {item["name"]: item["type"] for item in truth["objects"]}
@@ -79,6 +108,30 @@ def one_scene(seed, prior):
         if len(drawn) > DRAWS // 2:
             record["intervals"] += intervals(drawn, graph, true, visible_share(graph, true, image, label, camera))
     return record
+
+
+def structures_of(posterior, truth):
+    """Return {structure: (probability, standard error)} of a posterior, its objects called as the true ones are."""
+    found = {}
+    for part in posterior.parts:
+        scene = scene_json(part.best()[0])
+        true = matches_of(scene, truth)
+        called = {"floor": "floor", **{item["name"]: true.get(item["name"]) or "?" for item in solids(scene)}}
+        key = tuple(sorted((called[item["name"]], item["type"], called.get(item["parent"], "root"))
+                           for item in solids(scene)))  # fmt: skip
+        share, square = found.get(key, (0.0, 0.0))
+        found[key] = share + part.weight, float(np.hypot(square, getattr(part, "weight_error", 0.0)))
+    return found
+
+
+def true_structure(truth):
+    """Return the true structure in the same form."""
+    return tuple(sorted((item["name"], item["type"], item["parent"]) for item in solids(truth)))
+
+
+def covers(one, other):
+    """Whether two (probability, standard error) of the same structure agree within two standard errors."""
+    return abs(one[0] - other[0]) <= 2.0 * np.hypot(one[1], other[1]) + 0.01
 
 
 def solids(scene):
@@ -172,6 +225,7 @@ def rows_of(records):
             f"right {np.mean([s[1] for s in said]):.4f} | expected calibration error "
             f"{expected_error(said):.4f} |"
         )
+    lines += structure_rows(records)
     entries = [e for r in records for e in r["intervals"]]
     for kind in ("size", "position", "turn"):
         for hidden in (False, True):
@@ -191,6 +245,25 @@ def rows_of(records):
             )
     seconds = [r["seconds"] for r in records]
     lines.append(f"| seconds | median {np.median(seconds):.2f} | 90 % quantile {np.quantile(seconds, 0.9):.2f} | |")
+    return lines
+
+
+def structure_rows(records):
+    """Return the lines about structures as a whole, and about two seeds."""
+    stated = [[(share, right) for share, _, right in r["structures"]] for r in records]
+    said = [s for each in stated for s in each]
+    best = [max(each) for each in stated]
+    sure = [right for share, right in best if share >= SURE]
+    score = [np.log(max(sum(share for share, right in each if right), LEAST)) for each in stated]
+    lines = [f"| structures | {len(said)} statements | likeliest said {np.mean([b[0] for b in best]):.4f}, "
+             f"right {np.mean([b[1] for b in best]):.4f} | expected calibration error {expected_error(best):.4f} |",
+             f"| structures at P >= {SURE} | {len(sure)} | right {np.mean(sure) if sure else np.nan:.4f} | |",
+             f"| log score of the truth | mean {np.mean(score):.3f} nats | not found {np.mean(np.array(score) <= np.log(LEAST)):.3f} | |"]  # fmt: skip  # noqa: E501
+    both = [r for r in records if "variation" in r]
+    if both:
+        apart = np.mean([r["variation"] > DIFFERENT for r in both])
+        lines.append(f"| two seeds | {len(both)} scenes | more than {DIFFERENT} apart {apart:.3f} | "
+                     f"error covers the other {np.mean([r['covered'] for r in both]):.3f} |")  # fmt: skip
     return lines
 
 
@@ -233,6 +306,9 @@ def main():
     parser.add_argument("-n", type=int, default=300, help="scenes")
     parser.add_argument("--first", type=int, default=0, help="seed of the first scene")
     parser.add_argument("--prior", default="tabletop", help="built-in prior")
+    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), help="of the images, as 64x48")
+    parser.add_argument("--sigma", type=float, help="metres of noise, where it is not the prior's")
+    parser.add_argument("--twice", action="store_true", help="infer with a second seed too")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--keep", type=Path, help="file of records, one line of JSON for each scene")
     parser.add_argument("-o", "--output", type=Path, help="reliability diagram, PNG")
@@ -243,8 +319,9 @@ def main():
         records = [json.loads(line) for line in arguments.keep.read_text().splitlines()]
         records = [r for r in records if r["seed"] in wanted]
     todo = [seed for seed in wanted if seed not in {r["seed"] for r in records}]
+    chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
-        for record in pool.map(one_scene, todo, repeat(arguments.prior)):
+        for record in pool.map(one_scene, todo, *map(repeat, chosen)):
             records.append(record)
             if arguments.keep:
                 with arguments.keep.open("a") as file:

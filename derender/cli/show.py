@@ -42,9 +42,9 @@ def _shown(scene: str, as_json: bool):
         if as_json or document.is_scene:
             yield _of_graph(document.graph, None, as_json)
         else:
-            from derender.report.tree_text import prior_lines
+            from derender.report.tree_text import likelihood_lines, prior_lines
 
-            yield "\n".join([*prior_lines(document.prior), *_where(scene)])
+            yield "\n".join([*prior_lines(document.prior), *likelihood_lines(document.likelihood), *_where(scene)])
 
 
 def _where(name: str) -> list[str]:

@@ -1,8 +1,10 @@
 """The unit of length in which an image is searched: one of a hall, or of coins, is looked at as though of a table.
 
-What the search believes of sizes, gaps and noise before it sees an image is a table's. From far off people look at
-larger things, and a sensor's noise grows with the distance too: so lengths are counted in units in which what is seen
-is no farther than FARTHEST and no nearer than NEAREST. Between them the unit is the metre.
+What is believed of sizes, gaps and noise before an image is seen is a table's. From far off people look at larger
+things, and a sensor's noise grows with the distance too: so the prior's lengths are counted in a unit u, which has a
+prior of its own, log-normal about its median m, and the camera stands between a and b of them away (`unit` and
+`seen_from` in data/priors/bare-image.yaml). How far away that is in metres, D, the image tells: all u in
+[D / b, D / a] are possible, and of these the likeliest is taken, the one nearest to m. It is held there.
 """
 
 from dataclasses import replace
@@ -11,18 +13,21 @@ import numpy as np
 
 from derender.render.likelihoods import likelihoods
 from derender.scene.contacts import contacts
+from derender.scene.distributions import Distribution
 from derender.scene.shapes import shapes
 
-NEAREST, FARTHEST = 0.4, 1.5  # metres
 SHARE = 0.25  # of the pixels are nearer than what counts: there may be a room behind a table
 SAME = 1e-9
 
 
-def unit_of(depth):
-    """Return the unit in metres for a depth image (H, W), NaN = no return."""
+def unit_of(depth, loose):
+    """Return the unit in metres for a depth image (H, W), NaN = no return. loose : of the prior, see Loose."""
     seen = depth[np.isfinite(depth)]
-    distance = float(np.quantile(seen, SHARE)) if len(seen) else FARTHEST
-    unit = distance / float(np.clip(distance, NEAREST, FARTHEST))
+    middle = loose.unit.quantile(0.5) if isinstance(loose.unit, Distribution) else loose.unit
+    if len(seen) == 0 or not isinstance(loose.unit, Distribution):
+        return middle
+    distance, (nearest, farthest) = float(np.quantile(seen, SHARE)), loose.seen_from
+    unit = float(np.clip(middle, distance / farthest, distance / nearest))
     return 1.0 if abs(unit - 1.0) < SAME else unit
 
 

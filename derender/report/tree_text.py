@@ -8,6 +8,7 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
+from derender.scene.priors.bare_image import BareImagePrior
 from derender.scene.priors.contacts import ContactPrior
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.tree import TreePrior
@@ -108,10 +109,17 @@ def prior_lines(prior: Any) -> list[str]:
         lines += [f"on {name} grow  {count}" for name, count in prior.offspring.items()]
         lines += _kinds(prior)
         lines.append(f"a consistent grammar: mean offspring has the spectral radius {prior.spectral_radius:.3f}")
+        if isinstance(prior, BareImagePrior):
+            lines.append("of an image alone  " + _values({**vars(prior.loose)}))
     elif isinstance(prior, Algorithm1Prior):
         lines.append(f"parents  {{poisson: {prior.mean_parents:g}}}   children  {{poisson: {prior.mean_children:g}}}")
         lines += _kinds(prior)
     return lines
+
+
+def likelihood_lines(likelihood: Any) -> list[str]:
+    """Return the line of a prior's likelihood, its numbers and distributions; none where it says nothing of one."""
+    return [] if likelihood is None else [f"likelihood {likelihood.type}  {_values(likelihood.values)}".rstrip()]
 
 
 def _tree_lines(prior: TreePrior) -> list[str]:

@@ -32,6 +32,7 @@ from derender.structures.draws.refined import (
     without_unseen,
 )
 from derender.structures.draws.sensor import model_image
+from derender.structures.standing import log_standing
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 FROM_SEARCH = 3  # structures that the search met, at most
@@ -134,14 +135,20 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     near = near_evidence(best, [i])
     weighed = [(trial, near_evidence(trial, [i]) - near) for trial in found]
     if not keep_removed and all(odds < -IMPROBABLE for _, odds in weighed):
-        return best_of_each(weighed)
+        return held_or_not(best, best_of_each(weighed), rules)
     own = local_evidence(rng, best, [i])
     weighed = [(trial, odds if odds < -IMPROBABLE else local_evidence(rng, trial, [i]) - own)
                for trial, odds in weighed]  # fmt: skip
     weighed = best_of_each(weighed)
     if keep_removed:
         weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
-    return weighed
+    return held_or_not(best, weighed, rules)
+
+
+def held_or_not(best, weighed, rules):
+    """Return (Refined, log odds against the best) with the term of what would tip in the odds."""
+    own = log_standing(best.state, rules) if weighed else 0.0
+    return [(trial, odds + log_standing(trial.state, rules) - own) for trial, odds in weighed]
 
 
 def all_seen(trial):
@@ -216,7 +223,8 @@ def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
     if len(likely) > 1:
         for k, weight in zip(likely, in_threads(rng, tasks), strict=True):
             near[k] = weight
-    return [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]
+    weighed = [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]
+    return held_or_not(best, weighed, rules)
 
 
 def climbed(rng, best, states, rules, steps, within):

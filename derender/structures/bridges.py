@@ -8,7 +8,7 @@ over the draws, which know nothing of the contact.
     with the contact     p(data) ~ N(m; 0, s^2 + slack^2)
     without              p(data) ~ 1 / REACH      (any height of the other within REACH below would have done)
 
-The prior odds are even where the parent alone could carry the solid, and CERTAIN to one where it would tip off.
+How probable the contact is beforehand, REACH and how much less what would tip off its parent alone, says the prior.
 """
 
 from collections.abc import Sequence
@@ -17,15 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.detection.solids.statics import CERTAIN
+from derender.detection.solids.beliefs import bare_image
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
+from derender.scene.balance import balances
 from derender.scene.graph import ROOT, SceneGraph
+from derender.scene.priors.bare_image import Loose
 from derender.scene.second_support import support_residual
 from derender.scene.shapes import shapes
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
-REACH = 0.06
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
 RESTING = ("face-to-face", "side-on-face")
 EXTENTS = {"x": "length", "y": "width", "z": "height"}
@@ -52,23 +53,26 @@ class Candidate(NamedTuple):
     probability: float
 
 
-def with_bridges(parts: Sequence[StructurePosterior], slack: float) -> list[StructurePosterior]:
+def with_bridges(
+    parts: Sequence[StructurePosterior], slack: float, loose: Loose | None = None
+) -> list[StructurePosterior]:
     """Return the structures with their second supports, weights still summing to what they did.
 
-    slack : metres within which contacts hold.
+    slack : metres within which contacts hold. loose : what the prior says of second supports; None: the default one.
 
     Two structures that differ only in which of the carriers is called the parent become one.
     """
+    loose = bare_image().loose if loose is None else loose
     found: list[StructurePosterior] = []
     for part in sorted(parts, key=lambda part: -part.weight):
         divided = [part]
-        for candidate in candidates(part, slack):
+        for candidate in candidates(part, slack, loose):
             divided = [piece for whole in divided for piece in divide(whole, candidate)]
         found += divided
     return merge_same(found)
 
 
-def candidates(part: StructurePosterior, slack: float) -> list[Candidate]:
+def candidates(part: StructurePosterior, slack: float, loose: Loose) -> list[Candidate]:
     """Return the second supports that a structure may have, with their probabilities."""
     graph, _ = part.best()
     found = []
@@ -79,7 +83,7 @@ def candidates(part: StructurePosterior, slack: float) -> list[Candidate]:
             if other in (vertex.name, vertex.parent, *vertex.supports, *graph.descendants(vertex.name)):
                 continue
             if other not in graph.path(vertex.parent, ROOT) and _bounded(graph, other) and _level(graph, vertex, other):
-                found.append(judge(part, graph, vertex.name, other, slack))
+                found.append(judge(part, graph, vertex.name, other, slack, loose))
     return found
 
 
@@ -101,7 +105,7 @@ def _level(graph: SceneGraph, vertex, other: str) -> bool:
     return all(EDGE < contact.values.get(key, 0.5) < 1 - EDGE for key in ("u", "v"))
 
 
-def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, slack: float) -> Candidate:
+def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, slack: float, loose: Loose) -> Candidate:
     """Return the candidate with its probability, by the ratio at the head of this file."""
     chains, draws = part.log_density.shape
     every = max(1, chains * draws // GAPS)
@@ -113,31 +117,9 @@ def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, sl
     balanced = balances(graph, name, graph.vertex(name).parent)
     variance = spread**2 + slack**2
     with_it = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2 * np.pi * variance)
-    odds = REACH * with_it * (1.0 if balanced else CERTAIN)
+    prior_odds = loose.second_support / (1.0 - loose.second_support)
+    odds = prior_odds * loose.within * with_it / (1.0 if balanced else loose.tipping)
     return Candidate(name, other, mean, spread, balanced, float(odds / (1 + odds)))
-
-
-def balances(graph: SceneGraph, name: str, parent: str) -> bool:
-    """Whether the solid's centre lies over the part of its parent's face that carries it.
-
-    The centre of the face that rests is inside both outlines if and only if their pieces in common hold it, as both are
-    convex and the centre is in the middle of its own.
-    """
-    poses = graph.poses()
-    contact = graph.vertex(name).contact
-    face = graph.body(parent).face(contact.parent_face)
-    size = graph.body(parent).size()
-    frame = poses[parent] @ face.frame
-    down = graph.down()
-    centre = poses[name][:3, 3]
-    # along gravity onto the plane of the parent's face
-    steps = (frame[:3, 3] - centre) @ frame[:3, 2] / max(float(-down @ frame[:3, 2]), 1e-6)
-    local = np.linalg.inv(frame) @ np.append(centre - steps * down, 1.0)
-    axis = "xyz".index(contact.parent_face[1])
-    half = 0.5 * np.array([size[(axis + 1) % 3], size[(axis + 2) % 3]])
-    if graph.vertex(parent).shape == "cylinder":
-        return bool(np.hypot(local[0], local[1]) < half[0])
-    return bool(abs(local[0]) < half[0] and abs(local[1]) < half[1])
 
 
 def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePosterior]:

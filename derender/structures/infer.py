@@ -11,11 +11,12 @@ from derender.detection.search.observation import CORRELATED, closer_look, neare
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import search
 from derender.detection.search.surface import make_surface
+from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.image import make_image
-from derender.detection.solids.sizes import sizes_of
 from derender.detection.solids.support import final_parents
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
+from derender.scene.priors.bare_image import BareImagePrior
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
@@ -60,7 +61,7 @@ def settings_of(options):
             remedy = "the search knows " + ", ".join(settings.shapes)
             raise DerenderError("the prior has no shape that can be looked for", "shapes", remedy)
         settings = settings._replace(
-            sizes=sizes_of(prior),
+            beliefs=beliefs_of(prior, options.get("likelihood")),
             shapes=tuple(name for name in settings.shapes if name in kinds),
             may_overlap="no-overlap" not in terms,
             may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),
@@ -106,10 +107,13 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     plane = read_floor(options.get("floor"))
-    unit = unit_of(depth)
-    if unit != 1.0 and not options.get("known") and options.get("prior") is None:  # which say how long things are
+    loose = (bare_image() if settings.beliefs is None else settings.beliefs).loose
+    unit = 1.0 if "unit" in options else unit_of(depth, loose)
+    open_unit = isinstance(options.get("prior"), BareImagePrior | None)
+    if unit != 1.0 and not options.get("known") and open_unit:  # others say how long things are
         floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
-        return in_metres(infer_structure(depth / unit, camera, {**options, "floor": floor}, rng, progress), unit)
+        options = {**options, "floor": floor, "unit": unit}
+        return in_metres(infer_structure(depth / unit, camera, options, rng, progress), unit)
     plan = None
     if options.get("method") in ("mcmc", "smc"):
         from derender.structures.catalogue.run import leap_parts, read_plan
@@ -136,7 +140,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         real = seen.factor > 1 and seen.correlation > CORRELATED
         closer = closer_look(seen, depth, camera) if real else None
         parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
-    parts = with_bridges(parts, settings.slack)
+    parts = with_bridges(parts, settings.slack, loose)
     if isinstance(plane, str):
         parts = [without_floor(part) for part in parts]
     if progress:

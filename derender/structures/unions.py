@@ -13,8 +13,7 @@ from derender.detection.solids.interpenetration import highest, lowest, penetrat
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR
-from derender.detection.solids.statics import CERTAIN, shares_of_load
-from derender.detection.solids.support import TOUCHING, final_parents
+from derender.detection.solids.support import final_parents
 from derender.scene.solids import BOX
 from derender.structures.alternatives import (
     HOPELESS,
@@ -27,6 +26,7 @@ from derender.structures.alternatives import (
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import at_mode, floor_pose_of, local_evidence, near_evidence
 from derender.structures.draws.sensor import model_depth
+from derender.structures.standing import log_standing
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
@@ -81,7 +81,7 @@ def merged(rng, best, i, j, rules):
     odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
     if odds > -IMPROBABLE:
         odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
-    return trial, odds
+    return trial, odds + log_standing(trial.state, rules) - log_standing(state, rules)
 
 
 def recuts(rng, best, rules):
@@ -100,11 +100,7 @@ def recuts(rng, best, rules):
         if new is not None and change_of_image(best, *make_chart(new, floor, rules)) < FLUSH_ENOUGH
     ]  # fmt: skip
     rough = climbed(rng, best, flush, rules, QUICK, DOUBTFUL)
-    found = weighed_whole(rng, best, [each.state for each in rough] * 2, rules, THOROUGH)
-    if rules.floating or not found:
-        return found
-    tips = unheld(state)
-    return [(trial, odds + np.log(CERTAIN) * (tips - unheld(trial.state))) for trial, odds in found]
+    return weighed_whole(rng, best, [each.state for each in rough] * 2, rules, THOROUGH)
 
 
 def grown_into(state, cut, j):
@@ -136,9 +132,3 @@ def on_supports(state):
         if state.forms[k] == UPRIGHT:
             state.bottoms[k] = 0.0 if parent == FLOOR else highest(state.rows[parent])
     return state
-
-
-def unheld(state):
-    """Return how many upright solids would tip off what is level with their bottoms, did no friction hold them."""
-    upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT]
-    return sum(not shares_of_load(state.rows, k, TOUCHING, friction=0.0) for k in upright)

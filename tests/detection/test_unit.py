@@ -8,20 +8,32 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
+from dataclasses import replace  # noqa: E402
+
 from scene_makers import SETS, make_scene, photograph  # noqa: E402
 
+from derender.detection import unit as detection_unit  # noqa: E402
+from derender.detection.solids.beliefs import bare_image  # noqa: E402
 from derender.detection.solids.image import render_floor_scene  # noqa: E402
-from derender.detection.unit import FARTHEST, NEAREST, part_in_metres, unit_of  # noqa: E402
+from derender.detection.unit import part_in_metres  # noqa: E402
 from derender.scene.pose import rotation_z, translation  # noqa: E402
 from derender.structures.infer import draw_graph, infer_structure  # noqa: E402
 
 
 def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
-    for distance in (NEAREST, 0.7, FARTHEST):
+    loose = bare_image().loose
+
+    def unit_of(depth):
+        return detection_unit.unit_of(depth, loose)
+
+    nearest, farthest = loose.seen_from
+    for distance in (nearest, 0.7, farthest):
         assert unit_of(np.full((4, 5), distance)) == 1.0
-    assert unit_of(np.full((4, 5), 10 * FARTHEST)) == pytest.approx(10.0)
-    assert unit_of(np.full((4, 5), 0.1 * NEAREST)) == pytest.approx(0.1)
+    assert unit_of(np.full((4, 5), 10 * farthest)) == pytest.approx(10.0)
+    assert unit_of(np.full((4, 5), 0.1 * nearest)) == pytest.approx(0.1)
     assert unit_of(np.full((4, 5), np.nan)) == 1.0
+    coins = loose.unit.type(0.1, 0.5)  # a file whose lengths are those of coins
+    assert detection_unit.unit_of(np.full((4, 5), 0.1), replace(loose, unit=coins)) == pytest.approx(0.1)
     table_in_a_hall = np.where(np.arange(100) < 40, 0.8, 9.0)[None]
     assert unit_of(table_in_a_hall) == 1.0
 

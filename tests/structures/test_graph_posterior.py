@@ -160,7 +160,7 @@ def test_an_engine_begun_at_the_wall_scores_as_a_full_evaluation_does(name):
 
 @pytest.mark.parametrize("theta", [0.0, 0.5, math.pi / 4])
 def test_places_on_a_top_integrate_to_their_rate(theta):
-    """The prior summed over all places where child and parent touch is the rate of stacked solids times the sizes'."""
+    """The prior summed over all places where child and parent touch is that of the sizes and the turn."""
     state = State().add(row(BOX, 0.2, 0.0, 0.0, 0.0, (0.09, 0.05, 0.06)), UPRIGHT, False, FLOOR, 0.0)
     state = state.add(row(BOX, 0.2 + theta, 0.0, 0.0, 0.06, (0.08, 0.04, 0.05)), UPRIGHT, False, 0, 0.06)
     chart, values = make_chart(state, floor_pose(), Rules(0.0015))
@@ -173,8 +173,7 @@ def test_places_on_a_top_integrate_to_their_rate(theta):
     alone.rows[1, 12] -= 0.06
     alone.parents[1], alone.bottoms[1] = FLOOR, 0.0
     other, start = make_chart(alone, floor_pose(), Rules(0.0015))
-    on_floor = math.exp(solid_log_prior(other, rows_at(other, start), 1)) / charts.FLOOR_RATE
-    share = total / on_floor / charts.STACKED_RATE
+    share = total / math.exp(solid_log_prior(other, rows_at(other, start), 1))
     assert share == pytest.approx(1.0, rel=0.02)  # the grid's border
     # a broken twin: the area as if the axes were parallel
     aligned = share * touching_area(*rows_at(chart, values)[::-1]) / ((0.08 + 0.09) * (0.04 + 0.05))
@@ -190,9 +189,9 @@ def test_walk_draws_sizes_from_their_prior():
     proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
     proposals.scale[:] = 0.05
     draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
-    z = (np.log(draws.values[:, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
+    z = (np.log(draws.values[:, side]) - math.log(0.085)) / 0.45
     assert kstest(z[::2], "norm").pvalue > 1e-3
-    assert kstest(z[::2] - charts.SPREAD, "norm").pvalue < 1e-6  # the broken twin
+    assert kstest(z[::2] - 0.45, "norm").pvalue < 1e-6  # the broken twin
 
 
 @pytest.mark.parametrize("part", [1.0, 0.5])
@@ -209,7 +208,7 @@ def test_steps_drawn_to_a_normal_leave_the_density_as_it_is(part):
         rng = np.random.default_rng(3)
         engine, start = engine_of(chart, sensor), values.copy()
         draws = run(rng, engine, chart, start, make_proposals([step]), 0.0, 0.0, 1500, 20)
-        return (np.log(draws.values[::2, side]) - math.log(charts.TYPICAL)) / charts.SPREAD
+        return (np.log(draws.values[::2, side]) - math.log(0.085)) / 0.45
 
     assert kstest(drawn(step), "norm").pvalue > 1e-3
     broken = step._replace(pull=4.0 * pull)  # which is not the inverse of the matrix

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import kstest
 from test_graph_posterior import camera, floor_pose, observe, row
 
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at, sizes_of
 from derender.detection.solids.state import FLOOR, State
@@ -42,8 +43,7 @@ PRIOR = Shapes(
 
 
 def test_densities_are_those_of_the_file_and_integrate_to_one():
-    table, cubes = sizes_of(PRIOR)
-    assert cubes == pytest.approx(0.75)
+    table = sizes_of(PRIOR)
     grid = np.linspace(0.001, 0.3, 60_001)
     for kind, axis in ((BOX, 0), (BOX, 2), (CUBE, 1), (SPHERE, 0), (CYLINDER, 0), (CYLINDER, 2)):
         density = np.exp([log_density_at(table[kind, axis], x) for x in grid])
@@ -55,7 +55,7 @@ def test_densities_are_those_of_the_file_and_integrate_to_one():
 
 
 def test_a_box_has_its_sizes_under_any_name_but_its_height_upright():
-    table, _ = sizes_of(PRIOR)
+    table = sizes_of(PRIOR)
     given = sum(log_density_at(table[BOX, axis], size) for axis, size in enumerate((0.12, 0.05, 0.04)))
     assert given == pytest.approx(-np.log(0.04 * 0.02 * 0.02), abs=0.1)  # the soft ends hold a little
     sizes = np.array([0.12, 0.05, 0.04])
@@ -67,15 +67,18 @@ def test_a_box_has_its_sizes_under_any_name_but_its_height_upright():
 
 
 def test_the_built_in_prior_is_read():
-    table, cubes = settings_of({"prior": read_prior_document("tabletop").prior}).sizes
-    assert cubes == pytest.approx(0.5)
+    beliefs = settings_of({"prior": read_prior_document("tabletop").prior}).beliefs
+    table = beliefs.sizes
+    assert beliefs.kinds[CUBE] == beliefs.kinds[BOX] == pytest.approx(np.log(0.5))
+    assert beliefs.on_floor[2] == pytest.approx(np.log(0.35 * 2.0 / 0.16**2), abs=0.01)
+    assert beliefs.on_top[BOX, :2] == pytest.approx(np.log([0.8, 0.2]))
     assert log_density_at(table[BOX, 1], 0.1) == pytest.approx(-np.log(0.1), abs=0.01)
     assert log_density_at(table[CUBE, 0], 0.13) < -100.0  # cubes end at 12 cm
 
 
 def test_walk_draws_sizes_from_the_file():
     state = State().add(row(BOX, 0.4, 0.0, 0.0, 0.0, (0.12, 0.05, 0.04)), UPRIGHT, False, FLOOR, 0.0)
-    chart, values = make_chart(state, floor_pose(), Rules(0.0015, sizes=sizes_of(PRIOR)[0]))
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015, beliefs=bare_image()._replace(sizes=sizes_of(PRIOR))))
     sensor, _, _ = observe(np.random.default_rng(0), state, {"sigma": 0.01}, camera(16, 12))
     proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
     proposals.scale[:] = 0.01

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.detection.search.observation import CORRELATED, REAL_DISCREPANCY
+from derender.detection.solids.beliefs import Beliefs, bare_image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
-from derender.detection.solids.rules import OVERLAP, Rules
+from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE
@@ -39,7 +40,7 @@ class Settings(NamedTuple):
     uneven : metres by which a floor and its image may be off the plane.
     discrepancy : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
-    sizes : what sizes_of returns of a prior, empty without one: for weights and draws, the search has its own prior.
+    beliefs : of weights and draws, None: the default ones; the search has its own prior.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
@@ -62,13 +63,15 @@ class Settings(NamedTuple):
     discrepancy: float = 0.0
     may_overlap: bool = False
     may_float: bool = False
-    sizes: tuple = ()
+    beliefs: Beliefs | None = None
 
     @property
     def rules(self):
         """What solids may do to each other, see rules.Rules."""
-        overlap = np.inf if self.may_overlap else OVERLAP
-        return Rules(self.slack, overlap, self.may_float, *self.sizes)
+        overlap = np.inf if self.may_overlap else None
+        beliefs = bare_image() if self.beliefs is None else self.beliefs
+        slack = self.slack if self.discrepancy > 0.0 else beliefs.loose.slack  # a real table's solids are off by more
+        return Rules(slack, overlap, self.may_float, beliefs)
 
     @property
     def price_of_floating(self):

@@ -2,12 +2,7 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
-from derender.detection.solids.sizes import NO_SIZES
-
-OVERLAP = 3e-4  # metres by which solids may interpenetrate
-CUBE_SHARE = 0.5  # of boxes
+from derender.detection.solids.beliefs import Beliefs
 
 
 class Rules(NamedTuple):
@@ -16,14 +11,13 @@ class Rules(NamedTuple):
     Attributes
     ----------
     slack : metres within which a solid that is not held stands on its support.
-    overlap : metres by which solids may interpenetrate; inf: the term against interpenetration is off.
+    overlap : metres by which solids may interpenetrate, inf: the term against interpenetration is off; None: as the
+        prior says.
     floating : whether the term against floating is off: then any height is as likely.
-    sizes : their densities, see solids/sizes.py; an empty table: those of TYPICAL and SPREAD.
-    cubes : probability that a box is a cube.
+    beliefs : what is believed of solids; None: what data/priors/bare-image.yaml says.
     """
 
     slack: float
-    overlap: float = OVERLAP
+    overlap: float | None = None
     floating: bool = False
-    sizes: np.ndarray = NO_SIZES
-    cubes: float = CUBE_SHARE
+    beliefs: Beliefs | None = None

@@ -9,49 +9,46 @@ from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
 CUBE = PLANE  # row of a table of sizes, besides BOX, CYLINDER and SPHERE: a plane has none
 NODES = 129
-LOW, HIGH, FIRST = 0, 1, 2  # columns: where the table begins and ends, metres; log densities at equal steps
+LOW, HIGH, FIRST = 0, 1, 2  # columns: where the table begins and ends, log metres; log densities at equal steps
 # Beyond the ends densities fall off as a normal one's tails of this width: chains find back from a first guess.
 EDGE = 3e-4  # metres
-REST = 1e-4  # probability in each tail that is cut off where a density has no end
-NO_SIZES = np.empty((0, 3, FIRST + NODES))
+ENDS = 1e-4, 1e3  # metres: of a table of what a prior does not have; none begins nearer to nothing
+REST = 1e-9  # probability in each tail that is cut off where a density has no end
 AXES = {"cube": ("side",) * 3, "box": ("length", "width", "height"), "sphere": ("radius",) * 3,
         "cylinder": ("radius", "radius", "height")}  # fmt: skip
 ROWS = {"cube": CUBE, "box": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 
 
 def sizes_of(prior):
-    """Return (table (4, 3, FIRST + NODES), probability that a box is a cube) of a prior over structures.
+    """Return the table (4, 3, FIRST + NODES) of a prior over structures.
 
     Several shapes of one type are mixed axis by axis. A type that the prior does not have is left without sizes: the
     search does not look for it.
     """
     table = np.zeros((4, 3, FIRST + NODES))
-    table[:, :, HIGH] = 1.0
-    weight = dict.fromkeys(AXES, 0.0)
+    table[:, :, LOW], table[:, :, HIGH] = np.log(ENDS)
     for kind, names in AXES.items():
         entries = [entry for entry in prior.shapes.values() if entry.type == kind]
-        weight[kind] = sum(entry.weight for entry in entries)
         defaults = {parameter.name: parameter.default for parameter in shapes[kind].parameters}
         for axis, name in enumerate(names):
             values = [(entry.weight, entry.values.get(name, defaults[name])) for entry in entries]
             if values:
                 table[ROWS[kind], axis] = tabulated(values, 2.0 if name == "radius" else 1.0)
-    boxes = weight["cube"] + weight["box"]
-    return table, weight["cube"] / boxes if boxes else 0.5
+    return table
 
 
 def tabulated(values, factor):
     """Return (FIRST + NODES,) the row of `factor` times a mixture of (weight, number or Distribution)."""
     ends = factor * np.array([ends_of(value) for _, value in values])
-    low, high = ends[:, 0].min(), ends[:, 1].max()
-    grid = np.linspace(low, high, NODES)
+    low, high = max(ends[:, 0].min(), ENDS[0]), ends[:, 1].max()
+    grid = np.geomspace(low, high, NODES)
     density = np.zeros(NODES)
     for weight, value in values:
         density += weight * np.exp([log_density_of(value, x / factor) for x in grid])
     density = np.maximum(density, 1e-12 * density.max())
-    inside = 0.5 * (density[1:] + density[:-1]).sum() * (grid[1] - grid[0])
+    inside = 0.5 * ((density[1:] + density[:-1]) * np.diff(grid)).sum()
     tails = EDGE * np.sqrt(0.5 * np.pi) * (density[0] + density[-1])
-    return np.concatenate([[low, high], np.log(density / (inside + tails))])
+    return np.concatenate([np.log([low, high]), np.log(density / (inside + tails))])
 
 
 def ends_of(value):
@@ -73,11 +70,11 @@ def log_density_of(value, x):
 @njit(cache=True, nogil=True)
 def log_density_at(row, extent):
     """Return the log density of an extent by a row of the table."""
-    inside = min(max(extent, row[LOW]), row[HIGH])
+    inside = min(max(np.log(extent), row[LOW]), row[HIGH])
     place = (inside - row[LOW]) / (row[HIGH] - row[LOW]) * (NODES - 1)
     node = min(int(place), NODES - 2)
     share = place - node
-    beyond = (extent - inside) / EDGE
+    beyond = (extent - np.exp(inside)) / EDGE
     return (1.0 - share) * row[FIRST + node] + share * row[FIRST + node + 1] - 0.5 * beyond * beyond
 
 

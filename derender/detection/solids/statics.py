@@ -16,7 +16,6 @@ FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8
 MOST_POINTS = 24  # of each pair
 ALONG, AROUND = 17, 48  # points along an edge of a box and around a rim of a cylinder
 RIDGE = 1e-2
-CERTAIN = 100.0  # prior odds of solids that stay where they are against one that nothing holds there
 UNBALANCED = 0.2  # of the weight that no force holds: then the contacts that were seen do not explain why it rests
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from derender.registry import Registry
 from derender.scene.codec.yaml_tree import Section
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
+from derender.scene.priors.bare_image import BareImagePrior, MayTip, read_loose
 from derender.scene.priors.base import Prior
 from derender.scene.priors.contacts import ContactPrior
 from derender.scene.priors.grammar import GrammarPrior
@@ -58,3 +59,14 @@ class Grammar(Structure):
         section.allow("type", "offspring")
         offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
         return GrammarPrior(root, objects, shapes, contacts, offspring, constraints)
+
+
+@structures.register("bare-image")
+class BareImage(Structure):
+    """`{type: bare-image, offspring: {...}, slack: 1.5 mm, tipping: 0.01}`: a grammar, and what is loose about it."""
+
+    def read(self, section, root, objects, shapes, contacts, constraints):
+        loose = read_loose(section)
+        offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
+        terms = (*constraints, MayTip(loose.tipping))
+        return BareImagePrior(root, objects, shapes, contacts, offspring, terms, loose)

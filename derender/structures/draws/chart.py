@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.detection.solids.beliefs import IMPOSSIBLE, MOST, bare_image
 from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE
-from derender.detection.solids.rules import OVERLAP
 from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -23,11 +23,8 @@ KIND, VERTICAL, PARENT, HELD = range(4)  # columns of Chart.flags
 X, Y, Z, TURN, SIZE, SLOTS = 0, 1, 2, 3, 6, 9  # columns of Chart.slots
 FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
 
-# What is believed before an image is seen. Metres, and rates of solids for each square metre of floor.
-TYPICAL, SPREAD = 0.085, 0.45  # median and log spread of an edge: 90 % of them in 4 to 18 cm
-FLOOR_RATE, STACKED_RATE = 12.0, 0.2  # solids for each square metre of floor; for each top of another
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
-HANGING = 30.0  # nats that standing on nothing costs, as in the search
+LEAST_EXTENT = 0.004  # metres: thinner solids are noise, whatever a prior says
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
@@ -41,7 +38,9 @@ class Chart(NamedTuple):
     base : (N, ROW) float64, the solids at the start: rotations are turns from there.
     order : (N,) int64, supports before what they carry.
     floor : (4, 4) float64, floor frame to camera at the start.
-    slack, overlap, floating, sizes, cubes : as in Rules.
+    slack, overlap, floating : as in Rules. sunk : metres by which solids may sink into the floor.
+    hanging : nats that touching nothing costs. sizes : as in Beliefs.
+    structural : log prior of the structure itself: how many solids stand where, of which kinds, upright or not.
     """
 
     flags: np.ndarray
@@ -52,8 +51,10 @@ class Chart(NamedTuple):
     slack: float
     overlap: float
     floating: bool
+    sunk: float
+    hanging: float
     sizes: np.ndarray
-    cubes: float
+    structural: float
 
 
 def make_chart(state, floor_pose, rules):
@@ -98,9 +99,38 @@ def make_chart(state, floor_pose, rules):
             free(k, SIZE + 2, row[15])
         else:
             slots[k, SIZE + 1 :] = slots[k, SIZE]
-    chart = Chart(flags, slots, rows, np.array(order, np.int64),
-                  np.ascontiguousarray(floor_pose, dtype=float), *rules)  # fmt: skip
+    beliefs = bare_image() if rules.beliefs is None else rules.beliefs
+    loose = beliefs.loose
+    overlap = loose.overlap if rules.overlap is None else rules.overlap
+    chart = Chart(flags, slots, rows, np.array(order, np.int64), np.ascontiguousarray(floor_pose, dtype=float),
+                  rules.slack, overlap, rules.floating, loose.overlap, -float(np.log(loose.hanging)), beliefs.sizes,
+                  structure_log_prior(flags, slots, beliefs))  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
+
+
+def structure_log_prior(flags, slots, beliefs):
+    """Return the log prior of a structure, all but the densities of its numbers: with those it is comparable between
+    structures of different numbers of solids.
+
+    Solids on the floor and on each top are a set: p(n) n! times the density of one place each.
+    """
+    total = beliefs.on_floor[min(int(np.sum(flags[:, PARENT] == FLOOR)), MOST)]
+    for k, (kind, vertical, _, _) in enumerate(flags):
+        row = row_of(flags[k], slots[k])
+        total += beliefs.kinds[row] + (
+            0.0 if kind == SPHERE else (beliefs.upright if vertical else beliefs.tilted)[row]
+        )
+        carried = int(np.sum(flags[:, PARENT] == k))
+        if vertical and kind != SPHERE:
+            total += beliefs.on_top[row][min(carried, MOST)]
+        else:  # what has no level top carries nothing but what leans on it
+            total += carried * (beliefs.on_top[row][1] if kind != SPHERE else IMPOSSIBLE)
+    return float(total)
+
+
+def row_of(flag, slot):
+    """Return the row of a solid's kind in tables of beliefs: cubes have one of their own."""
+    return CUBE if flag[KIND] == BOX and slot[SIZE] == slot[SIZE + 1] else int(flag[KIND])
 
 
 def support_of(state, k, parent):
@@ -200,39 +230,32 @@ def touching_area(row, on):
 def solid_log_prior(chart, rows, k):
     """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
 
-    Edges are log-normal and independent, or as chart.sizes has them; a box is a cube with probability chart.cubes. On
-    the floor solids are a Poisson process of FLOOR_RATE; on another's top, of STACKED_RATE spread over the places where
-    the two touch. Turns are uniform: a box in (length, width, theta) has two names in each half turn, a cube one in
-    each quarter.
+    Sizes are as chart.sizes has them. Places on the floor are even (how many there are to a square metre is in
+    chart.structural), those on another's top even over the places where the two touch. Turns are uniform: a box in
+    (length, width, theta) has two names in each half turn, a cube one in each quarter.
     """
     row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
     kind = flag[KIND]
     cube = kind == BOX and slot[SIZE] == slot[SIZE + 1]
-    total = np.log(max(chart.cubes if cube else 1.0 - chart.cubes, 1e-12)) if kind == BOX else 0.0
-    if min(row[13], row[14], row[15]) < 0.004:
+    total = 0.0
+    if min(row[13], row[14], row[15]) < LEAST_EXTENT:
         return -np.inf
-    if len(chart.sizes) > 0 and kind == BOX and not cube:
+    if kind == BOX and not cube:
         total += box_log_density(chart.sizes[BOX], row[13:16], flag[VERTICAL])
     else:
         for i in range(3):
             if i > 0 and slot[SIZE + i] == slot[SIZE + i - 1]:
                 continue
-            extent = row[13 + i]
-            if len(chart.sizes) > 0:
-                total += log_density_at(chart.sizes[CUBE if cube else kind, i], extent)
-            else:
-                total -= 0.5 * (np.log(extent / TYPICAL) / SPREAD) ** 2 + np.log(extent * SPREAD * np.sqrt(2.0 * np.pi))
+            total += log_density_at(chart.sizes[CUBE if cube else kind, i], row[13 + i])
     parent = flag[PARENT]
-    if parent == FLOOR:
-        total += np.log(FLOOR_RATE)
-    else:
+    if parent != FLOOR:
         on = rows[parent]
         if flag[HELD]:
             lifted = row.copy()
             lifted[12] = on[12]
             if penetration(lifted, on) <= 0.0:
                 return -np.inf
-        total += np.log(STACKED_RATE / touching_area(row, on))
+        total -= np.log(touching_area(row, on))
     if kind == SPHERE or (kind == CYLINDER and flag[VERTICAL]):
         turns = 1.0
     elif flag[VERTICAL]:
@@ -246,14 +269,14 @@ def solid_log_prior(chart, rows, k):
         total -= np.log(np.pi * chart.slack * (1.0 + (gap / chart.slack) ** 2))
         if not chart.floating:
             apart = (gap / LEVEL_WITHIN) ** 4
-            total -= HANGING * apart / (1.0 + apart)
+            total -= chart.hanging * apart / (1.0 + apart)
     return total
 
 
 @njit(cache=True, nogil=True)
 def log_prior(chart, rows):
-    """Return the log prior density of all solids: each one's own, and that they do not interpenetrate."""
-    return log_prior_about(chart, rows, np.ones(len(rows) + 1, np.bool_))
+    """Return the log prior density of all solids: the structure's, each one's own, that they do not interpenetrate."""
+    return chart.structural + log_prior_about(chart, rows, np.ones(len(rows) + 1, np.bool_))
 
 
 @njit(cache=True, nogil=True)
@@ -270,8 +293,8 @@ def log_prior_about(chart, rows, touched):
             if total == -np.inf:
                 return total
             low = lowest(rows[k])
-            if low < -OVERLAP:
-                total -= 0.5 * (low / OVERLAP + 1.0) ** 2
+            if low < -chart.sunk:
+                total -= 0.5 * (low / chart.sunk + 1.0) ** 2
         for j in range(k):
             if touched[k + 1] or touched[j + 1]:
                 depth = penetration(rows[k], rows[j])

@@ -6,9 +6,10 @@ one structure; different structures compare by integrals (see `structure/alterna
 
 import numpy as np
 
+from derender.detection.solids.beliefs import BARE_IMAGE, bare_image
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest
-from derender.detection.solids.polish import FREE, SLACK, UPRIGHT
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import LEVEL
@@ -19,8 +20,6 @@ from derender.scene.shapes import shapes
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 from derender.structures.draws.chart import log_prior, make_chart, place_rows
 
-BARE_IMAGE = "bare-image"  # the name of this prior, where a prior is named
-
 
 def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     """Return the log density of a scene of boxes, cubes, cylinders and spheres over one floor.
@@ -30,7 +29,7 @@ def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     DerenderError : there is no floor, or more than one, or a solid of another kind.
     """
     state, floor_pose = state_of(graph)
-    chart, values = make_chart(state, floor_pose, Rules(SLACK) if rules is None else rules)
+    chart, values = make_chart(state, floor_pose, Rules(bare_image().loose.slack) if rules is None else rules)
     rows = np.empty((len(state), ROW))
     place_rows(chart, values, rows)
     return float(log_prior(chart, rows))

@@ -1,0 +1,98 @@
+"""The prior of images that come alone: a grammar of solids, and what holds of their contacts, their weight, their unit.
+
+As a prior it is a grammar whose objects may tip only rarely. What is looser in an image than in exact contacts (slack,
+sinking into each other, touching nothing) is a density about those contacts: inference uses it, draws have none of it.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from derender.scene.balance import balances
+from derender.scene.codec.yaml_tree import Section
+from derender.scene.distributions import Distribution, distributions
+from derender.scene.graph import ROOT, SceneGraph
+from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.reading import read_value
+from derender.scene.shapes import shapes
+
+
+@dataclass(frozen=True)
+class Loose:
+    """What an image's solids do besides what a tree of exact contacts says.
+
+    Attributes
+    ----------
+    unit : metres, a number or distribution: of all lengths in the file. seen_from : units from the camera, least and
+        most, to most of what it sees.
+    slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
+    overlap : metres by which solids may enter each other.
+    hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
+    second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
+        in which that top lies otherwise.
+    """
+
+    unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
+    seen_from: tuple[float, float] = (0.4, 1.5)
+    slack: float = 0.0015
+    overlap: float = 3e-4
+    hanging: float = 1e-13
+    tipping: float = 0.01
+    second_support: float = 0.5
+    within: float = 0.06
+
+
+class MayTip:
+    """What would fall off its parent, did no friction hold it, is that many times less probable.
+
+    Parameters
+    ----------
+    probability : that factor, for each object.
+    """
+
+    name = "tipping"
+
+    def __init__(self, probability: float) -> None:
+        self.probability = probability
+
+    def log_density(self, graph: SceneGraph) -> float:
+        return sum(tips(graph, name) for name in graph.names) * math.log(self.probability)
+
+
+def tips(graph: SceneGraph, name: str) -> bool:
+    """Whether an object that stands on another one's face would fall off it, did no friction hold it."""
+    vertex = graph.vertex(name)
+    if vertex.parent == ROOT or vertex.contact.parent_face is None or vertex.supports:
+        return False
+    return shapes[graph.vertex(vertex.parent).shape].bounded and not balances(graph, name, vertex.parent)
+
+
+@dataclass(frozen=True)
+class BareImagePrior(GrammarPrior):
+    """A grammar with what is loose about it."""
+
+    loose: Loose = field(default_factory=Loose)
+
+
+NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": ""}
+
+
+def read_loose(section: Section) -> Loose:
+    """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
+    section.allow("type", "offspring", "unit", "seen_from", "second_support", *NUMBERS)
+    found: dict = {}
+    for key, unit in NUMBERS.items():
+        if key in section:
+            upper = None if unit else 1.0
+            found[key] = section[key].number(unit, lower=1e-300 if not unit else 1e-6, upper=upper)
+    if "unit" in section:
+        found["unit"] = read_value(section["unit"], "m")
+    if "seen_from" in section:
+        low, high = (item.number(lower=1e-6) for item in section["seen_from"].sequence(2))
+        if low >= high:
+            raise section["seen_from"].fault("the nearest is not nearer than the farthest", "write [0.4, 1.5]")
+        found["seen_from"] = low, high
+    if "second_support" in section:
+        second = section["second_support"].section().allow("probability", "within")
+        found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
+        found["within"] = second["within"].number("m", lower=1e-6)
+    return Loose(**found)

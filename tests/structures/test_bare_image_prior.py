@@ -1,0 +1,143 @@
+"""The prior of bare images is a file: what inference weighs by is the density of what `derender sample` draws."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from derender import data_path
+from derender.detection.solids.beliefs import BARE_IMAGE, bare_image, beliefs_of
+from derender.detection.solids.rules import Rules
+from derender.document import read_document, read_prior_document
+from derender.errors import DerenderError
+from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.priors.bare_image import tips
+from derender.structures.draws.scene_density import scene_log_prior, state_of
+from derender.structures.standing import unheld
+
+PRIOR = read_prior_document(BARE_IMAGE).prior
+FACES = {"parent_face": "+z", "child_face": "-z"}
+
+
+def scene(*solids):
+    """Return a graph of (shape, parameters, parent, where) with no turns: areas of contact are then products."""
+    drawn = PRIOR.sample(np.random.default_rng(0))
+    pose, vertices = drawn.root_pose, [drawn.vertex("floor")]
+    for number, (shape, parameters, parent, where) in enumerate(solids):
+        values = {"theta": 0.0, **dict(zip("xy" if parent == "floor" else "uv", where, strict=True))}
+        contact = Contact("face-to-face", values=values, **FACES)
+        vertices.append(Vertex(f"solid_{number}", shape, parameters, parent, contact))
+    return SceneGraph(root_pose=pose, vertices=tuple(vertices))
+
+
+def box(*size):
+    return dict(zip(("length", "width", "height"), size, strict=True))
+
+
+SCENES = {
+    "one box": scene(("box", box(0.1, 0.07, 0.05), "floor", (0.0, 0.0))),
+    "box and cube": scene(
+        ("box", box(0.1, 0.07, 0.05), "floor", (0.0, 0.0)), ("cube", {"side": 0.06}, "floor", (0.12, 0.1))
+    ),
+    "can and cube": scene(
+        ("cylinder", {"radius": 0.03, "height": 0.1}, "floor", (0.0, 0.0)),
+        ("cube", {"side": 0.04}, "floor", (0.1, 0.1)),
+    ),
+    "stack": scene(
+        ("box", box(0.1, 0.09, 0.05), "floor", (0.0, 0.0)), ("cube", {"side": 0.05}, "solid_0", (0.5, 0.55))
+    ),
+    "three and one on top": scene(
+        ("box", box(0.1, 0.09, 0.05), "floor", (-0.1, 0.0)), ("cube", {"side": 0.05}, "floor", (0.05, 0.1)),
+        ("box", box(0.05, 0.04, 0.03), "floor", (0.1, -0.1)), ("box", box(0.06, 0.05, 0.03), "solid_0", (0.5, 0.5)),
+    ),
+}  # fmt: skip
+
+
+def names_and_places(graph):
+    """Return the log of what the file's density has to be multiplied by to be one of sets of solids in space.
+
+    A box has two names (length and width exchanged), a can's extent is twice its radius, and a place (u, v) on a top is
+    spread over where the two touch.
+    """
+    total = 0.0
+    for vertex in graph.vertices[1:]:
+        total += np.log({"box": 2.0, "cylinder": 0.5}.get(vertex.shape, 1.0))
+        if vertex.parent != "floor":
+            total -= np.log(np.sum([graph.body(n).size()[:2] for n in (vertex.name, vertex.parent)], axis=0).prod())
+    return total
+
+
+def test_structures_are_weighed_by_the_density_of_the_file():
+    """One constant (of the root's pose, which an image gives) for scenes of different numbers of different solids."""
+    off = [
+        scene_log_prior(graph) - PRIOR.log_density(graph) - PRIOR.log_orderings(graph) - names_and_places(graph)
+        for graph in SCENES.values()
+    ]
+    assert np.all(np.isfinite(off))
+    assert np.ptp(off) < 0.03  # of the tables of sizes
+
+
+def test_numbers_of_another_file_are_obeyed(tmp_path):
+    """A copy with another rate, other sizes, rarer stacks: odds change as the file's density does."""
+    text = Path(data_path("priors/bare-image.yaml")).read_text()
+    for old, new in (
+        ("floor: {poisson: 3.84}", "floor: {poisson: 1.2}"),
+        ("side: {log-normal: [85 mm, 0.45]}", "side: {uniform: [3 cm, 8 cm]}"),
+        ("box: {poisson: 0.4}", "box: {poisson: 0.05}"),
+        ("tipping: 0.01", "tipping: 0.5"),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (tmp_path / "mine.yaml").write_text(text)
+    document = read_document(tmp_path / "mine.yaml")
+    beliefs = beliefs_of(document.prior, document.likelihood)
+    assert beliefs.loose.tipping == 0.5 and beliefs.sensor is document.likelihood
+    rules = Rules(beliefs.loose.slack, beliefs=beliefs)
+    off = [
+        scene_log_prior(graph, rules) - document.prior.log_density(graph) - PRIOR.log_orderings(graph)
+        - names_and_places(graph) for graph in SCENES.values()
+    ]  # fmt: skip
+    assert np.ptp(off) < 0.03  # the ends of a uniform density are soft
+    changed = [scene_log_prior(graph, rules) - scene_log_prior(graph) for graph in SCENES.values()]
+    assert np.ptp(changed) > 0.5
+
+
+def test_what_may_tip_is_rarer_by_the_factor_of_the_file():
+    base = scene(("cube", {"side": 0.05}, "floor", (0.0, 0.0)), ("cube", {"side": 0.05}, "solid_0", (0.5, 0.5)))
+    off = base.with_numbers({"solid_1.contact.u": 0.9})
+    assert tips(off, "solid_1") and not tips(base, "solid_1") and not tips(off, "solid_0")
+    assert PRIOR.log_density(off) - PRIOR.log_density(base) == pytest.approx(np.log(bare_image().loose.tipping))
+    assert unheld(state_of(off)[0]) == 1 and unheld(state_of(base)[0]) == 0
+
+
+def test_the_built_in_prior_draws_scenes_that_it_allows():
+    rng = np.random.default_rng(1)
+    graphs = [PRIOR.sample(rng) for _ in range(60)]
+    assert all(np.isfinite(PRIOR.log_density(graph)) for graph in graphs)
+    stacked = [vertex for graph in graphs for vertex in graph.vertices if vertex.parent not in ("root", "floor")]
+    tipping = [vertex for graph in graphs for vertex in graph.vertices if tips(graph, vertex.name)]
+    assert stacked and len(tipping) < 0.2 * len(stacked)  # three of four would, did nothing speak against it
+
+
+WRONG = [("tipping: 2.0", "tipping"), ("seen_from: [1.5, 0.4]", "seen_from"), ("hangin: 0.1", "hangin")]
+
+
+@pytest.mark.parametrize("line, fault", WRONG)
+def test_faults_of_the_section_are_named(tmp_path, line, fault):
+    text = Path(data_path("priors/bare-image.yaml")).read_text().splitlines()
+    key = line.partition(":")[0]
+    text = [f"  {line}" if row.strip().startswith(f"{key}:") or (key == "hangin" and "hanging:" in row) else row
+            for row in text]  # fmt: skip
+    (tmp_path / "wrong.yaml").write_text("\n".join(text))
+    with pytest.raises(DerenderError) as error:
+        read_document(tmp_path / "wrong.yaml")
+    assert fault in str(error.value) and "line" in str(error.value)
+
+
+def test_a_coarser_slack_is_a_wider_density():
+    """The numbers about contacts reach the density too: a leaning solid that is off by a centimetre."""
+    loose = replace(bare_image().loose, slack=0.01)
+    graph = SCENES["stack"]
+    wide = Rules(loose.slack, beliefs=bare_image()._replace(loose=loose))
+    assert scene_log_prior(graph, wide) == pytest.approx(scene_log_prior(graph))  # what stands upright has no slack
