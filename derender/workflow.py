@@ -1,4 +1,4 @@
-"""What `derender infer` does: read the image, have it inferred, have the folder written."""
+"""The story of `derender infer` on one page: read the image, ask what is known, infer, write the folder."""
 
 import contextlib
 import time
@@ -10,44 +10,55 @@ from typing import Any
 import numpy as np
 
 from derender.atomic import make_folder
-from derender.camera.depth_file import read_depth
+from derender.camera.depth_file import DepthImage, read_depth
 from derender.compilation.threads import import_in_background
-from derender.document import LikelihoodPrior, prior_as_seen_from, read_prior_document
+from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault
-from derender.posterior.settings import read_settings
 from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
 from derender.structures.draws.scene_density import BARE_IMAGE
+from derender.structures.options import Options
 from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
 WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules that only the files need
+# Of a scene whose objects are given nothing remains to be said of what there is.
+FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float")
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
+
+Say = Callable[[str], None]
+Progress = Callable[[float, str], None]
+
+
+def silent(line: str) -> None:
+    """Say nothing."""
 
 
 def infer_to_folder(
     image: str,
-    prior: str | None,
-    output: str | None,
+    options: Options,
+    prior: str | None = None,
+    output: str | None = None,
     camera: str | None = None,
     depth_scale: float | None = None,
-    method: str = "auto",
     gradient: str = "exact",
-    chains: int | None = None,
-    draws: int | None = None,
-    warmup: int | None = None,
-    jobs: int = 1,
-    resume: bool = False,
-    seed: int = 0,
-    strict: bool = False,
     command: str = "derender infer",
-    progress: Callable[[float, str], None] | None = None,
-    say: Callable[[str], None] = lambda line: None,
-    warn: Callable[[str], None] = lambda line: None,
-    **found: Any,
+    page: bool = True,
+    progress: Progress | None = None,
+    say: Say = silent,
+    warn: Say = silent,
 ) -> Outcome:
-    """Infer and write; the arguments are those of the command, `found` those that say what is known of a bare image.
+    """Infer the scene behind a depth image and write the folder of results.
+
+    Parameters
+    ----------
+    image : file of the depth image; `-` is stdin. prior : scene file or built-in prior, or None: a bare image.
+    output : folder; None: the image's name with _inferred.
+    camera : camera file. depth_scale : millimetres for one unit of a 16-bit image.
+    gradient : "exact" or "finite-difference", of method "map" with a scene given.
+    command : recorded in what is written. page : whether report.html is written, which can be made later.
+    progress : called with (fraction done, message). say, warn : called with a line for a person.
 
     Raises
     ------
@@ -55,35 +66,24 @@ def infer_to_folder(
     """
     started = time.monotonic()
     document = read_prior_document(prior) if prior is not None else None
-    seen = read_depth(image, camera, depth_scale)
-    if seen.camera_is_guess and document is not None and document.camera is not None:
-        if document.camera.shape == seen.depth.shape:
-            seen = seen._replace(camera=document.camera, camera_is_guess=False)
-    if seen.camera_is_guess:
-        warn(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
-    if not np.any(np.isfinite(seen.depth) & (seen.depth > 0)):
-        raise DerenderError("the image has no pixel with a depth", image, "give an image that shows something")
-    middle = float(np.median(seen.depth[np.isfinite(seen.depth) & (seen.depth > 0)]))
-    if not NEARBY[0] < middle < NEARBY[1]:
-        warn(f"the depths lie about {middle:.3g} m away: if that is wrong, give the unit, as in --depth-scale 0.1")
-    given = document is not None and has_objects(document)
-    if gradient != "exact" and (method != "map" or not given):
-        warn("--gradient says nothing here: it is for --method map with a scene given by --scene")
-    if given:
-        for key, value in found.items():
-            if value:
-                option = SWITCHES.get(key, "--" + key.replace("_", "-"))
-                raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
+    seen = look_at(read_depth(image, camera, depth_scale), document, image, warn)
+    check_request(options, document, prior, gradient, warn)
     folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
-    if resume and (given or method in ("mcmc", "smc")) and not (folder / "checkpoint").exists():
+    keeps = has_objects(document) or options.method in ("mcmc", "smc")  # checkpoints
+    if options.resume and keeps and not (folder / "checkpoint").exists():
         say(f"nothing was interrupted in {folder}: beginning anew")
-    made = {"seed": seed, "command": command}
+    made = {"seed": options.seed, "command": command}
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     try:
-        with at_fault(prior if given else image):
-            return _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs,
-                          resume, made, progress, warn, started)  # fmt: skip
+        with at_fault(prior if has_objects(document) else image):
+            posterior, likelihood = infer_image(
+                seen, document, replace(options, folder=folder), gradient, progress, warn, command
+            )
+            posterior = replace(posterior, command=command, meta={**posterior.meta, "image": str(image)})
+            lost = len(posterior.meta["lost_chains"])
+            seconds = time.monotonic() - started
+            return write_results(folder, posterior, seen, likelihood, made, lost, seconds, page)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
             say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")
@@ -92,117 +92,136 @@ def infer_to_folder(
         raise
 
 
-def _infer(folder, document, seen, image, method, gradient, found, chains, draws, warmup, jobs, resume,
-           made, progress, warn, started) -> Outcome:  # fmt: skip
-    """Infer by what is given, and write."""
-    interrupted, lost = False, {}
-    seed, command = made["seed"], made["command"]
-    precompile("steps" if document is not None and has_objects(document) else "draws")
-    if document is not None and has_objects(document):
-        from derender.structures.given import SMC_PARTICLES, infer_scene
+def look_at(seen: DepthImage, document: Document | None, where: object, warn: Say = silent) -> DepthImage:
+    """Return the image with the camera of the document where it has none of its own; warn of what looks wrong."""
+    if seen.camera_is_guess and document is not None and document.camera is not None:
+        if document.camera.shape == seen.depth.shape:
+            seen = seen._replace(camera=document.camera, camera_is_guess=False)
+    if seen.camera_is_guess:
+        warn(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
+    known = seen.depth[np.isfinite(seen.depth) & (seen.depth > 0)]
+    if not known.size:
+        raise DerenderError("the image has no pixel with a depth", where, "give an image that shows something")
+    middle = float(np.median(known))
+    if not NEARBY[0] < middle < NEARBY[1]:
+        warn(f"the depths lie about {middle:.3g} m away: if that is wrong, give the unit, as in --depth-scale 0.1")
+    return seen
 
-        for option, number in (("--draws", draws), ("--warmup", warmup)):
+
+def check_request(options: Options, document: Document | None, prior: object, gradient: str, warn: Say) -> None:
+    """Refuse, or warn of, options that say nothing about what is asked."""
+    from derender.detection.solids.image import KINDS
+
+    given, method = has_objects(document), options.method
+    if gradient != "exact" and (method != "map" or not given):
+        warn("--gradient says nothing here: it is for --method map with a scene given by --scene")
+    if given:
+        from derender.structures.given import SMC_PARTICLES
+
+        for key in FOR_BARE_IMAGES:
+            if getattr(options, key):
+                option = SWITCHES.get(key, "--" + key.replace("_", "-"))
+                raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
+        for option, number in (("--draws", options.draws), ("--warmup", options.warmup)):
             if method == "smc" and number is not None:
                 warn(f"{option} says nothing here: each population of --method smc has {SMC_PARTICLES} particles")
-        import_in_background(*WRITERS)
-        likelihood = document.likelihood or LikelihoodPrior()
-        settings = read_settings(document.inference)
-        given = {"chains": chains, "draws": draws, "warmup": warmup}
-        settings = settings._replace(**{key: value for key, value in given.items() if value is not None})
-        result = infer_scene(
-            document,
-            seen.depth,
-            seen.camera,
-            settings,
-            method,
-            seed,
-            jobs,
-            folder,
-            resume,
-            progress,
-            command,
-            gradient,
-            warn,
-        )
-        posterior, interrupted, lost = result
+        return
+    for name in options.shapes or ():
+        if name not in KINDS:
+            raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
+    if method in ("mcmc", "smc") and options.known is not None:
+        raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
+    for option, present in (("--resume", options.resume), ("--warmup", options.warmup is not None)):
+        if present and method in ("auto", "map"):
+            warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
+
+
+def infer_image(
+    seen: DepthImage,
+    document: Document | None,
+    options: Options,
+    gradient: str = "exact",
+    progress: Progress | None = None,
+    warn: Say = silent,
+    command: str = "",
+) -> tuple[Posterior, LikelihoodPrior]:
+    """Infer what an image shows: the numbers of the objects that a document names, or from the image what there is.
+
+    Returns the posterior, and the likelihood under which it explains the image. The one state outside is the folder of
+    checkpoints, where `options` name one.
+    """
+    if document is not None and has_objects(document):
+        posterior, likelihood = _given(seen, document, options, gradient, progress, warn, command)
     else:
-        for option, present in (("--resume", resume), ("--warmup", warmup is not None)):
-            if present and method in ("auto", "map"):
-                warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
-        run = {"folder": folder, "resume": resume, "jobs": jobs, "warmup": warmup}
-        posterior = _structure(seen, document, method, found, chains, draws, seed, _importing(progress), run)
-        interrupted, lost = bool(posterior.meta.get("interrupted")), posterior.meta.get("lost_chains", {})
-        if posterior.meta.get("backdrop"):
-            share = f"{posterior.meta['backdrop']:.0%} of the pixels lie on a plane or beyond"
-            warn(f"{share}: taken as background; with --floor auto solids stand on it")
-        fitted = dict(posterior.meta["likelihood"])
-        likelihood = LikelihoodPrior(fitted.pop("type"), fitted)
-    meta = {
-        **posterior.meta,
-        "image": str(image),
-        "method": method,
-        "camera": seen.camera.to_dict(),
-        "camera_guessed": seen.camera_is_guess,
-        "interrupted": interrupted,
-        "lost_chains": sorted(lost),
-    }
-    posterior = replace(posterior, seed=seed, command=command, meta=meta)
+        posterior, likelihood = _bare(seen, document, options, progress, warn)
+    lost = posterior.meta.get("lost_chains", {})
     for number, why in lost.items():
         warn(f"chain {number} was lost: {why.strip().splitlines()[-1]}")
-    return write_results(folder, posterior, seen, likelihood, made, len(lost), time.monotonic() - started)
+    meta = {
+        "interrupted": False,
+        **posterior.meta,
+        "method": options.method,
+        "camera": seen.camera.to_dict(),
+        "camera_guessed": seen.camera_is_guess,
+        "lost_chains": sorted(lost),
+    }
+    return replace(posterior, seed=options.seed, meta=meta), likelihood
 
 
-def _importing(progress):
+def has_objects(document: Document | None) -> bool:
+    """Return whether there is a document that names its objects."""
+    from derender.scene.priors.tree import TreePrior
+
+    return document is not None and isinstance(document.prior, TreePrior)
+
+
+def _given(seen, document, options, gradient, progress, warn, command) -> tuple[Posterior, LikelihoodPrior]:
+    """Infer the unknown numbers of objects that are given."""
+    from derender.posterior.settings import read_settings
+    from derender.structures.given import infer_scene
+
+    precompile("steps")
+    import_in_background(*WRITERS)
+    said = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
+    settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
+    posterior, interrupted, lost = infer_scene(
+        document, seen.depth, seen.camera, settings, options.method, options.seed or 0, options.jobs or 1,
+        options.folder, options.resume, progress, command, gradient, warn,
+    )  # fmt: skip
+    meta = {**posterior.meta, "interrupted": interrupted, "lost_chains": lost}
+    return replace(posterior, meta=meta), document.likelihood or LikelihoodPrior()
+
+
+def _bare(seen, document, options, progress, warn) -> tuple[Posterior, LikelihoodPrior]:
+    """Infer what there is; a document is a prior of open structure."""
+    from derender.structures.infer import infer_structure
+    from derender.structures.jumps.run import infer_by_jumps
+    from derender.structures.known.library import read_library
+
+    precompile("draws")
+    rng, told = np.random.default_rng(options.seed), _importing(progress)
+    if options.known is not None and isinstance(options.known, str | Path):
+        options = replace(options, known=read_library(options.known))
+    if document is not None and options.method in ("mcmc", "smc"):
+        posterior = infer_by_jumps(seen.depth, seen.camera, options, document, rng, told)
+    else:
+        if document is not None:
+            options = replace(options, prior=document.prior, likelihood=document.likelihood)
+        posterior = infer_structure(seen.depth, seen.camera, options, rng, told)
+    if posterior.meta.get("backdrop"):
+        share = f"{posterior.meta['backdrop']:.0%} of the pixels lie on a plane or beyond"
+        warn(f"{share}: taken as background; with --floor auto solids stand on it")
+    fitted: dict[str, Any] = dict(posterior.meta["likelihood"])
+    return posterior, LikelihoodPrior(fitted.pop("type"), fitted)
+
+
+def _importing(progress: Progress | None) -> Progress:
     """Return `progress` that also begins to import what the files need, when the search gives way to long walks."""
 
-    def told(share, message):
+    def told(share: float, message: str) -> None:
         if share > 0.0:
             import_in_background(*WRITERS)
         if progress:
             progress(share, message)
 
     return told
-
-
-def has_objects(document) -> bool:
-    """Return whether the document names its objects."""
-    from derender.scene.priors.tree import TreePrior
-
-    return isinstance(document.prior, TreePrior)
-
-
-def _structure(seen, document, method, found, chains, draws, seed, progress, run) -> Posterior:
-    """Infer what there is from the image alone; `found` holds the options that say what is known of it.
-
-    run : folder, resume, jobs and warmup, which chains over structures heed.
-    """
-    from derender.detection.solids.image import KINDS
-    from derender.structures.infer import infer_structure
-    from derender.structures.known.library import read_library
-
-    chosen = {"method": method, "seed": seed, "floor": found["floor"], "others": not found["only_known"],
-              "may_overlap": found["may_overlap"], "may_float": found["may_float"]}  # fmt: skip
-    if found["shapes"] is not None:
-        chosen["shapes"] = [name.strip() for name in found["shapes"].split(",")]
-        for name in chosen["shapes"]:
-            if name not in KINDS:
-                raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
-    if found["known"] is not None:
-        chosen["known"] = read_library(found["known"])
-    elif found["only_known"]:
-        raise DerenderError("nothing is known", "--only-known", "give a library with --known FILE")
-    for key, value in (("max_objects", found["max_objects"]), ("chains", chains), ("draws", draws)):
-        if value is not None:
-            chosen[key] = value
-    if method in ("mcmc", "smc") and found["known"] is not None:
-        raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
-    if method in ("mcmc", "smc") and document is not None:
-        from derender.structures.jumps.run import infer_by_jumps
-
-        chosen |= run
-        return infer_by_jumps(seen.depth, seen.camera, chosen, document, np.random.default_rng(seed), progress)
-    if document is not None:
-        chosen["prior"], chosen["likelihood"] = document.prior, document.likelihood
-    if method in ("mcmc", "smc"):
-        chosen |= run
-    return infer_structure(seen.depth, seen.camera, chosen, np.random.default_rng(seed), progress)

@@ -74,7 +74,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False):
 
     graph, image, label, camera = make_scene(seed, prior, size, sigma)
     start = time.perf_counter()
-    posterior = infer_structure(image, camera, {}, np.random.default_rng(seed))
+    posterior = infer_structure(image, camera, None, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     truth = scene_json(graph)
     found = {item["name"]: (number, item) for number, part in reversed(list(enumerate(posterior.parts)))
@@ -84,7 +84,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False):
     answer = structures_of(posterior, truth)
     record["structures"] = [[share, error, key == true_structure(truth)] for key, (share, error) in answer.items()]
     if twice:
-        other = structures_of(infer_structure(image, camera, {}, np.random.default_rng([seed, 7])), truth)
+        other = structures_of(infer_structure(image, camera, None, np.random.default_rng([seed, 7])), truth)
         shares = {key: (answer.get(key, (0.0, 0.0)), other.get(key, (0.0, 0.0))) for key in {*answer, *other}}
         record["variation"] = 0.5 * sum(abs(a[0] - b[0]) for a, b in shares.values())
         likeliest = max(answer, key=lambda key: answer[key][0])

@@ -24,6 +24,7 @@ from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 METHODS = ("auto", "mcmc", "smc")
 NEAR = 0.04  # metres between centres of what is one object
@@ -64,7 +65,7 @@ def main():
     seconds = {method: [] for method in METHODS}
     apart = {method: [] for method in METHODS}
     for method in METHODS:
-        infer_structure(warm["depth"], warm["camera"], {"method": method}, np.random.default_rng(0))
+        infer_structure(warm["depth"], warm["camera"], Options(method=method), np.random.default_rng(0))
     for number in range(arguments.n):
         name, k = arguments.sets[number % len(arguments.sets)], arguments.first + number // len(arguments.sets)
         scene = make_scene(np.random.default_rng([k, SETS.index(name)]), name)
@@ -72,7 +73,9 @@ def main():
         told = {}
         for method in METHODS:
             start = time.perf_counter()
-            posterior = infer_structure(scene["depth"], scene["camera"], {"method": method}, np.random.default_rng(k))
+            posterior = infer_structure(
+                scene["depth"], scene["camera"], Options(method=method), np.random.default_rng(k)
+            )
             seconds[method].append(time.perf_counter() - start)
             results[method].append(compare_scenes(scene_json(posterior.best_graph()), truth, ignored=hidden))
             told[method] = statements(posterior, scene["objects"])

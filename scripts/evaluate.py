@@ -25,6 +25,7 @@ from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 REAL_SETS = ("mosd", "graspnet", "ycbv")
 ENOUGH_PIXELS = 100
@@ -74,7 +75,7 @@ def main():
     unknown = set(arguments.sets) - set(SETS + REAL_SETS)
     if unknown:
         parser.error(f"no such set: {', '.join(sorted(unknown))}")
-    options = {"method": arguments.method}
+    options = Options(method=arguments.method)
     chosen = arguments.sets or [*SETS, *REAL_SETS]
     warm = make_scene(np.random.default_rng(0), "settled")
     infer_structure(warm["depth"], warm["camera"], options, np.random.default_rng(0))

@@ -86,11 +86,21 @@ def command(talk: Talk, **arguments) -> int | None:
         derender infer frame.png --camera camera.json --known groceries.yaml
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
     """
+    from derender.structures.options import Options
     from derender.workflow import infer_to_folder
 
+    image, prior, output, camera, depth_scale, gradient, strict = (
+        arguments.pop(key) for key in ("image", "prior", "output", "camera", "depth_scale", "gradient", "strict")
+    )
+    if arguments["shapes"] is not None:
+        arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
+    wanted = Options(**arguments)
     bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
     try:
-        outcome = infer_to_folder(**arguments, command=command_line(), progress=bar, say=talk.say, warn=talk.warn)
+        outcome = infer_to_folder(
+            image, wanted, prior, output, camera, depth_scale, gradient, command_line(),
+            progress=bar, say=talk.say, warn=talk.warn,
+        )  # fmt: skip
     finally:
         if bar:
             bar.close()
@@ -104,4 +114,4 @@ def command(talk: Talk, **arguments) -> int | None:
         return 130
     for line in outcome.verdict():
         talk.say(line, always=not outcome.trusted)
-    return 3 if arguments["strict"] and not outcome.trusted else None
+    return 3 if strict and not outcome.trusted else None

@@ -89,10 +89,11 @@ class Outcome:
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
-                  made: Mapping[str, Any], lost: int, seconds: float) -> Outcome:  # fmt: skip
+                  made: Mapping[str, Any], lost: int, seconds: float, page: bool = True) -> Outcome:  # fmt: skip
     """Write all files of a result, as one set, and return what there is to tell.
 
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
+    page : whether report.html is one of them: `derender report DIR` makes it later from the others.
     """
     from derender.report.contents import likelihood_numbers, report_of, sensor_words
     from derender.report.html import write_report
@@ -141,7 +142,10 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
             write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 
-        run_together(partial(write_report, place / "report.html", report), write_numbers)
+        if page:
+            run_together(partial(write_report, place / "report.html", report), write_numbers)
+        else:
+            write_numbers()
     interrupted = bool(posterior.meta["interrupted"])
     return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(numbers), seconds)
 

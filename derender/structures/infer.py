@@ -17,6 +17,7 @@ from derender.detection.solids.support import final_parents
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.priors.bare_image import BareImagePrior
+from derender.structures.options import Options
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
@@ -46,14 +47,14 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
 
 
 def settings_of(options):
-    """Return the Settings that a mapping of options asks for; an open prior among them says what it allows.
+    """Return the Settings that Options ask for; an open prior among them says what it allows.
 
     Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
     term `no-overlap`) and float (a contact `6dof` and no term `no-floating`); weights and draws take its sizes. An
     option is stricter or looser still.
     """
     settings = Settings()
-    prior = options.get("prior")
+    prior = options.prior
     if prior is not None:
         kinds = {entry.type for entry in prior.shapes.values()}
         terms = {term.name: term for term in prior.constraints}
@@ -61,21 +62,20 @@ def settings_of(options):
             remedy = "the search knows " + ", ".join(settings.shapes)
             raise DerenderError("the prior has no shape that can be looked for", "shapes", remedy)
         settings = settings._replace(
-            beliefs=beliefs_of(prior, options.get("likelihood")),
+            beliefs=beliefs_of(prior, options.likelihood),
             shapes=tuple(name for name in settings.shapes if name in kinds),
             may_overlap="no-overlap" not in terms,
             may_float="no-floating" not in terms and any(rule.type == "6dof" for rule in prior.contacts.rules),
         )
         if "at-most" in terms:
             settings = settings._replace(max_objects=terms["at-most"].count)
-    if options.get("shapes"):
-        settings = settings._replace(shapes=tuple(options["shapes"]))
-    if options.get("max_objects"):
-        settings = settings._replace(max_objects=int(options["max_objects"]))
-    for switch in ("may_overlap", "may_float"):
-        if options.get(switch):
-            settings = settings._replace(**{switch: True})
-    return settings
+    if options.shapes:
+        settings = settings._replace(shapes=tuple(options.shapes))
+    if options.max_objects:
+        settings = settings._replace(max_objects=options.max_objects)
+    return settings._replace(
+        may_overlap=settings.may_overlap or options.may_overlap, may_float=settings.may_float or options.may_float
+    )
 
 
 def infer_structure(image, camera, options=None, rng=None, progress=None):
@@ -85,11 +85,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     ----------
     image : (H, W) float metres, NaN or 0 = no return.
     camera : Camera, or a dict with fx, fy, cx, cy.
-    options : mapping, all optional: shapes (names), max_objects, seed, chains, draws, method: "auto" (search, then
-        draws under the best structures), "map" (the best scene only), "mcmc" or "smc" (chains or populations over
-        structures: catalogue/; also warmup, jobs, folder of checkpoints, resume); floor ("auto", "none", or a plane in
-        camera axes), known (a library of known objects or its file), others (whether there may be solids besides them),
-        may_overlap and may_float (whether solids may interpenetrate and float), prior (see settings_of).
+    options : Options; None: all as it comes.
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
     Returns a Posterior.
@@ -100,39 +96,39 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.structures.graph_posterior import parts_of
     from derender.structures.known.library import chosen_library
 
-    options = dict(options or {})
-    rng = np.random.default_rng(options.get("seed")) if rng is None else rng
+    options = options or Options()
+    rng = np.random.default_rng(options.seed) if rng is None else rng
     settings = settings_of(options)
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    plane = read_floor(options.get("floor"))
+    plane = read_floor(options.floor)
     loose = (bare_image() if settings.beliefs is None else settings.beliefs).loose
-    unit = 1.0 if "unit" in options else unit_of(depth, loose)
-    open_unit = isinstance(options.get("prior"), BareImagePrior | None)
-    if unit != 1.0 and not options.get("known") and open_unit:  # others say how long things are
+    unit = 1.0 if options.unit is not None else unit_of(depth, loose)
+    open_unit = isinstance(options.prior, BareImagePrior | None)
+    if unit != 1.0 and not options.known and open_unit:  # others say how long things are
         floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
-        options = {**options, "floor": floor, "unit": unit}
+        options = replace(options, floor=floor, unit=unit)
         return in_metres(infer_structure(depth / unit, camera, options, rng, progress), unit)
     plan = None
-    if options.get("method") in ("mcmc", "smc"):
+    if options.method in ("mcmc", "smc"):
         from derender.structures.catalogue.run import leap_parts, read_plan
 
         plan = read_plan(options, depth)
     pool: list = []
-    library = chosen_library(options["known"]) if options.get("known") else ()
+    library = chosen_library(options.known) if options.known else ()
     state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
     settings = settings.for_correlation(seen.correlation)
     if progress:
         progress(0.6, f"{len(state)} solids; sampling")
-    chains, draws = int(options.get("chains") or 2), int(options.get("draws") or 100)
-    only_best = options.get("method") == "map"
+    chains, draws = options.chains or 2, options.draws or 100
+    only_best = options.method == "map"
     told: dict = {}
     if library:
         from derender.structures.known.posterior import known_posterior
 
         many = (1, 1) if only_best else (chains, draws)
-        others = bool(options.get("others", True))
+        others = not options.only_known
         parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
     elif plan is not None and len(state):
         parts, told = leap_parts(rng, seen, state, pool, settings, plan, progress)
@@ -148,7 +144,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
-    posterior = Posterior(tuple(parts), seed=options.get("seed"), meta=meta)
+    posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))
 
 

@@ -22,6 +22,7 @@ from derender.posterior.forward import draw_documents  # noqa: E402
 from derender.render.raycast.depth import render_depth  # noqa: E402
 from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
 POSES = np.stack([translation(-0.06, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])
@@ -45,7 +46,9 @@ def picture(floor, width=160, height=120, count=2, noise=0.001, factor=0.87):
 
 def answer(depth, camera, **options):
     """Return the best graph of a quick inference."""
-    return infer_structure(depth, camera, {"method": "map", **options}, np.random.default_rng(0)).best_graph()
+    return infer_structure(
+        depth, camera, Options(**{"method": "map", **options}), np.random.default_rng(0)
+    ).best_graph()
 
 
 def solids(graph):
@@ -203,7 +206,7 @@ def test_a_reduced_sharp_image_has_its_edges_where_the_small_camera_sees_them(wi
 
 def test_without_a_floor_a_table_that_fills_the_image_is_background():
     depth, camera = picture(floor_pose())
-    posterior = infer_structure(depth, camera, {"method": "map", "floor": "none"}, np.random.default_rng(0))
+    posterior = infer_structure(depth, camera, Options(method="map", floor="none"), np.random.default_rng(0))
     graph = posterior.best_graph()
     assert posterior.meta["backdrop"] > 0.5
     assert "floor" not in graph.names
@@ -219,7 +222,7 @@ def test_a_large_image_of_a_rough_sensor_shows_whole_solids(place):
     floor, camera = floor_pose(**place), camera_of(640, 480)
     depth, label = render_floor_scene(["box"] * 2, floor @ POSES, SIZES, floor, camera)
     depth = kinect_noise(np.random.default_rng(0), np.minimum(np.nan_to_num(depth, nan=4.0), 4.0), label)
-    options = {"chains": 1, "draws": 5}
+    options = Options(chains=1, draws=5)
     assert_both_boxes(infer_structure(depth.round(3), camera, options, np.random.default_rng(1)).best_graph())
 
 

@@ -30,6 +30,7 @@ from derender.evaluation.convex import intersection_volume  # noqa: E402
 from derender.scene.pose import random_rotation, rotation_z  # noqa: E402
 from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
 from derender.structures.infer import infer_structure, point_estimate  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 
 @pytest.fixture
@@ -250,7 +251,7 @@ def test_removing_a_solid_leaves_what_stood_on_it_on_what_it_stood_on():
 
 def test_three_stacked_cubes_are_found_with_their_graph(rng):
     scene = make_scene(rng, "cubes")
-    graph = infer_structure(scene["depth"], scene["camera"], {"method": "map"}, rng).best_graph()
+    graph = infer_structure(scene["depth"], scene["camera"], Options(method="map"), rng).best_graph()
     graph.check()
     assert len(graph.names) == 4
     chain, name = [], "floor"
@@ -277,7 +278,7 @@ def test_round_solids_are_told_from_boxes(rng, kind):
     poses = np.eye(4)[None].copy()
     poses[0, 2, 3] = size[2] / 2
     scene = photograph(rng, [kind], size[None], poses, ["floor"])
-    graph = infer_structure(scene["depth"], scene["camera"], {"method": "map"}, rng).best_graph()
+    graph = infer_structure(scene["depth"], scene["camera"], Options(method="map"), rng).best_graph()
     (name,) = graph.children("floor")
     assert graph.vertex(name).shape == kind
     assert np.abs(graph.body(name).size() - size).max() < 0.004

@@ -18,6 +18,7 @@ from derender.detection.solids.image import render_floor_scene  # noqa: E402
 from derender.detection.unit import part_in_metres  # noqa: E402
 from derender.scene.pose import rotation_z, translation  # noqa: E402
 from derender.structures.infer import draw_graph, infer_structure  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 
 def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
@@ -41,7 +42,7 @@ def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
 def test_every_length_of_a_posterior_is_converted():
     """With balls, cans and boxes that lie, lean and stand: each draw is the same scene, larger."""
     scene = make_scene(np.random.default_rng([70000, SETS.index("mixed")]), "mixed")
-    found = infer_structure(scene["depth"], scene["camera"], {"draws": 4}, np.random.default_rng(1))
+    found = infer_structure(scene["depth"], scene["camera"], Options(draws=4), np.random.default_rng(1))
     part = found.best_part
     large = part_in_metres(part, 3.0)
     for draw in range(2):
@@ -68,7 +69,7 @@ def test_a_scene_many_times_as_large_or_small_is_found(times):
     depth, _ = render_floor_scene(["box"] * 2, poses, sizes, floor, scene["camera"])
     noise = 0.001 * times
     depth = depth + noise * np.random.default_rng(0).normal(size=depth.shape)
-    found = infer_structure(depth, scene["camera"], {"draws": 10}, np.random.default_rng(0))
+    found = infer_structure(depth, scene["camera"], Options(draws=10), np.random.default_rng(0))
     graph = found.best_graph()
     solids = graph.solids()
     said, true = (each[np.argsort(each.prod(axis=1))] for each in (solids.size[1:], sizes))

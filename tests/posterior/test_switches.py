@@ -16,6 +16,7 @@ from derender.scene.separation import overlaps
 from derender.structures.draws.chart import log_prior, make_chart, place_rows
 from derender.structures.draws.scene_density import state_of
 from derender.structures.infer import infer_structure, settings_of
+from derender.structures.options import Options
 
 SCENE = """derender: 1
 camera: {fx: 140, fy: 140, cx: 79.5, cy: 59.5, width: 160, height: 120}
@@ -41,7 +42,7 @@ def found(text, **options):
     document = read(text)
     clean, _ = render_depth(document.graph.solids(), document.camera, background=10.0)
     depth = clean + np.random.default_rng(1).normal(scale=0.001, size=clean.shape)
-    options = {"method": "map", "seed": 3, **options}
+    options = Options(**{"method": "map", "seed": 3, **options})
     return infer_structure(depth, document.camera, options).best_graph()
 
 
@@ -83,15 +84,15 @@ def test_each_term_of_the_density_has_its_switch():
 
 def test_an_open_prior_says_what_the_search_may_do():
     tabletop, algorithm = (read_prior_document(name).prior for name in ("tabletop", "algorithm-1"))
-    default, strict, loose = settings_of({}), settings_of({"prior": tabletop}), settings_of({"prior": algorithm})
+    default, strict, loose = (settings_of(Options(prior=prior)) for prior in (None, tabletop, algorithm))
     assert (default.may_overlap, default.may_float, default.max_objects) == (False, False, 30)
     assert (strict.may_overlap, strict.may_float, strict.max_objects) == (False, False, 4)
     assert strict.shapes == ("box", "cube") and default.shapes == ("box", "cube", "cylinder", "sphere")
     assert (loose.may_overlap, loose.may_float) == (True, True)
-    assert settings_of({"prior": tabletop, "may_float": True}).may_float
+    assert settings_of(Options(prior=tabletop, may_float=True)).may_float
     walls = SimpleNamespace(shapes={"wall": SimpleNamespace(type="plane")}, constraints=())
     with pytest.raises(DerenderError, match="no shape that can be looked for; the search knows box"):
-        settings_of({"prior": walls})
+        settings_of(Options(prior=walls))
 
 
 def test_no_floating_rules_out_what_is_placed_freely():

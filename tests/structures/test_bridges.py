@@ -18,6 +18,7 @@ from derender.scene.pose import rotation_x
 from derender.scene.second_support import support_residual
 from derender.structures.bridges import with_bridges
 from derender.structures.infer import infer_structure
+from derender.structures.options import Options
 
 SLACK = 0.0015
 CAMERA = Camera(fx=140.0, fy=140.0, cx=79.5, cy=59.5, width=160, height=120)
@@ -122,7 +123,7 @@ def found():
     depth, _ = render_floor_scene(["box"] * 3, np.array([poses[n] for n in names]), np.array(sizes), view(),
                                   CAMERA.to_dict())  # fmt: skip
     depth = depth + np.random.default_rng(0).normal(0, 0.001, depth.shape)
-    return infer_structure(depth, CAMERA, {"draws": 20}, np.random.default_rng(0)), truth
+    return infer_structure(depth, CAMERA, Options(draws=20), np.random.default_rng(0)), truth
 
 
 def test_a_bridge_in_an_image_is_found_as_one(found):

@@ -5,6 +5,7 @@ import math
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from derender.structures.catalogue.leap import leap_values, make_leap, shared_of
 from derender.structures.catalogue.population import population
 from derender.structures.catalogue.run import Plan, chain_record, read_plan
 from derender.structures.infer import infer_structure
+from derender.structures.options import Options
 
 LIMIT = 4.5  # standard errors
 SIGMA = 0.02  # metres
@@ -171,16 +173,16 @@ def test_a_resumed_chain_equals_an_uninterrupted_one(tmp_path):
 def test_options_that_do_not_fit_are_refused():
     depth = np.ones((2, 2))
     with pytest.raises(DerenderError, match="--warmup"):
-        read_plan({"method": "smc", "warmup": 3}, depth)
-    plan = read_plan({"method": "mcmc", "warmup": 0, "chains": 3, "draws": 7, "jobs": 1}, depth)
+        read_plan(Options(method="smc", warmup=3), depth)
+    plan = read_plan(Options(method="mcmc", warmup=0, chains=3, draws=7, jobs=1), depth)
     assert (plan.chains, plan.draws, plan.warmup, plan.jobs) == (3, 7, 0, 1)
 
 
 @pytest.mark.parametrize("method", ["mcmc", "smc"])
 def test_a_tower_is_found_with_its_graph_whatever_the_number_of_jobs(method):
     scene = make_scene(np.random.default_rng([3, SETS.index("tower")]), "tower")
-    options = {"method": method, "chains": 2, "draws": 40, "seed": 3}
-    found = [infer_structure(scene["depth"], scene["camera"], {**options, "jobs": jobs}) for jobs in (1, 2)]
+    options = Options(method=method, chains=2, draws=40, seed=3)
+    found = [infer_structure(scene["depth"], scene["camera"], replace(options, jobs=jobs)) for jobs in (1, 2)]
     assert sum(part.weight for part in found[0].parts) == pytest.approx(1.0)
     assert [part.weight for part in found[0].parts] == [part.weight for part in found[1].parts]
     assert np.array_equal(found[0].best_part.values, found[1].best_part.values)
@@ -193,7 +195,7 @@ def test_a_tower_is_found_with_its_graph_whatever_the_number_of_jobs(method):
 
 def test_an_interrupt_keeps_what_was_drawn(tmp_path):
     scene = make_scene(np.random.default_rng([3, SETS.index("tower")]), "tower")
-    options = {"method": "mcmc", "chains": 1, "draws": 100_000, "warmup": 0, "seed": 3, "folder": tmp_path}
+    options = Options(method="mcmc", chains=1, draws=100_000, warmup=0, seed=3, folder=tmp_path)
 
     sent = []
 

@@ -14,6 +14,7 @@ from derender.errors import DerenderError
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.structures.infer import infer_structure
 from derender.structures.known.library import read_library
+from derender.structures.options import Options
 
 LIBRARY = """
 known:
@@ -39,7 +40,7 @@ def test_identities_and_ways_of_lying(tmp_path):
     sizes = np.array([[0.12, 0.08, 0.05], [0.07, 0.07, 0.10]])
     depth, _ = render_floor_scene(["box", "cylinder"], poses, sizes, floor, camera.to_dict())
     depth = depth + 0.001 * np.random.default_rng(0).normal(size=depth.shape)
-    options = {"known": library(tmp_path), "draws": 10, "chains": 1}
+    options = Options(known=library(tmp_path), draws=10, chains=1)
     posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
     graph = posterior.best_graph()
     assert set(graph.names) == {"floor", "brick", "tin"}
@@ -80,7 +81,7 @@ def test_four_groceries_by_their_meshes(tmp_path):
     meshes = sorted((REAL / "meshes").glob("*.obj"))
     text = "known:\n" + "".join(f"  ycb_{m.stem}: {{type: mesh, file: {m}}}\n" for m in meshes)
     seen = read_depth(REAL / "0001_000001_depth.png", REAL / "0001_000001_camera.json", None)
-    options = {"known": library(tmp_path, text), "method": "map"}
+    options = Options(known=library(tmp_path, text), method="map")
     graph = infer_structure(seen.depth, seen.camera, options, np.random.default_rng(0)).best_graph()
     poses = graph.poses()
     assert set(graph.names) == {"floor", *(f"ycb_{m.stem}" for m in meshes)}

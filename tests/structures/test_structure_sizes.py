@@ -17,6 +17,7 @@ from derender.structures.draws.chart import SIZE, SLOTS, make_chart
 from derender.structures.draws.metropolis import engine_of, run
 from derender.structures.draws.steps import make_proposals, own_members, single_steps
 from derender.structures.infer import settings_of
+from derender.structures.options import Options
 
 UPRIGHT = 0
 
@@ -67,7 +68,7 @@ def test_a_box_has_its_sizes_under_any_name_but_its_height_upright():
 
 
 def test_the_built_in_prior_is_read():
-    beliefs = settings_of({"prior": read_prior_document("tabletop").prior}).beliefs
+    beliefs = settings_of(Options(prior=read_prior_document("tabletop").prior)).beliefs
     table = beliefs.sizes
     assert beliefs.kinds[CUBE] == beliefs.kinds[BOX] == pytest.approx(np.log(0.5))
     assert beliefs.on_floor[2] == pytest.approx(np.log(0.35 * 2.0 / 0.16**2), abs=0.01)

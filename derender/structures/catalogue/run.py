@@ -1,10 +1,10 @@
 """`derender infer IMAGE --method mcmc` or `smc`: chains or populations over an image's catalogue, kept on disk."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from derender.structures.catalogue.parts import parts_of
 from derender.structures.catalogue.population import population
 from derender.structures.draws.refined import refine, refined_at
 from derender.structures.graph_posterior import INDEPENDENT
+from derender.structures.options import Options
 
 CHAINS, DRAWS, WARMUP = 4, 250, 40
 POPULATIONS, PARTICLES = 4, 100
@@ -46,26 +47,26 @@ class Plan(NamedTuple):
         return None if self.folder is None else self.folder / f"{self.method}_{number}.npz"
 
 
-def read_plan(options: Mapping[str, Any], depth) -> Plan:
+def read_plan(options: Options, depth) -> Plan:
     """Return the Plan of the options of `infer_structure`.
 
     Raises
     ------
     DerenderError : an option that the method knows nothing about.
     """
-    method = options["method"]
-    if method == "smc" and options.get("warmup") is not None:
+    method = options.method
+    if method == "smc" and options.warmup is not None:
         raise DerenderError("populations have no warm-up", "--warmup", "leave it out, or take --method mcmc")
     chain = method == "mcmc"
-    chains, draws = int(options.get("chains") or 0), int(options.get("draws") or 0)
-    warmup = options.get("warmup")
-    folder = options.get("folder")
-    same = {key: str(options.get(key)) for key in sorted(options) if key not in ("folder", "resume", "jobs")}
-    digest = fingerprint(__version__, str(same), np.ascontiguousarray(depth, dtype=float).tobytes())
+    chains, draws = int(options.chains or 0), int(options.draws or 0)
+    warmup = options.warmup
+    folder = options.folder
+    same = options.deciding() + repr(options.draws)
+    digest = fingerprint(__version__, same, np.ascontiguousarray(depth, dtype=float).tobytes())
     return Plan(
         method, chains or (CHAINS if chain else POPULATIONS), draws or (DRAWS if chain else PARTICLES),
-        WARMUP if warmup is None else int(warmup), int(options.get("jobs") or 2),
-        None if folder is None else Path(folder) / "checkpoint", bool(options.get("resume")), digest,
+        WARMUP if warmup is None else int(warmup), int(options.jobs or 2),
+        None if folder is None else Path(folder) / "checkpoint", options.resume, digest,
     )  # fmt: skip
 
 

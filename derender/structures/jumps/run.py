@@ -20,7 +20,6 @@ from derender.structures.jumps.sampler import JumpSampler
 from derender.structures.jumps.start import base_graph, hypotheses_of, root_pose_near, start_graph
 from derender.structures.jumps.vocabulary import Vocabulary
 
-DECIDES = ("method", "shapes", "max_objects", "may_overlap", "may_float", "floor", "chains", "warmup", "seed")
 DRAWS, CHAINS, THIN, WARMUP = 400, 2, 20, 4000
 PARTICLES = 40
 SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
@@ -30,7 +29,7 @@ EXTRA = 1  # objects beyond those seen that SMC makes room for
 def infer_by_jumps(image, camera, options, document, rng=None, progress=None) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
-    options : as of `infer_structure`: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
+    options : Options: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
         chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
     Raises
@@ -40,36 +39,36 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     from derender.detection.solids.graph import scene_graph
     from derender.structures.infer import point_estimate, settings_of
 
-    method, chain = options["method"], options["method"] == "mcmc"
-    if not chain and options.get("warmup") is not None:
+    method, chain = options.method, options.method == "mcmc"
+    if not chain and options.warmup is not None:
         raise DerenderError("populations have no warm-up", "--warmup", "leave it out, or take --method mcmc")
-    rng = np.random.default_rng(options.get("seed")) if rng is None else rng
+    rng = np.random.default_rng(options.seed) if rng is None else rng
     if progress:
         progress(0.0, "searching for solids")
     prior = document.prior
-    settings = settings_of({**options, "prior": prior})
+    settings = settings_of(replace(options, prior=prior))
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    state, seen = point_estimate(rng, depth, camera, settings, plane=read_floor(options.get("floor")))
+    state, seen = point_estimate(rng, depth, camera, settings, plane=read_floor(options.floor))
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
     words = Vocabulary(prior)
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)
     likelihood, values = _likelihood_of(document, seen, settings, depth)
-    draws, chains = int(options.get("draws") or (DRAWS if chain else PARTICLES)), int(options.get("chains") or CHAINS)
-    most = options.get("max_objects") or len(words.grown(start)) + EXTRA
+    draws, chains = options.draws or (DRAWS if chain else PARTICLES), options.chains or CHAINS
+    most = options.max_objects or len(words.grown(start)) + EXTRA
     sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses_of(words, graph), method, THIN,
                           SEGMENT if chain else draws, int(most))  # fmt: skip
     if chain and Target(prior).log_prior(start) == -np.inf:
         raise DerenderError("the prior rules out the scene to start from", remedy="widen the prior")
-    warmup = WARMUP if options.get("warmup") is None else int(options["warmup"])
-    folder = None if options.get("folder") is None else Path(options["folder"]) / "checkpoint"
+    warmup = WARMUP if options.warmup is None else options.warmup
+    folder = None if options.folder is None else Path(options.folder) / "checkpoint"
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    decides = [str(options.get(key)) for key in DECIDES] + ([] if chain else [str(draws)])
+    decides = [options.deciding()] + ([] if chain else [str(draws)])
     run = fingerprint(__version__, *decides, depth.tobytes(), repr(camera), likelihood, repr(values),
                       sampler.start(rng)["now"].tobytes(), repr(sampler.hypotheses))  # fmt: skip
     plan = Plan(sampler, int(rng.integers(2**63)), chains, -(-warmup // THIN) if chain else 0, draws, folder, run,
-                bool(options.get("resume")))  # fmt: skip
+                options.resume)  # fmt: skip
     total, done = chains * (plan.warmup + plan.draws), dict.fromkeys(range(chains), 0)
 
     def report(number: int, steps: int, _: int) -> None:
@@ -77,7 +76,7 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
         if progress:
             progress(sum(done.values()) / total, "jumping" if chain else "adding objects")
 
-    outcome = workers.run(plan, int(options.get("jobs") or 1), True, report)
+    outcome = workers.run(plan, options.jobs or 1, True, report)
     found = [sampler.draws(record) for record in outcome.records.values() if record.drawn]
     if not found:
         raise KeyboardInterrupt

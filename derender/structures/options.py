@@ -1,0 +1,67 @@
+"""What may be asked of the inference of a bare image, as one typed object."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.registry import suggest
+
+METHODS = ("auto", "mcmc", "map", "smc")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a bare image is inferred, and what is known of it beforehand. Every field may be left out.
+
+    Attributes
+    ----------
+    method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
+        "mcmc" or "smc" (chains or populations over structures).
+    seed : of the random numbers.
+    chains, draws, warmup : numbers of chains, of kept draws of each, and of the rounds in which one adapts; None: those
+        of the method.
+    jobs : processes of chains over structures. folder, resume : of their checkpoints, and whether to go on with them.
+    shapes : names of the shapes to look for; None: all. max_objects : at most so many solids; None: no such limit.
+    floor : None or "auto" (find it), "none", or the plane (4,) a x + b y + c z + d = 0 in camera axes, metres.
+    known : a library of known objects or its file; only_known : whether there is nothing besides them.
+    may_overlap, may_float : whether solids may interpenetrate and hang in the air.
+    prior : an open prior that the search obeys, or None: the one of bare images. likelihood : what its document says of
+        the sensor, or None.
+    unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
+    """
+
+    method: str = "auto"
+    seed: int | None = None
+    chains: int | None = None
+    draws: int | None = None
+    warmup: int | None = None
+    jobs: int | None = None
+    folder: Path | None = None
+    resume: bool = False
+    shapes: Sequence[str] | None = None
+    max_objects: int | None = None
+    floor: str | Sequence[float] | np.ndarray | None = None
+    known: Any = None
+    only_known: bool = False
+    may_overlap: bool = False
+    may_float: bool = False
+    prior: Any = None
+    likelihood: Any = None
+    unit: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise DerenderError(f"no method is called {self.method!r}", "--method", suggest(self.method, METHODS))
+        if self.only_known and self.known is None:
+            raise DerenderError("nothing is known", "--only-known", "give a library with --known FILE")
+
+    def deciding(self) -> str:
+        """Return what of the options decides about the draws, as text: two runs with the same can go on together."""
+        return repr([(f.name, getattr(self, f.name)) for f in fields(self) if f.name not in NOT_DECIDING])
+
+
+NOT_DECIDING = frozenset({"folder", "resume", "jobs", "draws", "prior", "likelihood", "unit"})
