@@ -80,3 +80,14 @@ def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":
         return None
     image = read_depth(path)
     return image.depth, image.camera
+
+
+def read_explained(folder: str | Path) -> "np.ndarray | None":
+    """Return the depths (H, W) that explain the image of a result folder, NaN where nothing does; None without them."""
+    import numpy as np
+
+    try:
+        depth = np.load(Path(folder) / "explained.npy", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return depth.astype(float) if depth.ndim == 2 and depth.dtype.kind == "f" else None

@@ -25,7 +25,7 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
         derender report run_1/ run_2/ run_3/ -o all.html
         derender report results/ --table > table.txt
     """
-    from derender.cli.reading import read_observation, read_scene
+    from derender.cli.reading import read_explained, read_observation, read_scene
     from derender.errors import DerenderError
     from derender.report.contents import report_of
     from derender.report.html import write_report
@@ -50,7 +50,9 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
-    report = report_of(graph, camera, observed, posterior, names, title_facts(len(found)), first.likelihood)
+    told = read_explained(folders[0]) if image is not None else None
+    facts = title_facts(len(found))
+    report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
     if output is None:
         place = Path(folders[0])
         output = str(place / "report.html") if place.is_dir() else f"{first.name}.html"

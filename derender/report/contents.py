@@ -65,6 +65,7 @@ def report_of(
     facts: Mapping[str, Any] | None = None,
     likelihood: Mapping[str, Any] | None = None,
     lost: int = 0,
+    told: np.ndarray | None = None,
 ) -> Report:
     """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
 
@@ -74,6 +75,7 @@ def report_of(
     facts : further entries for the head, such as seconds.
     likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
     lost : how many chains died.
+    told : (height, width) metres, the `explained.npy` of a folder; None: what the posterior holds.
     """
     from derender.report.scene_json import scene_json
     from derender.report.structure_words import told_structures
@@ -90,8 +92,10 @@ def report_of(
         structures = told_structures(posterior)
     fit, doubts = None, trust.chain_doubts(posterior, rows, lost) if posterior is not None else ()
     if camera is not None and observed is not None:
-        fit = fit_of(graph, camera, observed, likelihood or {})
-        doubts = (*doubts, *check_fit(fit, observed))
+        if told is None and posterior is not None and posterior.explanation is not None:
+            told = posterior.explanation.depth
+        fit = fit_of(graph, camera, observed, likelihood or {}, told)
+        doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
     return Report(

@@ -1,19 +1,159 @@
-"""A posterior predictive check by region: what of an image the scene that was found does not explain, in sentences."""
+"""A posterior predictive check by region: what speaks against the scene that was found, in sentences that say where.
+
+A likelihood compares explanations with each other; this compares the best of them with the image itself. Each check
+returns doubts; `check_fit` asks them all.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derender.results.fit import Fit
+from derender.camera.intrinsics import Camera
+from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, neighbourhood
+from derender.results.regions import LETTERS, Region, components, opened
 from derender.results.trust import Doubt
 
-MOST_UNEXPLAINED = 0.1  # share of the valid pixels from which on an answer is about another scene
+if TYPE_CHECKING:
+    from derender.scene.graph import SceneGraph
+
+# Unexplained regions.  What is nowhere as wide as a few pixels is a silhouette's fault.
+THIN = 320  # columns of the image for each pixel that a thing may be thin and yet count
+LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
+MOST_IN_ALL = 0.05  # share of the valid pixels that may be unexplained
+MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
+MOST_TOLD = 3  # regions
+# What is taken as it is seen explains nothing.
+MOST_BACKGROUND = 0.6  # share of the valid pixels
+# Solids that the image does not bear out.
+MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
+LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
+FEW_PIXELS = 12  # of a solid say nothing of it as a whole
+FILLING = 0.5  # share of the image that one solid may fill
+CUT = 0.1  # share of a solid's outline that lies on the image's border
+NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hides something
 
 
-def check_fit(fit: Fit, observed: np.ndarray) -> tuple[Doubt, ...]:
-    """Return the doubts that an image (H, W) raises about what was found in it.
+def check_fit(
+    graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray, likelihood: Mapping[str, Any]
+) -> tuple[Doubt, ...]:
+    """Return the doubts that an image raises about what was found in it, the serious ones first.
 
-    observed : metres, NaN where nothing returned.
+    Parameters
+    ----------
+    graph : the best scene. fit : of it. camera : of the image.
+    observed : (H, W) metres, NaN where nothing returned.
+    likelihood : numbers of the likelihood that was fitted, by name.
     """
+    valid = np.isfinite(observed)
+    if not valid.any():
+        return ()
+    doubts = [
+        *unexplained(fit, valid),
+        *too_much_background(fit, valid),
+        *too_noisy(fit, observed, likelihood),
+        *unborne_solids(graph, fit, valid),
+        *at_the_border(graph, fit),
+    ]
+    return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
+
+
+def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
+    """Return a doubt about coherent regions that neither solids nor floor nor background explain."""
+    left = valid & ~fit.explained & ~fit.background
+    solid = opened(left, max(1, round(left.shape[1] / THIN)))
+    label, count = components(solid)
+    sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
+    order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
+    if not order:
+        return []
+    regions = tuple(
+        Region(LETTERS[place], label == k + 1, float(sizes[k])) for place, k in enumerate(order[:MOST_TOLD])
+    )
+    total = float(left.sum() / valid.sum())
+    words = ", ".join(f"region {region.name} {region.where}" for region in regions)
+    more = f" and {len(order) - MOST_TOLD} more" if len(order) > MOST_TOLD else ""
+    serious = total > MOST_IN_ALL or bool(sizes[order[0]] > MOST_IN_ONE)
+    return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, regions)]
+
+
+def too_much_background(fit: Fit, valid: np.ndarray) -> list[Doubt]:
+    """Return a doubt where the floor and what stands on it are a small part of what is seen."""
+    share = float(fit.background[valid].mean())
+    if share <= MOST_BACKGROUND:
+        return []
+    return [Doubt(f"{percent(share)} of the image is taken as background, which says nothing of what it is")]
+
+
+def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> list[Doubt]:
+    """Return a doubt where the noise that was fitted is far above what flat patches of the image show."""
+    middle = float(np.nanmedian(observed))
+    fitted = float(likelihood.get("sigma", 0.0)) + float(likelihood.get("sigma_growth", 0.0)) * middle**2
+    usual = (SENSOR_PER_DEPTH * middle + SENSOR_PER_SQUARE * middle**2) / 3.0
+    if fitted <= NOISY * max(fit.noise.sigma, usual):
+        return []
+    return [
+        Doubt(
+            f"a noise of {millimetres(fitted)} was fitted where flat patches show {millimetres(fit.noise.sigma)}: "
+            "it hides what is not explained"
+        )
+    ]
+
+
+def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+    """Return doubts about solids that are predicted where nothing returned, or something else is seen."""
     doubts = []
-    if 1.0 - fit.share > MOST_UNEXPLAINED:
-        doubts.append(Doubt(f"{1.0 - fit.share:.0%} of the image is not explained"))
-    return tuple(doubts)
+    elsewhere = float((~valid)[fit.label == 0].mean()) if (fit.label == 0).any() else 0.0
+    for place, vertex in enumerate(graph.vertices, start=1):
+        mask = fit.label == place
+        count = int(mask.sum())
+        if count < FEW_PIXELS:
+            continue
+        missing = float((~valid)[mask].mean())
+        if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
+            region = Region(vertex.name, mask, count / valid.sum())
+            doubts.append(
+                Doubt(f"nothing returned from {percent(missing)} of {vertex.name}, {region.where}", True, (region,))
+            )
+            continue
+        seen = mask & valid
+        fitting = float(fit.explained[seen].mean()) if seen.any() else 1.0
+        if fitting < LEAST_FITTING:
+            region = Region(vertex.name, mask, count / valid.sum())
+            words = f"{vertex.name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
+            doubts.append(Doubt(words, True, (region,)))
+    return doubts
+
+
+def at_the_border(graph: "SceneGraph", fit: Fit) -> list[Doubt]:
+    """Return doubts about solids that the image's border cuts, or that fill the image."""
+    doubts = []
+    height, width = fit.label.shape
+    for place, vertex in enumerate(graph.vertices, start=1):
+        mask = fit.label == place
+        count = int(mask.sum())
+        if count < FEW_PIXELS:
+            continue
+        region = Region(vertex.name, mask, count / mask.size)
+        if region.share > FILLING:
+            words = f"{vertex.name} fills {percent(region.share)} of the image, so that little shows what it stands on"
+            doubts.append(Doubt(words, True, (region,)))
+            continue
+        inner = ~mask
+        _, high = neighbourhood(inner.astype(float), 1)
+        outline = int((mask & (high > 0)).sum())
+        cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
+        if cut > CUT * (outline + cut):
+            words = f"{vertex.name} is cut by the image's border: how big it is beyond is a guess"
+            doubts.append(Doubt(words, False, (region,)))
+    return doubts
+
+
+def percent(share: float) -> str:
+    """Return a share in words: never 0 % of what there is."""
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"
+
+
+def millimetres(length: float) -> str:
+    """Return a length in millimetres, two digits."""
+    return f"{1000 * length:.2g} mm" if length < 0.1 else f"{1000 * length:.0f} mm"

@@ -35,29 +35,41 @@ class Fit(NamedTuple):
     ----------
     label : uint16; k where the pixel shows the k-th object of `derender show --json`, 0 where it shows a plane, what
         the model takes as background, or nothing.
-    depth : float32 metres along the optical axis, blurred as the likelihood says; NaN where nothing is predicted.
+    depth : float32 metres along the optical axis of what explains the pixel; NaN where nothing does.
+    predicted : float64 metres, the depth of solids, floor and the likelihood's wall; NaN where there is none of them.
     tolerance : float64 metres; how far off a depth may be and yet be explained.
     explained : bool; a depth was observed and lies within the tolerance of what is predicted at the pixel or, at a
         silhouette, between what is predicted about it.
-    share : of the pixels with a depth, those that are explained.
-    noise : float64 metres, the standard deviation that flat patches of the image show at its median depth.
+    background : bool; not that, but taken as the background as it was seen, which says nothing of it.
+    share : of the pixels with a depth, those that are explained or background.
+    noise : Noise that flat patches of the image show.
     """
 
     label: np.ndarray
     depth: np.ndarray
+    predicted: np.ndarray
     tolerance: np.ndarray
     explained: np.ndarray
+    background: np.ndarray
     share: float
-    noise: float
+    noise: Noise
 
 
-def fit_of(graph: "SceneGraph", camera: Camera, observed: np.ndarray, likelihood: Mapping[str, Any]) -> Fit:
-    """Return what a scene says of an image.
+def fit_of(
+    graph: "SceneGraph",
+    camera: Camera,
+    observed: np.ndarray,
+    likelihood: Mapping[str, Any],
+    told: np.ndarray | None = None,
+) -> Fit:
+    """Return how well a scene fits an image.
 
     Parameters
     ----------
     observed : (H, W) float64, metres, NaN where nothing returned.
     likelihood : its numbers by name; of them `blur` (pixels) and `background` (metres, where nothing else is seen).
+    told : (H, W) metres that inference says explain the pixels, the background among them (explanation.py), NaN where
+        nothing does; None: what the scene predicts.
     """
     clean, solid = render_depth(graph.solids(), camera)
     objects = {vertex.name: (place, vertex.body.size()) for place, vertex in enumerate(graph.vertices, start=1)}
@@ -67,16 +79,18 @@ def fit_of(graph: "SceneGraph", camera: Camera, observed: np.ndarray, likelihood
     wall, pixels = likelihood.get("background"), float(likelihood.get("blur") or 0.0)
     if isinstance(wall, int | float) and np.isfinite(wall):
         clean = np.where(np.isfinite(clean), np.minimum(clean, wall), wall)
-    whole = bool(np.isfinite(clean).all())
     noise = flat_noise(observed)
     tolerance = tolerance_of(observed, noise)
     low, high = neighbourhood(clean, AT_EDGES + int(np.ceil(pixels)))
     with np.errstate(invalid="ignore"):
         explained = (observed >= low - tolerance) & (observed <= high + tolerance)
+        near = np.abs(observed - (np.nan if told is None else told)) <= tolerance
+    background = near & ~explained & (label == 0)
     valid = np.isfinite(observed)
-    share = float(explained[valid].mean()) if valid.any() else 0.0
-    depth = blur(clean, pixels) if whole and pixels else clean
-    return Fit(label, depth.astype(np.float32), tolerance, explained, share, noise.sigma)
+    share = float((explained | background)[valid].mean()) if valid.any() else 0.0
+    depth = blur(clean, pixels) if pixels and np.isfinite(clean).all() else clean
+    depth = np.where(background, observed if told is None else told, depth)
+    return Fit(label, depth.astype(np.float32), clean, tolerance, explained, background, share, noise)
 
 
 def tolerance_of(observed: np.ndarray, noise: Noise) -> np.ndarray:

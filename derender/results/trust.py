@@ -8,6 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from derender.results.fit import Fit
     from derender.results.posterior import Posterior
+    from derender.results.regions import Region
 
 # Rank-normalised R-hat above the first, or fewer effective draws than the second, is not to be trusted (Vehtari et al.
 # 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
@@ -23,10 +24,12 @@ class Doubt(NamedTuple):
     ----------
     words : which and where, a plain sentence without a full stop.
     serious : whether the result is not to be trusted for it; else it is worth knowing.
+    regions : of the image that it is about, to be marked.
     """
 
     words: str
     serious: bool = True
+    regions: "tuple[Region, ...]" = ()
 
 
 def trusted(doubts: Sequence[Doubt]) -> bool:

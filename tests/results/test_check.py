@@ -1,0 +1,95 @@
+"""The posterior predictive check: what is wrong with a scene is told, and where; of a right one nothing is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.results.check import check_fit
+from derender.results.fit import fit_of
+from derender.results.trust import judgement, trusted
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, translation
+
+CAMERA = Camera.from_field_of_view(160, 120)
+LIKELIHOOD = {"sigma": 0.002, "blur": 0.5, "background": 10.0}
+FLOOR = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
+
+
+def cube(name, x, y, side=0.1):
+    contact = Contact("face-to-face", "+z", "-z", {"x": x, "y": y, "theta": 0.3})
+    return Vertex(name, "cube", {"side": side}, "floor", contact)
+
+
+def scene(*solids):
+    """Return a floor 0.9 m away, seen from 55 degrees above, with solids on it."""
+    return SceneGraph(translation(0.0, 0.05, 0.9) @ rotation_x(np.deg2rad(145)), (FLOOR, *solids))
+
+
+TRUE = scene(cube("left", -0.2, 0.0), cube("right", 0.2, 0.0))
+
+
+def image(graph, sigma=0.002):
+    depth = fit_of(graph, CAMERA, np.ones(CAMERA.shape), LIKELIHOOD).depth.astype(float)
+    return depth + np.random.default_rng(0).normal(0.0, sigma, depth.shape)
+
+
+def doubts_of(graph, seen, likelihood=LIKELIHOOD, told=None):
+    return check_fit(graph, fit_of(graph, CAMERA, seen, likelihood, told), CAMERA, seen, likelihood)
+
+
+def test_a_right_scene_raises_no_doubt():
+    assert doubts_of(TRUE, image(TRUE)) == ()
+    assert doubts_of(TRUE, image(TRUE, 0.01), {**LIKELIHOOD, "sigma": 0.01}) == ()  # nor do noise and what is lost
+    seen = image(TRUE)
+    seen[np.random.default_rng(1).random(seen.shape) < 0.3] = np.nan
+    assert doubts_of(TRUE, seen) == ()
+
+
+def test_a_thing_that_was_missed_is_told_and_where():
+    (doubt,) = doubts_of(TRUE.remove("right"), image(TRUE))
+    assert doubt.serious and "region A right of the middle" in doubt.words and "not explained" in doubt.words
+    expected = fit_of(TRUE, CAMERA, image(TRUE), LIKELIHOOD).label == 3
+    assert (doubt.regions[0].mask & expected).sum() > 0.8 * expected.sum()
+    assert judgement([doubt]) == {"trusted": False, "doubts": [doubt.words]}
+
+
+def test_a_solid_that_is_not_there_is_told():
+    (doubt,) = [d for d in doubts_of(TRUE, image(TRUE.remove("right"))) if d.words.startswith("right ")]
+    assert doubt.serious and "explains" in doubt.words
+
+
+def test_a_ghost_where_nothing_returned_is_told():
+    seen = image(TRUE)
+    seen[fit_of(TRUE, CAMERA, seen, LIKELIHOOD).label == 3] = np.nan
+    (doubt,) = doubts_of(TRUE, seen)
+    assert doubt.serious and doubt.words.startswith("nothing returned from 100 % of right, right of the middle")
+
+
+def test_noise_that_hides_a_solid_is_told():
+    """The likelihood that explains a missed solid away is far above what flat patches show."""
+    words = [d.words for d in doubts_of(TRUE.remove("right"), image(TRUE), {**LIKELIHOOD, "sigma": 0.06})]
+    assert any("a noise of 60 mm was fitted where flat patches show" in each for each in words)
+
+
+def test_background_is_no_explanation():
+    empty = scene()
+    far = SceneGraph(translation(0.0, 2.0, 0.9) @ rotation_x(np.deg2rad(145)), empty.vertices)
+    seen = image(TRUE)
+    (doubt,) = [d for d in doubts_of(far, seen, {}, told=seen) if d.serious]
+    assert "taken as background" in doubt.words
+
+
+def test_what_the_border_cuts_is_worth_knowing_and_what_fills_the_view_is_serious():
+    cut = scene(cube("cut", 0.5, 0.0, 0.15))
+    (doubt,) = doubts_of(cut, image(cut))
+    assert not doubt.serious and "cut by the image's border" in doubt.words and trusted([doubt])
+    filling = scene(cube("huge", 0.0, 0.0, 0.6))
+    assert any(d.serious and "huge fills" in d.words for d in doubts_of(filling, image(filling)))
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.004, 0.03])
+def test_a_shift_within_the_sensors_own_is_none(shift):
+    moved = replace(TRUE, root_pose=translation(0.0, 0.0, shift) @ TRUE.root_pose)
+    assert bool(doubts_of(moved, image(TRUE))) == (shift > 0.02)
