@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+LONGEST = 400  # characters of each part of an error's line: names and paths of a thousand say no more
+
 
 class DerenderError(Exception):
     """A fault in what the user gave: printed as one line, exit status 1.
@@ -24,10 +26,17 @@ class DerenderError(Exception):
         return type(self), (self.what, self.where, self.remedy)
 
     def __str__(self) -> str:
-        line = f"{self.where}: {self.what}" if self.where is not None else self.what
+        line = f"{_shown(self.where)}: {_shown(self.what)}" if self.where is not None else _shown(self.what)
         if self.remedy:
-            line += f"; {self.remedy}"
-        return " ".join(line.split())
+            line += f"; {_shown(self.remedy)}"
+        return line
+
+
+def _shown(part: object) -> str:
+    """Return a part of an error as one piece of a line: cut where it is long, nothing in it that steers a terminal."""
+    text = " ".join(str(part).split())
+    text = text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """One reader for the camera files that people have, which knows them by their keys."""
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,11 @@ import numpy as np
 from derender.camera.file_bytes import read_bytes
 from derender.camera.intrinsics import Camera, finite_number
 from derender.errors import DerenderError
+from derender.json_text import MOST_DEPTH, parse_json
 
 LARGEST_FILE = 16_000_000  # bytes; a camera file has a few hundred
+
+MOST_DEGREES, LEAST_DEGREES = 175.0, 0.05  # field of view: no lens shows more without distortion, or less
 
 # Readers. Each takes the file's tree and returns Camera's arguments; width and height may be missing.
 
@@ -112,7 +116,9 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
                 missing = [name for name in ("width", "height") if name not in arguments]
                 if missing:
                     raise DerenderError("the file does not say the image's size", remedy="add " + " and ".join(missing))
-                return Camera(**arguments)
+                camera = Camera(**arguments)
+                _refuse_impossible(camera)
+                return camera
         tree = _unwrap(tree, frame)
     raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
 
@@ -142,6 +148,19 @@ def _unwrap(tree: dict, frame: str | None) -> object:
     raise DerenderError(f"no camera in the keys {known}"[:300], remedy=remedy)
 
 
+def _refuse_impossible(camera: Camera) -> None:
+    """Refuse intrinsics that no depth camera has: mostly those of another image size or unit."""
+    for name, focal, extent in (("fx", camera.fx, camera.width), ("fy", camera.fy, camera.height)):
+        degrees = math.degrees(2 * math.atan(extent / (2 * focal)))
+        if not LEAST_DEGREES <= degrees <= MOST_DEGREES:
+            what = f"{name} is {focal:g} pixels for {extent} pixels: a field of view of {degrees:.3g} degrees"
+            raise DerenderError(what, "camera", "give the focal length in pixels of this image")
+    for name, centre, extent in (("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)):
+        if not -extent <= centre <= 2 * extent:
+            what = f"{name} is {centre:g}, farther outside the image than it is large ({extent} pixels)"
+            raise DerenderError(what, "camera", "give the camera of this image, in its pixels")
+
+
 def _load(path: str | Path) -> object:
     """Return the tree of a JSON or YAML file; YAML's scalars stay text, which `finite_number` reads."""
     import yaml
@@ -149,15 +168,36 @@ def _load(path: str | Path) -> object:
     data = read_bytes(path, LARGEST_FILE, "the camera", "give a camera file with --camera")
     try:
         text = data.decode("utf-8-sig")
-        if text.lstrip().startswith("{"):
-            try:
-                return json.loads(text)
-            except ValueError:
-                pass  # YAML in flow style
+        if text.lstrip().startswith("{") and _is_json(text):
+            return parse_json(text, path)
         loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+        _refuse_deep(yaml.parse(text, loader))
         return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
     except (ValueError, yaml.YAMLError, RecursionError, StopIteration, TypeError):
         raise DerenderError("neither JSON nor YAML", path, "give a camera file, e.g. a BOP camera.json") from None
+
+
+def _is_json(text: str) -> bool:
+    """Return whether it is JSON rather than YAML in flow style; nested too deep counts as JSON."""
+    try:
+        json.loads(text)
+    except RecursionError:
+        return True
+    except ValueError:
+        return False
+    return True
+
+
+def _refuse_deep(events: Iterator[Any]) -> None:
+    """Raise ValueError where YAML is nested too deep: building its tree would recurse, in C, without a limit."""
+    from yaml import events as yaml_events
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, yaml_events.CollectionStartEvent)
+        depth -= isinstance(event, yaml_events.CollectionEndEvent)
+        if depth > MOST_DEPTH:
+            raise ValueError
 
 
 def _first(tree: dict, *names: str) -> Any:

@@ -16,6 +16,7 @@ import numpy as np
 from derender.camera.exr import decode_exr
 from derender.camera.intrinsics import MOST_PIXELS, Camera
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
 MOST_BYTES = 2**30
@@ -103,7 +104,7 @@ def decode_npz(data: bytes) -> Decoded:
         array = _load_npy(archive.read(sizes[name]))
         texts = {key: _load_npy(archive.read(sizes[key])) for key in ("camera", "meta") if key in sizes}
         matrix = next((_load_npy(archive.read(sizes[k])) for k in ("K", "intrinsics") if k in sizes), None)
-    trees = {key: json.loads(str(text.item())) for key, text in texts.items()}
+    trees = {key: parse_json(str(text.item()), key) for key, text in texts.items()}
     camera = trees.get("camera")
     if camera is None and matrix is not None:
         camera = {"K": matrix.ravel().tolist()}
@@ -135,6 +136,9 @@ def _decode_picture(data: bytes) -> Decoded:
         if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
             what = f"this is a colour image ({picture.mode})"
             raise DerenderError(what, remedy="give the depth image: one channel of 16-bit units or float metres")
+        pages = getattr(picture, "n_frames", 1)
+        if pages > 1:
+            raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")
         picture.load()
         array = np.array(picture)
     return Decoded(array.astype(array.dtype.newbyteorder("=")))

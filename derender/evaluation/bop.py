@@ -1,6 +1,5 @@
 """Truth in the format of BOP: scene_gt.json, and the models that it speaks of."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 MILLIMETRE = 1e-3
 TURNS = 64  # by which a continuous symmetry is stood for
@@ -105,8 +105,8 @@ def read_models_info(path: str | Path, models: str | Path | None = None) -> tupl
     for candidate in candidates:
         if candidate.is_file():
             try:
-                return json.loads(candidate.read_text(encoding="utf-8")), candidate.parent
-            except ValueError as fault:
+                return parse_json(candidate.read_text(encoding="utf-8"), candidate), candidate.parent
+            except UnicodeDecodeError as fault:
                 raise DerenderError("this is not JSON", candidate) from fault
     raise DerenderError("sizes of the models are needed: no models_info.json", path, "give it with --models")
 

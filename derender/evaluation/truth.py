@@ -3,7 +3,6 @@
 (Our own YAML is read by `derender.document` and turned into the same dictionaries by `derender.report.scene_json`.)
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.evaluation.bop import bop_scene, is_bop_frame, numbers_of
+from derender.json_text import parse_json
 
 LABEL_SUFFIXES = (".png", ".npy", ".tiff", ".tif")
 
@@ -29,8 +29,8 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
     DerenderError : not JSON, or neither of the two; `frame` or `models` for what is not BOP's.
     """
     try:
-        tree = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (ValueError, UnicodeDecodeError) as fault:
+        tree = parse_json(Path(path).read_text(encoding="utf-8"), path)
+    except UnicodeDecodeError as fault:
         raise DerenderError("this is not JSON", path, "give a scene, or BOP's scene_gt.json") from fault
     if isinstance(tree, Mapping) and isinstance(tree.get("objects"), list):
         if frame is not None or models is not None:

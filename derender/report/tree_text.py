@@ -45,13 +45,15 @@ def scene_lines(graph: SceneGraph, posterior: Any = None) -> list[str]:
     return lines
 
 
-def _branches(name: str, children: Mapping[str, list], describe: Callable[[Any], str], indent: str = "") -> list[str]:
+def _branches(name: str, children: Mapping[str, list], describe: Callable[[Any], str]) -> list[str]:
+    """Return a line for each item below `name`, indented by its depth; without recursion, as stacks may be high."""
     lines = []
-    below = children.get(name, [])
-    for number, item in enumerate(below):
-        last = number == len(below) - 1
+    waiting = [(item, "", number == 0) for number, item in enumerate(reversed(children.get(name, [])))]
+    while waiting:
+        item, indent, last = waiting.pop()
         lines.append(indent + ("└─ " if last else "├─ ") + describe(item))
-        lines += _branches(item.name, children, describe, indent + ("   " if last else "│  "))
+        deeper = indent + ("   " if last else "│  ")
+        waiting += [(child, deeper, number == 0) for number, child in enumerate(reversed(children.get(item.name, [])))]
     return lines
 
 

@@ -7,6 +7,7 @@ their posterior probabilities.
 
 import json
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,12 +18,18 @@ import numpy as np
 from derender import __version__
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 from derender.results.explanation import Explanation
+from derender.results.validation import check_header, check_parts
 from derender.sampling import diagnostics
 from derender.scene.constraints import Constraint
 from derender.scene.graph import Contact, SceneGraph, Vertex
 
 FORMAT = 1  # of posterior.npz
+# What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
+UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
+              NotImplementedError, OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile,
+              zlib.error)  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,7 +220,7 @@ def load(path: str | Path) -> Posterior:
         raise DerenderError("there is no posterior here", path, "derender infer IMAGE -o DIR writes one")
     try:
         with np.load(path, allow_pickle=False) as file:
-            header = json.loads(bytes(file["header"]))
+            header = check_header(parse_json(bytes(file["header"])), FORMAT)
             parts = tuple(
                 StructurePosterior(
                     graph_from_tree(part["graph"]),
@@ -228,8 +235,11 @@ def load(path: str | Path) -> Posterior:
                 )
                 for number, part in enumerate(header["parts"])
             )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
-        raise DerenderError("not a posterior written by derender", path, "give a DIR made by derender infer") from fault
+            check_parts(parts)
+    except UNREADABLE as fault:
+        reason = f" ({fault.what})" if isinstance(fault, DerenderError) else ""
+        what = f"not a posterior written by derender{reason}"
+        raise DerenderError(what, path, "give a DIR made by derender infer") from fault
     return Posterior(parts, header["seed"], header["command"], header["version"], header["meta"])
 
 

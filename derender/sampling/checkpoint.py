@@ -3,6 +3,7 @@
 import hashlib
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
 
@@ -71,12 +73,12 @@ def load(path: Path, run: str) -> Record | None:
         return None
     try:
         with np.load(path, allow_pickle=False) as file:
-            header = json.loads(bytes(file["header"]))
+            header = parse_json(bytes(file["header"]))
             state = {name.removeprefix("state."): file[name] for name in file.files if name.startswith("state.")}
             record = Record(
                 header["warmed"], file["values"], file["log_prior"], file["log_likelihood"], state, header["generator"]
             )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as fault:
+    except (DerenderError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as fault:
         raise DerenderError("not a checkpoint of a chain", path, "remove it, or run without --resume") from fault
     if header.get("format") != FORMAT:
         raise DerenderError("was written by another version of derender", path, "run without --resume")

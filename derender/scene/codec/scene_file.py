@@ -5,7 +5,6 @@ are left to `derender.document`.
 """
 
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from derender.errors import DerenderError
 from derender.scene.codec.yaml_tree import Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
+from derender.scene.names import is_name
 from derender.scene.pose import from_quaternion
 from derender.scene.priors.base import Prior
 from derender.scene.priors.contacts import ON, TOP, ContactPrior, ContactRule
@@ -37,8 +37,6 @@ from derender.scene.shapes import shapes
 
 KEYS = ("root", "objects", "structure", "shapes", "contacts", "constraints")
 MOST_OBJECTS = 2000
-_NAME = re.compile(r"[^\W_][\w -]{0,63}")
-_RESERVED = (ROOT, "likelihood", "camera")
 
 
 def read_prior(top: Section, folder: Path) -> Prior:
@@ -90,7 +88,7 @@ def with_supports(prior: TreePrior) -> TreePrior:
 
 def check_name(name: str, node: Node) -> None:
     """Refuse a name that would not fit an address."""
-    if not _NAME.fullmatch(name) or name in _RESERVED:
+    if not is_name(name):
         raise node.fault(f"{name!r} cannot name an object", "use letters, digits, - and _, beginning with a letter")
 
 

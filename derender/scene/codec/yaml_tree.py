@@ -117,6 +117,8 @@ class _Builder:
         """Remember what an anchor names once it is complete; an alias inside its own anchor finds nothing."""
         if isinstance(event, yaml.CollectionStartEvent):
             self.open.append(len(recorded) - 1)
+            if len(self.open) > MOST_DEPTH:
+                raise self._place(event).fault(f"nested more than {MOST_DEPTH} deep", "is it a scene?")
         elif isinstance(event, yaml.CollectionEndEvent):
             start = self.open.pop()
             if recorded[start].anchor:

@@ -17,7 +17,7 @@ from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quate
 from derender.scene.shapes import shapes
 
 # What an object may say besides its geometry, with the unit and the range of each.
-PHYSICAL = {"mass": ("kg", 1e-9, None), "friction": ("", 0.0, None), "elasticity": ("", 0.0, 0.99)}
+PHYSICAL = {"mass": ("kg", 1e-9, 1e9), "friction": ("", 0.0, 1e3), "elasticity": ("", 0.0, 0.99)}
 
 
 def read_value(node: Node, unit: str = "") -> Value:
@@ -143,6 +143,8 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
 
 def _option(key: str, node: Node, folder: Path) -> Any:
     if key == "file":
+        if "\0" in node.text():
+            raise node.fault("the path holds a null character", "write the path of a mesh")
         return str((folder / node.text()).resolve())
     if key == "hull":
         return node.boolean()

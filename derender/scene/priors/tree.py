@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 
 from derender.scene.codec.yaml_tree import Node
 from derender.scene.distributions import Categorical, Distribution
@@ -55,31 +56,20 @@ def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
             if parent != ROOT and parent not in by_name:
                 what = f"the parent {parent!r} of {item.name} is no object"
                 raise fault(item.place, what, suggest(parent, [*by_name, ROOT]))
-    ordered: dict[str, TreeObject] = {}
-    waiting = list(objects)
-    while waiting:
-        ready = [item for item in waiting if all(p == ROOT or p in ordered for p in (*item.parents, *item.supports))]
-        if not ready:
-            circle = " on ".join(_cycle(waiting))
-            raise fault(
-                waiting[0].place, f"the parents go round in a circle: {circle}", "let one rest on root or a floor"
-            )
-        for item in ready:
-            ordered[item.name] = item
-        waiting = [item for item in waiting if item.name not in ordered]
-    return tuple(ordered.values())
-
-
-def _cycle(waiting: list[TreeObject]) -> list[str]:
-    """Return the names along one cycle, the first repeated at the end."""
-    by_name = {item.name: item for item in waiting}
-    path = [waiting[0].name]
-    while True:
-        item = by_name[path[-1]]
-        following = next(p for p in (*item.parents, *item.supports) if p in by_name)
-        if following in path:
-            return [*path[path.index(following) :], following]
-        path.append(following)
+    sorter = TopologicalSorter({item.name: {*item.parents, *item.supports} - {ROOT} for item in objects})
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        circle = " on ".join(reversed(error.args[1]))  # it names what comes before, we what stands on it
+        what = f"the parents go round in a circle: {circle}"
+        raise fault(by_name[error.args[1][0]].place, what, "let one rest on root or a floor") from None
+    rank = {name: number for number, name in enumerate(by_name)}
+    ordered: list[TreeObject] = []
+    while sorter.is_active():
+        ready = sorted(sorter.get_ready(), key=rank.__getitem__)
+        ordered += [by_name[name] for name in ready]
+        sorter.done(*ready)
+    return tuple(ordered)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ Value = float | Distribution
 
 SAME = 1e-9  # a fixed number matches within this, so that a pose may pass through a matrix
 
+SMALLEST, LARGEST = 1e-6, 1e6  # metres: below and above, squares and volumes lose all digits to rounding
 NEVER = 1e-9  # a distribution may leave a range with this probability: a side of 10 cm plus or minus 5 mm
 
 ROTATION = ("qw", "qx", "qy", "qz")  # four values of a contact that are one rotation
@@ -41,11 +42,14 @@ def check_range(value: Value, parameter: Parameter, place: Node | None = None, s
     """
     if parameter.period is not None or parameter.name in ROTATION:
         return
-    allowed = f"{parameter.name} lies in [{parameter.lower:g}, {parameter.upper:g}]"
+    allowed = f"{parameter.name} lies in {_interval(parameter, strict)}"
     if isinstance(value, float):
         inside = parameter.lower < value < parameter.upper if strict else parameter.lower <= value <= parameter.upper
         if not inside:
             raise fault(place, f"{parameter.name} is {value:g}, out of range", allowed)
+        if parameter.unit == "m" and not (value == 0.0 or SMALLEST <= abs(value) <= LARGEST):
+            remedy = f"lengths lie between {SMALLEST:g} and {LARGEST:g} m"
+            raise fault(place, f"{parameter.name} is {value:g} m, beyond what can be computed with", remedy)
         return
     low, high = value.support
     slip = 1e-12 * max(1.0, abs(parameter.upper) if math.isfinite(parameter.upper) else 1.0)
@@ -54,6 +58,13 @@ def check_range(value: Value, parameter: Parameter, place: Node | None = None, s
     if below + above > NEVER:
         what = f"with probability {below + above:.2g} this distribution leaves the range"
         raise fault(place, what, f"{allowed}; cut it, as {{truncated-normal: [mean, sd, lower, upper]}} does")
+
+
+def _interval(parameter: Parameter, strict: bool) -> str:
+    """Return a parameter's range in words: "(0, inf)" where its ends do not belong to it."""
+    left = "(" if strict or math.isinf(parameter.lower) else "["
+    right = ")" if strict or math.isinf(parameter.upper) else "]"
+    return f"{left}{parameter.lower:g}, {parameter.upper:g}{right}"
 
 
 def default_value(parameter: Parameter) -> Value | None:

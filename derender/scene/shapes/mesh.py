@@ -11,6 +11,7 @@ from derender.errors import DerenderError
 from derender.scene.parameter import Parameter
 from derender.scene.shapes.base import FACE_NAMES, Shape, box_face, shapes
 
+MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
 
 
@@ -40,8 +41,12 @@ def load_mesh(path: str | Path, hull: bool = True) -> LoadedMesh:
     path = Path(path)
     try:
         stamp = path.stat().st_mtime_ns
-    except OSError as error:
-        raise DerenderError(f"cannot read the mesh ({error.strerror})", path, "check the path") from None
+        if path.stat().st_size > MOST_BYTES:
+            remedy = "decimate it: a few thousand triangles show all that a depth camera sees"
+            raise DerenderError(f"the mesh file has more than {MOST_BYTES // 1_000_000} MB", path, remedy)
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise DerenderError(f"cannot read the mesh ({reason})", ascii(str(path)), "check the path") from None
     return _load(str(path.resolve()), bool(hull), stamp)
 
 
@@ -58,6 +63,9 @@ def _load(path: str, hull: bool, stamp: int) -> LoadedMesh:
         raise DerenderError(what, path, "give a .ply, .obj, .stl or .glb") from None
     if mesh is None or len(mesh.faces) == 0:
         raise DerenderError("the mesh has no triangles", path, "give a surface, not a point cloud")
+    if len(mesh.faces) > MOST_TRIANGLES:
+        remedy = "decimate it: a few thousand triangles show all that a depth camera sees"
+        raise DerenderError(f"the mesh has {len(mesh.faces):,} triangles, more than {MOST_TRIANGLES:,}", path, remedy)
     return fit_box(mesh, hull, path)
 
 

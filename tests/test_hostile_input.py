@@ -1,0 +1,219 @@
+"""Input made to break things: one clear line, no traceback, no crash, and soon."""
+
+import io
+import json
+import time
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from small_scenes import TOWER, SceneWorld
+
+from derender.camera.camera_file import read_camera
+from derender.camera.depth_file import read_depth
+from derender.document import read_prior_document
+from derender.errors import LONGEST, DerenderError
+from derender.evaluation.truth import read_json_scene
+from derender.json_text import MOST_DEPTH, parse_json
+from derender.results.posterior import Posterior, StructurePosterior, load
+from derender.scene.shapes.mesh import load_mesh
+
+DEEP = 100_000  # brackets
+SOON = 5.0  # seconds: what was quadratic took minutes, so a busy machine cannot be mistaken for it
+
+
+@pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? "])
+def test_deep_yaml_is_one_line_soon(tmp_path, opening):
+    path = tmp_path / "deep.yaml"
+    path.write_text("derender: 1\nobjects: " + "\n"[: opening in "- ? "] + opening * DEEP)
+    for read in (read_prior_document, read_camera):
+        started = time.monotonic()
+        with pytest.raises(DerenderError):
+            read(path)
+        assert time.monotonic() - started < SOON
+
+
+@pytest.mark.parametrize("text", ["[" * DEEP, '{"a":' * DEEP, "[" * (MOST_DEPTH + 1) + "]" * (MOST_DEPTH + 1)])
+def test_deep_json_is_one_line_everywhere(tmp_path, text):
+    path = tmp_path / "deep.json"
+    path.write_text(text)
+    for read in (read_camera, read_json_scene):
+        with pytest.raises(DerenderError):
+            read(path)
+
+
+def test_json_as_deep_as_allowed_is_read():
+    text = "[" * MOST_DEPTH + "]" * MOST_DEPTH
+    assert str(parse_json(text)).replace(" ", "") == text
+
+
+def test_a_key_twice_in_json_is_told(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text('{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "fx": 2}')
+    with pytest.raises(DerenderError, match="'fx' stands twice"):
+        read_camera(path, (4, 4))
+
+
+IMPOSSIBLE = [({"fx": 1e308}, "field of view"), ({"fx": 1e-5}, "field of view"), ({"cx": 129.0}, "outside the image"),
+              ({"cy": -49.0}, "outside the image")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "told"), IMPOSSIBLE)
+def test_impossible_intrinsics_are_told(tmp_path, change, told):
+    path = tmp_path / "camera.json"
+    numbers = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
+    path.write_text(json.dumps(numbers))
+    assert read_camera(path, (48, 64)).cx == 31.5
+    path.write_text(json.dumps(numbers | change))
+    with pytest.raises(DerenderError, match=told):
+        read_camera(path, (48, 64))
+
+
+SCENE = """derender: 1
+camera: {{fx: 50, fy: 50, cx: 15.5, cy: 11.5, width: 32, height: 24}}
+objects:
+  floor: {{shape: plane, contact: {{type: 6dof}}}}
+  red: {{shape: {shape}, {more}parent: floor, contact: {{type: face-to-face, x: 0.0, y: 0.0, theta: 0}}}}
+"""
+
+
+@pytest.mark.parametrize(("shape", "more", "told"), [
+    ("{type: cube, side: 1.0e-300}", "", "lengths lie between"),
+    ("{type: cube, side: 1.0e+300}", "", "lengths lie between"),
+    ("{type: cube, side: 0}", "", r"lies in \(0, inf\)"),
+    ("{type: cube, side: 0.1}", "mass: 1.0e+300, ", "too large"),
+    ('{type: mesh, file: "a\\0b.obj"}', "", "null character"),
+])  # fmt: skip
+def test_numbers_beyond_computation_are_told(tmp_path, shape, more, told):
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.format(shape=shape, more=more))
+    with pytest.raises(DerenderError, match=told):
+        read_prior_document(path)
+
+
+def test_a_tower_of_1500_is_shown(tmp_path):
+    from derender.report.tree_text import scene_lines
+
+    text, below = SCENE.format(shape="{type: cube, side: 0.01}", more=""), "red"
+    for number in range(1500):
+        contact = "{type: face-to-face, parent_face: +z, child_face: -z, u: 0.5, v: 0.5, theta: 0}"
+        text += f"  c{number}: {{shape: {{type: cube, side: 0.01}}, parent: {below}, contact: {contact}}}\n"
+        below = f"c{number}"
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    graph = read_prior_document(path).prior.sample(np.random.default_rng(0))
+    assert sum("cube" in line for line in scene_lines(graph)) == 1501
+
+
+def test_an_error_is_a_short_line_without_control_characters():
+    line = str(DerenderError("a \x1b[31m \u202e\n name", "x" * 5000, "r" * 5000))
+    assert line.isprintable() and len(line) < 3 * (LONGEST + 10)
+
+
+def test_meshes_beyond_limits_are_told(tmp_path, monkeypatch):
+    path = tmp_path / "mesh.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    assert len(load_mesh(path).triangles) == 4
+    path.write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    with pytest.raises(DerenderError, match="finite|flat"):
+        load_mesh(path)
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(DerenderError, match="flat"):
+        load_mesh(path)
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n# again\n")
+    monkeypatch.setattr("derender.scene.shapes.mesh.MOST_TRIANGLES", 3)
+    with pytest.raises(DerenderError, match="triangles"):
+        load_mesh(path)
+    with pytest.raises(DerenderError, match="null"):
+        load_mesh("a\0b.obj")
+
+
+def test_a_tiff_of_several_pages_is_told(tmp_path):
+    path = tmp_path / "pages.tiff"
+    page = Image.fromarray(np.ones((4, 6), np.float32))
+    page.save(path, save_all=True, append_images=[page])
+    with pytest.raises(DerenderError, match="2 pages"):
+        read_depth(path)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """The bytes of a small posterior.npz, and its members."""
+    world, rng = SceneWorld(TOWER), np.random.default_rng(0)
+    values = np.array([[world.space.sample(rng) for _ in range(3)] for _ in range(2)])
+    density = rng.standard_normal((2, 3))
+    part = StructurePosterior(world.template, world.space.addresses, values, density, density, 1.0, world.space.periods)
+    path = tmp_path_factory.mktemp("posterior") / "posterior.npz"
+    Posterior((part,), 3, "derender infer x").save(path)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    return path.read_bytes(), members
+
+
+def is_told(folder, data):
+    (folder / "posterior.npz").write_bytes(data)
+    try:
+        load(folder)
+    except DerenderError as error:
+        return "not a posterior" in str(error)
+    return False
+
+
+def with_header(members, change):
+    header = json.loads(bytes(np.load(io.BytesIO(members["header.npy"]))))
+    change(header)
+    stream = io.BytesIO()
+    arrays = {name.removesuffix(".npy"): np.load(io.BytesIO(data)) for name, data in members.items()}
+    np.savez(stream, **(arrays | {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}))
+    return stream.getvalue()
+
+
+HEADERS = {
+    "format": lambda h: h.update(format=99),
+    "no parts": lambda h: h.update(parts=[]),
+    "meta": lambda h: h.update(meta=3),
+    "seed": lambda h: h.update(seed="x"),
+    "weight nan": lambda h: h["parts"][0].update(weight=float("nan")),
+    "weight above one": lambda h: h["parts"][0].update(weight=1.5),
+    "address": lambda h: h["parts"][0]["addresses"].__setitem__(0, "nobody.side"),
+    "address twice": lambda h: h["parts"][0]["addresses"].__setitem__(0, h["parts"][0]["addresses"][1]),
+    "periods": lambda h: h["parts"][0].update(periods=[1.0]),
+    "name": lambda h: h["parts"][0]["graph"]["vertices"][0].update(name="\u202e\x1b[31m"),
+    "shape": lambda h: h["parts"][0]["graph"]["vertices"][0].update(shape="teapot"),
+    "parent": lambda h: h["parts"][0]["graph"]["vertices"][1].update(parent="nobody"),
+    "cycle": lambda h: h["parts"][0]["graph"]["vertices"][1].update(
+        parent=h["parts"][0]["graph"]["vertices"][1]["name"]),
+    "contact": lambda h: h["parts"][0]["graph"]["vertices"][1]["contact"].update(type="glue"),
+    "gravity": lambda h: h["parts"][0]["graph"].update(gravity=[0, 0]),
+    "root": lambda h: h["parts"][0]["graph"].update(root_pose=[[1]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", HEADERS.values(), ids=HEADERS)
+def test_a_posterior_with_a_wrong_header_is_told(tmp_path, saved, change):
+    assert not is_told(tmp_path, with_header(saved[1], lambda header: None))
+    assert is_told(tmp_path, with_header(saved[1], change))
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 3)), np.full((2, 3), np.nan), np.zeros((2, 3), "U1"), np.zeros(0)])
+def test_a_posterior_with_wrong_arrays_is_told(tmp_path, saved, bad):
+    stream = io.BytesIO()
+    arrays = {name.removesuffix(".npy"): np.load(io.BytesIO(data)) for name, data in saved[1].items()}
+    np.savez(stream, **(arrays | {"values_0": bad}))
+    assert is_told(tmp_path, stream.getvalue())
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0, 1, exclude_max=True), byte=st.integers(0, 255), cut=st.booleans())
+def test_a_damaged_posterior_is_read_or_told(tmp_path, saved, place, byte, cut):
+    data = bytearray(saved[0])
+    at = int(place * len(data))
+    damaged = bytes(data[:at]) if cut else bytes(data[:at] + bytes([byte]) + data[at + 1 :])
+    (tmp_path / "posterior.npz").write_bytes(damaged)
+    try:
+        load(tmp_path)
+    except DerenderError as error:
+        assert "posterior" in str(error)
