@@ -84,14 +84,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(GARBAGE)
     # Our matrices are small and our threads our own: BLAS's would spin against them, and change sums by their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if sys.stdin is None:  # closed by whoever started us: as good as empty
-        sys.stdin = open(os.devnull)  # noqa: SIM115
+    _open_closed_streams()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         status = status_of(lambda: _run(arguments))
     if arguments is None and sys.gettrace() is None and sys.getprofile() is None:
         _leave(status)
     sys.exit(status)
+
+
+def _open_closed_streams() -> None:
+    """Open what whoever started us has closed (`<&-`, `>&-`, `2>&-`): as good as empty, or nowhere.
+
+    Otherwise the first files that we open would take its place, and be written what was meant for a terminal.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            setattr(sys, name, open(number, mode, closefd=False))
 
 
 def _run(arguments: Sequence[str] | None) -> Any:

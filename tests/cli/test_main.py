@@ -1,9 +1,11 @@
 """The command line as a whole: exit statuses, one line for each fault, lazy commands."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -134,3 +136,17 @@ def test_doctor_says_what_works(capsys):
     assert report["versions"]["derender"] == __version__
     for entry in report["renderers"].values():
         assert entry["works"] or (entry["fault"] and "apt-get install" in entry["remedy"])
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_do_no_harm(tmp_path, closed):
+    command = f"{sys.executable} -m derender sample --no-images --seed 1 -o out {closed}"
+    done = subprocess.run(
+        ["sh", "-c", command],
+        cwd=tmp_path,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert done.returncode == 0
+    scene = (tmp_path / "out" / "sample_000.yaml").read_text()
+    assert "derender: 1" in scene and "wrote" not in scene
