@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 # 2021).  So few draws as a quick look has cannot show that: there the older limits are kept (Gelman and Rubin 1992).
 LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
 QUICK = 1000  # draws of all chains together, below which it was a quick look
+SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
@@ -71,16 +72,19 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     """
     doubts = [f"{lost} of the chains died"] if lost else []
     structures = posterior.meta.get("structure_chains", {})
-    evidence = structures.get("log_evidence") or posterior.meta.get("log_evidence") or [0.0]  # the latter of jumps
+    evidence = posterior.meta.get("log_evidence") or [0.0]
     if max(evidence) - min(evidence) > APART:
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
         return tuple(map(Doubt, doubts))
     largest, smallest = limits(chains * draws)
-    over = structures.get("r_hat")
+    over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
     if over is not None and over > largest:
         doubts.append(f"the chains disagree about the structure: R-hat is {over:.3f}")
+    elif max(shares) - min(shares) > SHARES_APART:
+        spread = f"{min(shares):.2f} in one, {max(shares):.2f} in another"
+        doubts.append(f"the chains disagree about the structure: the likeliest has {spread}")
     worst, least = worst_of(rows)
     if worst and worst["r_hat"] > largest:
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")

@@ -2,6 +2,6 @@
 
 `infer.py` is the way through it: a bare image is searched (`search/`, on `solids/`), the structures near the best are
 drawn from (`draws/`) and weighed (`graph_posterior.py`, `alternatives.py`; `scored_posterior.py` where neighbouring
-pixels share noise). `known/` does that with objects known beforehand; `catalogue/` and `jumps/` sample by chains,
-among those found and among all that a prior allows.
+pixels share noise). `known/` does that with objects known beforehand; `jumps/` samples by chains and populations among
+all that a prior allows.
 """

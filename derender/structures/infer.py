@@ -98,6 +98,10 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
 
     options = options or Options()
     rng = np.random.default_rng(options.seed) if rng is None else rng
+    if options.method in ("mcmc", "smc"):
+        from derender.structures.jumps.run import infer_by_jumps
+
+        return infer_by_jumps(image, camera, options, None, rng, progress)
     settings = settings_of(options)
     if progress:
         progress(0.0, "searching for solids")
@@ -110,11 +114,6 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
         options = replace(options, floor=floor, unit=unit)
         return in_metres(infer_structure(depth / unit, camera, options, rng, progress), unit)
-    plan = None
-    if options.method in ("mcmc", "smc"):
-        from derender.structures.catalogue.run import leap_parts, read_plan
-
-        plan = read_plan(options, depth)
     pool: list = []
     library = chosen_library(options.known) if options.known else ()
     state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
@@ -123,15 +122,12 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = options.chains or 2, options.draws or 100
     only_best = options.method == "map"
-    told: dict = {}
     if library:
         from derender.structures.known.posterior import known_posterior
 
         many = (1, 1) if only_best else (chains, draws)
         others = not options.only_known
         parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
-    elif plan is not None and len(state):
-        parts, told = leap_parts(rng, seen, state, pool, settings, plan, progress)
     else:
         real = seen.factor > 1 and seen.correlation > CORRELATED
         closer = closer_look(seen, depth, camera) if real else None
@@ -143,7 +139,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
-            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper), **told}  # fmt: skip
+            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))
 

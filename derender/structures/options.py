@@ -20,7 +20,7 @@ class Options:
     Attributes
     ----------
     method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
-        "mcmc" or "smc" (chains or populations over structures).
+        "mcmc" or "smc" (reversible jumps or structure SMC under a prior of open structure, see jumps/run.py).
     seed : of the random numbers.
     chains, draws, warmup : numbers of chains, of kept draws of each, and of the rounds in which one adapts; None: those
         of the method.

@@ -12,7 +12,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
-from jump_worlds import BLOCKS, document_of, generator, prior_of
+from jump_worlds import generator, prior_of
 from test_jumps import Twin
 
 from derender.scene.graph import ROOT
@@ -155,14 +155,6 @@ def scene(words, seed, solids=2):
             return graph
 
 
-# Blocks of which some are cubes: a split and a merge choose kinds.
-CUBES = BLOCKS.replace("shapes:\n", "shapes:\n  cube: {side: {uniform: [0.03, 0.1]}}\n").replace("[box]", "[box, cube]")
-
-
-def words_of(world):
-    return Vocabulary(document_of(CUBES).prior if world == "cubes" else prior_of(world))
-
-
 # where, of how many solids, how many choices
 CHOICES = {
     "birth-death": [("blocks", 2, 800)],
@@ -170,15 +162,13 @@ CHOICES = {
     "change-shape": [("grammar", 2, 1500)],
     "reparent": [("grammar", 2, 1000)],
     "resimulate": [("grammar", 2, 800)],
-    "split-merge": [("blocks", 3, 400), ("cubes", 2, 800)],
-    "transplant": [("blocks", 2, 800), ("grammar", 3, 800)],
 }
 
 
 @pytest.mark.parametrize(("name", "row"), [(name, row) for name, rows in CHOICES.items() for row in rows])
 def test_choices_are_drawn_as_their_density_says(name, row):
     world, solids, count = row
-    words = words_of(world)
+    words = Vocabulary(prior_of(world))
     uneven, apart = verdict(moves[name], words, scene(words, 3, solids), count)
     assert uneven < SEVERE
     assert apart < SEVERE
@@ -196,23 +186,23 @@ class Likelier(Twin):
 
 
 class Evenly(Twin):
-    """Takes the share of a split for uniform."""
+    """Takes the place of a birth on another block, whose prior is beta(20, 20), for uniform."""
 
     def log_choice(self, words, graph, choice):
-        share = getattr(choice, "share", None)
-        return super().log_choice(words, graph, choice) - (math.log(6.0 * share * (1.0 - share)) if share else 0.0)
+        u = choice.vertex.contact.values.get("u") if isinstance(choice, Birth) else None
+        return super().log_choice(words, graph, choice) - (19.0 * math.log(4.0 * u * (1.0 - u)) if u else 0.0)
 
 
 @pytest.mark.parametrize(("name", "row"), [(name, rows[0]) for name, rows in CHOICES.items()])
 def test_a_constant_factor_is_seen(name, row):
     world, solids, count = row
-    words = words_of(world)
+    words = Vocabulary(prior_of(world))
     assert verdict(Likelier(moves[name]), words, scene(words, 3, solids), count)[1] > SEVERE
 
 
 def test_a_density_of_wrong_shape_is_seen():
-    words = words_of("blocks")
-    assert verdict(Evenly(moves["split-merge"]), words, scene(words, 3, 3), 400)[0] > 1.2 * SEVERE
+    words = Vocabulary(prior_of("blocks"))
+    assert verdict(Evenly(moves["birth-death"]), words, scene(words, 3, 2), 800)[0] > 1.2 * SEVERE
 
 
 # ---- moves whose choices are as likely back as forth ----
@@ -220,7 +210,7 @@ def test_a_density_of_wrong_shape_is_seen():
 
 def evenness(move, count=3000):
     """Return (standard errors of the mean step from zero, largest difference between log q forth and back)."""
-    words, steps, worst, rng = words_of("rims"), [], 0.0, generator(9)
+    words, steps, worst, rng = Vocabulary(prior_of("rims")), [], 0.0, generator(9)
     graphs = [scene(words, seed) for seed in range(20)]
     for number in range(count):
         graph = graphs[number % len(graphs)]
@@ -256,7 +246,7 @@ def test_even_moves_step_either_way_alike(name):
 
 def test_a_particle_gains_the_weight_of_a_birth():
     """The increment of SMC is the ratio of a birth whose way back is a death, which the tests above hold to account."""
-    words, move = words_of("blocks"), moves["birth-death"]
+    words, move = Vocabulary(prior_of("blocks")), moves["birth-death"]
     target, rng, leaves = Target(words.prior), generator(10), set()
     for seed in range(12):
         before = evaluate(target, scene(words, seed))
@@ -276,7 +266,7 @@ def test_a_particle_gains_the_weight_of_a_birth():
 
 def birthplace(on_prior):
     """Return (words, graph) of births about two hypotheses: a box, its angle near the end of its range, and a cube."""
-    words = words_of("grammar")
+    words = Vocabulary(prior_of("grammar"))
     graph = words.prior.sample(generator(4))
     while words.grown(graph):
         graph = graph.remove(words.leaves(graph)[0])

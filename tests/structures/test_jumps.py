@@ -1,18 +1,15 @@
 """Every reversible jump: there and back, invariance of the prior, broken twins that fail."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from invariance import bound
 from jump_worlds import TEXTS, generator, prior_of
 
-from derender.scene.pose import from_rotation_vector, translation
 from derender.scene.priors.values import ROTATION
-from derender.structures.jumps import mixture, split_merge
+from derender.structures.jumps import mixture
 from derender.structures.jumps.base import Applied, Move, Target, evaluate, log_proposal_ratio, moves, step
-from derender.structures.jumps.recast import Cast
 from derender.structures.jumps.vocabulary import Vocabulary
 
 
@@ -112,8 +109,6 @@ ROWS = {
     "reparent": ("blocks", 700),
     "resimulate": ("grammar", 600),
     "slide": ("rims", 400),
-    "split-merge": ("blocks", 450),
-    "transplant": ("grammar", 900),
     "wiggle": ("slack", 900),
 }
 STEPS = 3
@@ -241,40 +236,6 @@ def test_jacobian_of_what_stays_in_place(name):
     assert np.abs(stated).max() > 0.05  # so one without a Jacobian fails here
 
 
-@pytest.mark.parametrize("foot", ["-z", "+x"])
-def test_jacobian_of_the_boxes_of_a_split(foot, monkeypatch):
-    """Differences of two posed boxes by the whole's and the choices give the determinant (1e-6: steps of 1e-5).
-
-    Tilts are small where moves are accepted, so that no test of invariance sees their sin(a) / a.
-    """
-    rng = generator(11)
-    graph = SimpleNamespace(vertex=lambda name: SimpleNamespace(contact=SimpleNamespace(child_face=foot)))
-    extents, rotation = np.exp(rng.normal(size=3)), from_rotation_vector(rng.normal(size=3))
-    choice = split_merge.Split("a", "box", "box", "b", None, 0.3, (0.2, -0.1), (0.1, -0.2, 0.05, 0.3, 0.6, -0.7), 0)
-
-    def boxes(shift):
-        """Return the whole and the two boxes after a shift (18,) of log extents, pose, share, logs and place."""
-        pose = translation(*shift[3:6]) @ rotation @ from_rotation_vector(shift[6:9])
-        whole = Cast(extents * np.exp(shift[:3]), pose, 0.0)
-        monkeypatch.setattr(split_merge, "release", lambda *_: whole)
-        moved = choice._replace(share=choice.share + shift[9], logs=tuple(choice.logs + shift[10:12]),
-                                place=tuple(choice.place + shift[12:]))  # fmt: skip
-        return moves["split-merge"]._boxes(None, graph, moved)
-
-    whole, low, high, k = boxes(np.zeros(18))
-
-    def coordinates(shift):
-        found = []
-        for box, origin in zip(boxes(shift)[1:3], (low, high), strict=True):
-            turned = origin.pose[:3, :3].T @ box.pose[:3, :3]
-            found += [np.log(box.extents), box.pose[:3, 3], 0.5 * (turned - turned.T)[[2, 0, 1], [1, 2, 0]]]
-        return np.concatenate(found)
-
-    columns = [(coordinates(h) - coordinates(-h)) / 2e-5 for h in 1e-5 * np.eye(18)]
-    measured = math.log(abs(np.linalg.det(np.array(columns)))) - math.log(8.0 * math.pi**2)
-    assert split_merge._core(whole, low, high, k, choice.place[4:]) == pytest.approx(measured, abs=1e-6)
-
-
 # ---- broken twins: each move with a fault that people make ----
 
 
@@ -355,8 +316,6 @@ TWINS = [
     ("reparent", WithoutJacobian),
     ("resimulate", WithoutChoices),
     ("slide", Growing),
-    ("split-merge", WithoutJacobian),
-    ("transplant", WithoutChoices),
     ("wiggle", Growing),
 ]
 

@@ -6,8 +6,6 @@ from derender.structures.jumps import (  # noqa: F401 - registered by being impo
     exchange_sizes,
     reparent,
     resimulate,
-    split_merge,
-    transplant,
     wiggle,
 )
 from derender.structures.jumps.base import Info, Move, State, evaluate, mixture, moves, step

@@ -1,5 +1,6 @@
 """A Markov chain over scene graphs by reversible jumps, and the posterior that its draws make up."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.results.posterior import Posterior, StructurePosterior
+from derender.sampling import diagnostics
 from derender.scene.graph import SceneGraph
 from derender.structures.jumps.base import Move, State, Target, evaluate, step
 from derender.structures.jumps.vocabulary import Vocabulary
@@ -23,6 +25,14 @@ class Draws(NamedTuple):
     weights: np.ndarray
     acceptance: Mapping[str, float]
     log_evidence: float | None = None
+
+
+class Visit(NamedTuple):
+    """A draw of one structure: its scene in the common names, its state, its weight among all draws."""
+
+    graph: SceneGraph
+    state: State
+    weight: float
 
 
 def walk(
@@ -115,24 +125,57 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws], seed: int | None = N
 
     Particles of unequal weight are not repeated: SMC hands over equal ones.
     """
-    states = [(state, weight / len(found)) for draws in found for state, weight in
-              zip(draws.states, draws.weights, strict=True)]  # fmt: skip
-    reference = max((state for state, _ in states), key=lambda state: state.log_prior + state.log_likelihood).graph
-    groups: dict[tuple, list[tuple[SceneGraph, State, float]]] = {}
-    for state, weight in states:
-        graph = matched(state.graph, reference, words.base)
-        groups.setdefault(graph.structure(), []).append((graph, state, weight))
-    parts = [_part(words, group) for group in groups.values()]
+    every = [state for draws in found for state in draws.states]
+    reference = max(every, key=lambda state: state.log_prior + state.log_likelihood).graph
+    visited: list[list[tuple]] = []
+    groups: dict[tuple, list[list[Visit]]] = {}
+    for number, draws in enumerate(found):
+        visited.append([])
+        for state, weight in zip(draws.states, draws.weights, strict=True):
+            graph = matched(state.graph, reference, words.base)
+            visited[-1].append(graph.structure())
+            chains = groups.setdefault(graph.structure(), [[] for _ in found])
+            chains[number].append(Visit(graph, state, weight / len(found)))
+    parts = [_part(words, chains) for chains in groups.values()]
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
     evidence = [draws.log_evidence for draws in found if draws.log_evidence is not None]
-    meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()}}
+    meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()},
+                            "structure_chains": agreement(visited)}  # fmt: skip
     if evidence:
         meta["log_evidence"] = [float(x) for x in evidence]
     parts.sort(key=lambda part: -part.weight)
     return Posterior(tuple(parts), seed, command, meta=meta)
 
 
-def _part(words, group) -> StructurePosterior:
+def agreement(visited: Sequence[Sequence[tuple]]) -> dict[str, Any]:
+    """Return how far chains, each given by the structures of its draws, agree about the likeliest structure.
+
+    shares : of it, by chain; r_hat, ess : of its being visited, None where it always is or they cannot be told.
+    """
+    likeliest = Counter(structure for chain in visited for structure in chain).most_common(1)[0][0]
+    shortest = min(map(len, visited))
+    there = np.array([[structure == likeliest for structure in chain[:shortest]] for chain in visited], float)
+    told = {} if there.all() else {"r_hat": diagnostics.r_hat(there), "ess": diagnostics.mean_ess(there)}
+    shares = [float(np.mean([structure == likeliest for structure in chain])) for chain in visited]
+    return {"shares": shares, **{key: float(told[key]) if math.isfinite(told.get(key, math.nan)) else None
+                                 for key in ("r_hat", "ess")}}  # fmt: skip
+
+
+def in_step(chains: list[list[Visit]]) -> list[list[Visit]]:
+    """Return the draws of one structure as chains of one length: cut to the shortest where that costs at most half of
+    them, else in a row as one chain."""
+    chains = [chain for chain in chains if chain]
+    shortest = min(map(len, chains))
+    if 2 * shortest * len(chains) >= sum(map(len, chains)):
+        return [chain[:shortest] for chain in chains]
+    return [[visit for chain in chains for visit in chain]]
+
+
+def _part(words, chains: list[list[Visit]]) -> StructurePosterior:
+    weight = sum(visit.weight for chain in chains for visit in chain)
+    chains = in_step(chains)
+    group = [visit for chain in chains for visit in chain]
+    shape = len(chains), len(chains[0])
     template = max(group, key=lambda item: item[1].log_prior + item[1].log_likelihood)[0]
     free = words.prior.free_addresses(template)
     addresses, periods = [], []
@@ -148,15 +191,15 @@ def _part(words, group) -> StructurePosterior:
             low, high = law.support
             periods.append(high - low if address.endswith(".theta") and np.isfinite(high - low) else None)
     numbers = [graph.numbers() for graph, _, _ in group]
-    values = np.array([[row.get(address, 0.0) for address in addresses] for row in numbers]).reshape(len(group), -1)
+    values = np.array([[row.get(address, 0.0) for address in addresses] for row in numbers])
     root = np.array([graph.root_pose for graph, _, _ in group])
     return StructurePosterior(
         template,
         tuple(addresses),
-        values[None],
-        np.array([[state.log_prior for _, state, _ in group]]),
-        np.array([[state.log_likelihood for _, state, _ in group]]),
-        float(sum(weight for _, _, weight in group)),
+        values.reshape(*shape, len(addresses)),
+        np.array([state.log_prior for _, state, _ in group]).reshape(shape),
+        np.array([state.log_likelihood for _, state, _ in group]).reshape(shape),
+        float(weight),
         tuple(periods),
-        root[None] if words.prior.root.free_addresses() else None,
+        root.reshape(*shape, 4, 4) if words.prior.root.free_addresses() else None,
     )

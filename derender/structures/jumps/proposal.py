@@ -85,7 +85,8 @@ class HypothesisProposal:
 
     The components are a function of the graph that lacks the new object: for each hypothesis, each bearer and each
     contact that the prior allows there, the numbers of the nearest such contact (`ContactType.invert`), weighed by
-    exp(-misfit / length / 5), the misfit being what the ideal contact leaves over in metres. A vertex's density is
+    the prior's probability of that contact times exp(-misfit / length / 5), the misfit being what the ideal contact
+    leaves over in metres. A vertex's density is
 
         share_prior p_prior(v) + (1 - share_prior) sum_k w_k prod_i N(v_i; centre_ki, spread_ki),
 
@@ -114,8 +115,9 @@ class HypothesisProposal:
                     continue
                 relative = inverse(poses[parent]) @ hypothesis.pose
                 choices = words.contacts(graph, parent, hypothesis.kind)
-                for choice in () if choices is None else choices.choices:
-                    found += _component(words, graph, hypothesis, parent, body, relative, choice)
+                for choice, share in () if choices is None else choices.probabilities.items():
+                    ways = _component(words, graph, hypothesis, parent, body, relative, choice)
+                    found += [way._replace(weight=share * way.weight) for way in ways]
         total = math.fsum(component.weight for component in found)
         found = [c._replace(weight=c.weight / total) for c in found if c.weight > 1e-6 * total] if total > 0 else []
         total = math.fsum(component.weight for component in found)

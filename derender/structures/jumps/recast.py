@@ -1,4 +1,4 @@
-"""One solid written down anew: other parent, other faces, other shape type, in the same place. The core of four moves.
+"""One solid written down anew: other parent, other faces, other shape type, in the same place. The core of three moves.
 
 A vertex and its Rest are nine coordinates of a posed box (`charts`). To recast it is to go from one chart to another:
 

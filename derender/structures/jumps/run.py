@@ -1,25 +1,33 @@
-"""Scene graphs under a prior of open structure, sampled by jump chains or structure SMC: `infer --scene PRIOR --method
-mcmc` or `smc`. Without a prior see structure/catalogue."""
+"""Scene graphs under a prior of open structure, by jump chains or structure SMC: `infer --method mcmc` or `smc`.
+
+Without a prior, images are inferred under DEFAULT_PRIOR with the floor where it was seen and the noise that it shows.
+Chains start from the search's one best scene, and births are proposed about its solids; nothing that `auto` weighs is
+used, so the weights of the two come about in different ways.
+"""
 
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from derender import __version__
 from derender.detection.given_floor import read_floor
+from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import Posterior
 from derender.sampling import workers
 from derender.sampling.chains import Plan
 from derender.sampling.checkpoint import fingerprint
+from derender.scene.priors.root import FixedRoot
 from derender.structures.jumps.base import Target
 from derender.structures.jumps.chain import posterior_of
 from derender.structures.jumps.sampler import JumpSampler
-from derender.structures.jumps.start import base_graph, hypotheses_of, root_pose_near, start_graph
+from derender.structures.jumps.start import base_graph, hypotheses_of, root_pose_near, root_seen, start_graph
 from derender.structures.jumps.vocabulary import Vocabulary
 
+DEFAULT_PRIOR = "bare-image"  # of images that come without one
 DRAWS, CHAINS, THIN, WARMUP = 400, 2, 20, 4000
 PARTICLES = 40
 SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
@@ -29,15 +37,16 @@ EXTRA = 1  # objects beyond those seen that SMC makes room for
 def infer_by_jumps(image, camera, options, document, rng=None, progress=None) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
+    document : None for the default prior, as `bare_document` has it.
     options : Options: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
         chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
     Raises
     ------
-    DerenderError : an option that these jumps know nothing about.
+    DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
     from derender.detection.solids.graph import scene_graph
-    from derender.structures.infer import point_estimate, settings_of
+    from derender.structures.infer import explanation_of, point_estimate, settings_of
 
     method, chain = options.method, options.method == "mcmc"
     if not chain and options.warmup is not None:
@@ -45,10 +54,17 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     rng = np.random.default_rng(options.seed) if rng is None else rng
     if progress:
         progress(0.0, "searching for solids")
-    prior = document.prior
+    plane = read_floor(options.floor)
+    if document is None and isinstance(plane, str):
+        remedy = "give a plane, leave --floor out, or take --method auto"
+        raise DerenderError(f"the prior {DEFAULT_PRIOR} has a floor", "--floor", remedy)
+    prior: Any = (document or read_prior_document(DEFAULT_PRIOR)).prior
     settings = settings_of(replace(options, prior=prior))
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
-    state, seen = point_estimate(rng, depth, camera, settings, plane=read_floor(options.floor))
+    state, seen = point_estimate(rng, depth, camera, settings, plane=plane)
+    if document is None:
+        document = bare_document(np.asarray(seen.floor.pose, float))
+        prior = document.prior
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
     words = Vocabulary(prior)
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
@@ -83,8 +99,21 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
     if folder is not None and not outcome.interrupted:
         shutil.rmtree(folder)
     posterior = posterior_of(words, found)
-    return replace(posterior, meta={**posterior.meta, "likelihood": {"type": likelihood, **(values or {})},
-                                    "interrupted": outcome.interrupted, "lost_chains": outcome.lost})  # fmt: skip
+    explanation = explanation_of(posterior, seen, depth, camera)
+    meta = {
+        **posterior.meta,
+        "likelihood": {"type": likelihood, **(values or {})},
+        "interrupted": outcome.interrupted,
+        "lost_chains": outcome.lost,
+    }
+    return replace(posterior, explanation=explanation, meta=meta)
+
+
+def bare_document(floor_pose: np.ndarray) -> Document:
+    """Return the default prior for a bare image: the floor at the pose (4, 4) seen, no likelihood of its own."""
+    document = read_prior_document(DEFAULT_PRIOR)
+    prior: Any = document.prior
+    return replace(document, prior=replace(prior, root=FixedRoot(root_seen(floor_pose))), likelihood=None)
 
 
 def _likelihood_of(document, seen, settings, depth) -> tuple[str, dict[str, float]]:

@@ -5,26 +5,44 @@ import math
 import numpy as np
 
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.priors.root import FreeRoot, LookedAtRoot
+from derender.scene.priors.root import FreeRoot, LookedAtRoot, written
 from derender.scene.shapes.cube import ROTATIONS
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
 from derender.structures.jumps.recast import renamed
 from derender.structures.jumps.vocabulary import Vocabulary
 
+FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY
+
 
 def root_pose_near(root, floor_pose: np.ndarray) -> np.ndarray:
     """Return the pose that a root's prior allows nearest to one at which the floor was seen (its z up)."""
     if isinstance(root, LookedAtRoot):
-        up, place = floor_pose[:3, 2], floor_pose[:3, 3]
-        elevation = math.asin(min(max(-up[2], -1.0), 1.0))
-        seen = {"root.distance": float(up @ place / up[2]), "root.elevation": elevation, "root.azimuth": 0.0,
-                "root.roll": math.atan2(up[0], -up[1])}  # fmt: skip
+        seen = _looked_at(floor_pose)
         values = {}
         for address, law in root.free_addresses().items():
             low, high = law.support
             values[address] = min(max(seen[address], low + 1e-9), high - 1e-9)
         return root.pose(values)
     return np.asarray(floor_pose, float) if isinstance(root, FreeRoot) else root.pose({})
+
+
+def root_seen(floor_pose: np.ndarray) -> np.ndarray:
+    """Return the (4, 4) pose of a root on a floor: its origin where the camera looks, or the floor's own if above."""
+    seen = _looked_at(floor_pose)
+    if not 0.0 < seen["root.distance"] < FARTHEST:
+        return written(floor_pose)
+    return written(LookedAtRoot(*seen.values()).pose({}))
+
+
+def _looked_at(floor_pose: np.ndarray) -> dict[str, float]:
+    """Return distance, elevation, azimuth and roll, by address, at which a root would lie on a floor."""
+    up, place = floor_pose[:3, 2], floor_pose[:3, 3]
+    return {
+        "root.distance": float(up @ place / up[2]) if abs(up[2]) > 1e-9 else math.inf,
+        "root.elevation": math.asin(min(max(-up[2], -1.0), 1.0)),
+        "root.azimuth": 0.0,
+        "root.roll": math.atan2(up[0], -up[1]),
+    }
 
 
 def base_graph(words: Vocabulary, root_pose: np.ndarray, rng: np.random.Generator) -> SceneGraph:

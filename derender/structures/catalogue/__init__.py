@@ -1,1 +1,0 @@
-"""Jumps between the structures that one image suggests, their numbers proposed from what each was found to be like."""
