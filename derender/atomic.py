@@ -109,12 +109,12 @@ def _own_folder(parent: Path) -> Iterator[Path]:
     A writer holds a lock on its folder, which the system lets go of when the writer dies, however that comes about.
     """
     for left in parent.glob(f"{UNFINISHED}*"):
-        with _lock(left, wait=False) as ours:
+        with locked(left, wait=False) as ours:
             if ours:
                 shutil.rmtree(left, ignore_errors=True)
     while True:
         own = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=parent))
-        with _lock(own) as ours:
+        with locked(own) as ours:
             if not ours:  # another writer took it for a dead one's, in the moment before it was locked
                 continue
             try:
@@ -125,7 +125,7 @@ def _own_folder(parent: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _lock(folder: Path, wait: bool = True) -> Iterator[bool]:
+def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
     """Hold a lock on a folder; yields whether it was got and the folder is still there."""
     if fcntl is None:
         yield wait

@@ -45,6 +45,7 @@ def infer_to_folder(
     gradient: str = "exact",
     command: str = "derender infer",
     page: bool = True,
+    timed: bool = True,
     progress: Progress | None = None,
     say: Say = silent,
     warn: Say = silent,
@@ -57,7 +58,8 @@ def infer_to_folder(
     output : folder; None: the image's name with _inferred.
     camera : camera file. depth_scale : millimetres for one unit of a 16-bit image.
     gradient : "exact" or "finite-difference", of method "map" with a scene given.
-    command : recorded in what is written. page : whether report.html is written, which can be made later.
+    command : recorded in what is written. page : whether report.html is written, which can be made later. timed :
+        whether summary.json says how long it took, which is never twice the same.
     progress : called with (fraction done, message). say, warn : called with a line for a person.
 
     Raises
@@ -83,7 +85,7 @@ def infer_to_folder(
             posterior = replace(posterior, command=command, meta={**posterior.meta, "image": str(image)})
             lost = len(posterior.meta["lost_chains"])
             seconds = time.monotonic() - started
-            return write_results(folder, posterior, seen, likelihood, made, lost, seconds, page)
+            return write_results(folder, posterior, seen, likelihood, made, lost, seconds, page, timed)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
             say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")

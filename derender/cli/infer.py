@@ -1,16 +1,21 @@
-"""derender infer: one depth image in, a posterior over scene graphs out."""
+"""derender infer: a depth image in, a posterior over scene graphs out; or many images, and a table of all."""
 
 import sys
+from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from derender.cli import options
 from derender.cli.bar import Bar
 from derender.cli.options import Talk, command_line
 
+# Options that say how many frames are worked on, not what is asked of each: results do not record them.
+OF_THE_RUN = frozenset({"images", "output", "jobs", "watch", "page", "strict", "quiet", "verbose", "resume"})
+
 
 @click.command()
-@click.argument("image", metavar="IMAGE")
+@click.argument("images", metavar="IMAGE...", nargs=-1, required=True)
 @click.option(
     "--scene",
     "--prior",
@@ -29,6 +34,7 @@ from derender.cli.options import Talk, command_line
     help="auto and mcmc: chains; smc: particles; map: the single best scene. Without --scene auto weighs structures by "
     "integrals, mcmc and smc by visiting them.",
 )
+@click.option("--quick", is_flag=True, help="The best scene only, without draws: --method map of a bare image.")
 @click.option(
     "--gradient",
     type=click.Choice(["exact", "finite-difference"]),
@@ -59,13 +65,20 @@ from derender.cli.options import Talk, command_line
     help="Rounds in which a chain adapts. Default 200; without --scene 40, of mcmc alone.",
 )
 @options.jobs
+@click.option("--watch", is_flag=True, help="Go on with frames as they come into the folders, until Ctrl-C.")
+@click.option(
+    "--report/--no-report",
+    "page",
+    default=None,
+    help="Write report.html. Default: of one image; of many `derender report DIR/FRAME` makes it when it is wanted.",
+)
 @click.option("--resume", is_flag=True, help="Go on where the same command was stopped.")
 @options.seed
 @options.output("Folder for the results. Default: the image's name with _inferred.", None, "DIR")
 @options.strict
 @options.verbosity
 def command(talk: Talk, **arguments) -> int | None:
-    """Infer the scene graph behind the depth image IMAGE.
+    """Infer the scene graph behind each depth image IMAGE.
 
     IMAGE holds depth along the optical axis, not range: 16 bits a pixel (.png, .tiff) in millimetres unless
     --depth-scale or the camera says otherwise; metres in .npy, float .tiff and .exr; or an .npz that derender wrote.
@@ -79,26 +92,49 @@ def command(talk: Talk, **arguments) -> int | None:
     object of `derender show DIR --json`) and DIR/explained.npy (the depth of the best scene, metres), and prints a
     table. Ctrl-C writes what there is.
 
+    Several images, folders or patterns are inferred --jobs at a time, each into a folder DIR/FRAME, without report.html
+    and with thumbnail.png. DIR/index.html shows them all. DIR/results.csv and DIR/results.jsonl have a row for each
+    object: frame, status (done or failed), object, type, length, width, height and the ends of their 90 % ranges
+    (metres), x, y, z and qw, qx, qy, qz (object to camera), turn (radians, seen from above, against the camera's x
+    axis), rests_on, probability, trusted, doubts; a frame without objects, or one that failed, has one row. A frame
+    that fails does not stop the others; the exit status is then 1. The same command run again does what is missing.
+
     \b
     Examples:
         derender sample && derender infer sample_000.npz
         derender infer frame.png --camera camera.json -o out && derender show out
         derender infer frame.png --camera camera.json --known groceries.yaml
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
+        derender infer frames/ --camera camera.json --quick -o results && cut -d, -f1-6 results/results.csv
+        derender infer recordings/ --watch -o results
     """
+    from derender.batch.frames import is_many
+
+    images, watch = arguments.pop("images"), arguments.pop("watch")
+    if arguments.pop("quick"):
+        if arguments["method"] not in ("auto", "map"):
+            raise click.UsageError("--quick is --method map: leave one of them out")
+        arguments["method"] = "map"
+    if arguments["shapes"] is not None:
+        arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
+    if watch or is_many(images):
+        return _many(talk, images, watch, arguments)
+    return _one(talk, images[0], arguments)
+
+
+def _one(talk: Talk, image: str, arguments: dict[str, Any]) -> int | None:
+    """Infer one image and print its table."""
     from derender.structures.options import Options
     from derender.workflow import infer_to_folder
 
-    image, prior, output, camera, depth_scale, gradient, strict = (
-        arguments.pop(key) for key in ("image", "prior", "output", "camera", "depth_scale", "gradient", "strict")
+    prior, output, camera, depth_scale, gradient, strict, page = (
+        arguments.pop(key) for key in ("prior", "output", "camera", "depth_scale", "gradient", "strict", "page")
     )
-    if arguments["shapes"] is not None:
-        arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
     wanted = Options(**arguments)
-    bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
+    bar = _bar(talk)
     try:
         outcome = infer_to_folder(
-            image, wanted, prior, output, camera, depth_scale, gradient, command_line(),
+            image, wanted, prior, output, camera, depth_scale, gradient, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn,
         )  # fmt: skip
     finally:
@@ -115,3 +151,73 @@ def command(talk: Talk, **arguments) -> int | None:
     for line in outcome.verdict():
         talk.say(line, always=not outcome.trusted)
     return 3 if strict and not outcome.trusted else None
+
+
+def _many(talk: Talk, images: tuple[str, ...], watch: bool, arguments: dict[str, Any]) -> int | None:
+    """Infer many images, say a line of each, and write the tables of all."""
+    from derender.batch.processes import Processes
+    from derender.batch.run import duration, infer_frames
+    from derender.batch.work import Order
+    from derender.structures.options import Options
+
+    output, strict, jobs, page = (arguments.pop(key) for key in ("output", "strict", "jobs", "page"))
+    prior, camera, depth_scale, gradient = (
+        arguments.pop(key) for key in ("prior", "camera", "depth_scale", "gradient")
+    )
+    if arguments.pop("resume"):
+        talk.say("--resume says nothing here: the same command run again does what is missing")
+    output = output or "inferred"
+    order = Order(Options(**arguments, jobs=1), prior, camera, depth_scale, gradient, bool(page), _words())
+    bar = _bar(talk)
+
+    def tell(done) -> None:
+        if bar:
+            bar.close()
+        for line in done.warnings:
+            talk.detail(f"{done.frame.name}: {line}")
+        if done.error:
+            click.echo(f"derender: {done.frame.name}: {done.error}", err=True)
+            talk.detail(done.trace)
+        click.echo(_line_of(done))
+
+    try:
+        tally = infer_frames(
+            images, output, order, lambda order, output: Processes(jobs, order, output), watch, tell,
+            bar or (lambda share, words: None),
+        )  # fmt: skip
+    finally:
+        if bar:
+            bar.close()
+    doubtful = f" ({tally.doubtful} not to be trusted)" if tally.doubtful else ""
+    before = f", {tally.before} were done before" if tally.before else ""
+    failed = f", {tally.failed} failed" if tally.failed else ""
+    talk.say(f"{tally.done} frames done{doubtful} in {duration(tally.seconds)}{failed}{before}")
+    talk.say(f"wrote {output}/index.html, results.csv and results.jsonl")
+    if tally.interrupted and not watch:
+        return 130
+    return 1 if tally.failed else 3 if strict and tally.doubtful else None
+
+
+def _bar(talk: Talk) -> Bar | None:
+    return Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
+
+
+def _line_of(done) -> str:
+    """Return what stdout says of a frame: its name, how it went, its objects."""
+    if done.error:
+        return f"{done.frame.name}\tfailed"
+    objects = [row["object"] for row in done.rows if row["object"]]
+    return "\t".join([done.frame.name, "trusted" if done.rows[0]["trusted"] else "not to be trusted", *objects])
+
+
+def _words() -> list[str]:
+    """Return the options of this command that say what is asked of each frame, as they were typed."""
+    context = click.get_current_context()
+    words: list[str] = []
+    for parameter in context.command.params:
+        typed = context.get_parameter_source(parameter.name) is ParameterSource.COMMANDLINE
+        if parameter.name in OF_THE_RUN or not typed:
+            continue
+        value = context.params[parameter.name]
+        words += [parameter.opts[0]] if value is True else [parameter.opts[0], str(value)]
+    return words

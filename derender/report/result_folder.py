@@ -89,11 +89,13 @@ class Outcome:
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
-                  made: Mapping[str, Any], lost: int, seconds: float, page: bool = True) -> Outcome:  # fmt: skip
+                  made: Mapping[str, Any], lost: int, seconds: float, page: bool = True,
+                  timed: bool = True) -> Outcome:  # fmt: skip
     """Write all files of a result, as one set, and return what there is to tell.
 
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
     page : whether report.html is one of them: `derender report DIR` makes it later from the others.
+    timed : whether summary.json says how long it took.
     """
     from derender.report.contents import likelihood_numbers, report_of, sensor_words
     from derender.report.html import write_report
@@ -120,7 +122,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     summary = {
         **made,
         "version": posterior.version,
-        "seconds": round(seconds, 3),
+        **({"seconds": round(seconds, 3)} if timed else {}),
         **posterior.meta,
         "chains": int(best.values.shape[0]),
         "draws": int(best.values.shape[1]),

@@ -1,0 +1,65 @@
+"""Processes on this machine that infer frames, one each at a time."""
+
+import os
+import signal
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+
+from derender.batch.frames import Frame
+from derender.batch.table import failed_row
+from derender.batch.work import Done, Order, infer_frame, leave_with_parent
+from derender.compilation.threads import THREADS_VARIABLE
+
+
+class Processes:
+    """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on.
+
+    Attributes
+    ----------
+    size : how many frames can be in work at a time.
+    """
+
+    def __init__(self, size: int, order: Order, output: str) -> None:
+        self.size, self.order, self.output = size, order, output
+        self._idle: list[ProcessPoolExecutor] = []
+        self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
+        self._context = get_context("spawn")
+
+    @property
+    def busy(self) -> int:
+        """How many frames are in work."""
+        return len(self._busy)
+
+    def submit(self, frame: Frame) -> None:
+        """Begin to infer a frame; fewer than `size` are in work."""
+        executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
+        self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
+
+    def finished(self, timeout: float) -> list[Done]:
+        """Return the frames that were finished since the last call; waits for one for so many seconds at most."""
+        done = []
+        for future in wait(self._busy, timeout, FIRST_COMPLETED).done:
+            executor, frame = self._busy.pop(future)
+            try:
+                done.append(future.result())
+                self._idle.append(executor)
+            except BrokenProcessPool:
+                executor.shutdown(wait=False)
+                why = "the process that worked on it died: there may be too little memory"
+                done.append(Done(frame, [failed_row(frame.name, why)], why))
+        return done
+
+    def close(self) -> None:
+        """End the processes; what is in work is given up."""
+        for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
+            for process in list((executor._processes or {}).values()):
+                process.terminate()
+            executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Make this process one of many: Ctrl-C is its parent's business, and one thread is its share."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ[THREADS_VARIABLE] = "1"
+    leave_with_parent()

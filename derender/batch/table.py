@@ -1,0 +1,101 @@
+"""What is told of many frames: a row for each object, as CSV and as JSON lines."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+DIGITS = 6  # after the point: micrometres and microradians, a thousandth of what any sensor tells
+SIDES = ("length", "width", "height")
+# frame : its name; status : done or failed; object, type : of a solid, empty where the frame shows none; length, width,
+# height : its full extents along its own x, y, z in metres, with the ends of their 90 % ranges; x, y, z : where its
+# middle is in camera axes, metres; qw, qx, qy, qz : its rotation, object to camera; turn : of its x about the vertical
+# against the camera's x, radians; rests_on : what it stands on; probability : that it is there; trusted, doubts :
+# whether the whole frame's result is to be trusted, and why not.
+COLUMNS = (
+    "frame", "status", "object", "type", *(f"{side}{end}" for side in SIDES for end in ("", "_low", "_high")),
+    "x", "y", "z", "qw", "qx", "qy", "qz", "turn", "rests_on", "probability", "trusted", "doubts",
+)  # fmt: skip
+
+
+def rows_of(frame: str, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of a frame from its summary.json; a frame without a solid has one row without an object.
+
+    Where only the best scene was asked for there are no ranges and no probabilities: one draw tells none.
+    """
+    from derender.scene.pose import quaternion
+
+    scene, drawn = summary["scene"], summary["method"] != "map"
+    told = {"trusted": bool(summary["trusted"]), "doubts": list(summary["doubts"])}
+    rows = []
+    for item in scene["objects"]:
+        if item["size"] is None:
+            continue
+        pose = np.array(item["pose"])
+        row = _row(frame, "done") | {"object": item["name"], "type": item["type"]} | told
+        for side, extent, interval in zip(SIDES, item["size"], item.get("size_interval") or [()] * 3, strict=True):
+            row[side] = extent
+            if len(interval) and drawn:
+                row[f"{side}_low"], row[f"{side}_high"] = interval
+        row |= dict(zip("xyz", map(float, pose[:3, 3]), strict=True))
+        row |= dict(zip(("qw", "qx", "qy", "qz"), map(float, quaternion(pose[:3, :3])), strict=True))
+        row["turn"] = turn_of(pose, scene["gravity"])
+        row["rests_on"], row["probability"] = item["parent"], item.get("probability") if drawn else None
+        rows.append({k: round(v, DIGITS) if isinstance(v, float) else v for k, v in row.items()})
+    return rows or [_row(frame, "done") | told]
+
+
+def failed_row(frame: str, why: str) -> dict[str, Any]:
+    """Return the row of a frame that could not be inferred."""
+    return _row(frame, "failed") | {"trusted": False, "doubts": [why]}
+
+
+def _row(frame: str, status: str) -> dict[str, Any]:
+    return dict.fromkeys(COLUMNS) | {"frame": frame, "status": status}
+
+
+def turn_of(pose: np.ndarray, gravity: Sequence[float]) -> float:
+    """Return by how much an object's x axis, seen from above, is turned from the camera's x axis, radians in (-pi, pi].
+
+    pose : (4, 4), object to camera. gravity : (3,) in camera axes. Where either axis is upright it is 0.
+    """
+    up = -np.asarray(gravity) / np.linalg.norm(gravity)
+    right = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    along = pose[:3, 0] - (pose[:3, 0] @ up) * up
+    if min(np.linalg.norm(right), np.linalg.norm(along)) < 1e-6:
+        return 0.0
+    return math.atan2(float(np.cross(right, along) @ up), float(right @ along))
+
+
+def as_lines(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as JSON lines."""
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def read_lines(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a file of JSON lines; what a killed writer left half done is left out."""
+    if not path.exists():
+        return
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(row, dict) and isinstance(row.get("frame"), str):
+            yield dict.fromkeys(COLUMNS) | row
+
+
+def as_csv(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as CSV with a header; doubts are joined by semicolons."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        trusted = str(bool(row["trusted"])).lower()
+        writer.writerow({**row, "trusted": trusted, "doubts": "; ".join(row["doubts"] or ())})
+    return text.getvalue()

@@ -1,0 +1,127 @@
+"""One frame of many: inferred in a process of its own, told in rows."""
+
+import json
+import os
+import shlex
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from derender.batch.frames import RESULT, Frame
+from derender.batch.table import failed_row, rows_of
+from derender.errors import DerenderError
+from derender.structures.options import Options
+
+THUMBNAIL = "thumbnail.png"
+THUMBNAIL_WIDTH = 160  # pixels of each half, about
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is asked of every frame alike.
+
+    Attributes
+    ----------
+    options, prior, camera, depth_scale, gradient : see `workflow.infer_to_folder`.
+    page : whether each frame gets its report.html at once.
+    words : the options as they were typed, for the command that each result records: it makes that result alone.
+    """
+
+    options: Options = field(default_factory=lambda: Options(seed=0))
+    prior: str | None = None
+    camera: str | None = None
+    depth_scale: float | None = None
+    gradient: str = "exact"
+    page: bool = False
+    words: Sequence[str] = ()
+
+    def command(self, frame: Frame) -> str:
+        """Return the command that infers this frame alone."""
+        return shlex.join(["derender", "infer", frame.path, *self.words])
+
+
+class Done(NamedTuple):
+    """What came of a frame.
+
+    Attributes
+    ----------
+    frame : which. rows : of the table, see `table.COLUMNS`.
+    error : why there is no result, in a line, or "". trace : of a fault that is ours, or "".
+    warnings : lines for a person. seconds : that it took.
+    """
+
+    frame: Frame
+    rows: list[dict[str, Any]]
+    error: str = ""
+    trace: str = ""
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+def infer_frame(frame: Frame, order: Order, output: str) -> Done:
+    """Infer a frame into its folder below `output`; whatever goes wrong with it is told, not raised."""
+    from derender.workflow import infer_to_folder
+
+    started, warnings = time.monotonic(), []
+    folder = Path(output) / frame.name
+    try:
+        outcome = infer_to_folder(
+            frame.path, order.options, order.prior, str(folder), order.camera, order.depth_scale, order.gradient,
+            order.command(frame), order.page, timed=False, warn=warnings.append,
+        )  # fmt: skip
+        write_thumbnail(folder / THUMBNAIL, outcome.posterior, folder)
+        rows, error, trace = rows_in(folder, frame.name), "", ""
+    except DerenderError as fault:
+        rows, error, trace = [failed_row(frame.name, str(fault))], str(fault), ""
+    except Exception as fault:  # a bug: it must not cost the other frames their results, so it is shown with its trace
+        error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"[:300]
+        rows, trace = [failed_row(frame.name, error)], traceback.format_exc()
+    return Done(frame, rows, error, trace, tuple(warnings), time.monotonic() - started)
+
+
+def is_done(folder: Path) -> bool:
+    """Return whether a frame's folder is whole: its thumbnail is written last."""
+    return (folder / RESULT).exists() and (folder / THUMBNAIL).exists()
+
+
+def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
+    """Return the rows of a frame that is done."""
+    return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
+
+
+def write_thumbnail(path: Path, posterior, folder: Path) -> None:
+    """Write a small picture: the depth image, and beside it the best scene."""
+    import numpy as np
+
+    from derender.atomic import atomic_path
+    from derender.camera.depth_file import read_depth
+    from derender.camera.png import png_bytes
+    from derender.report import pictures
+
+    seen = read_depth(folder / "observation.npz")
+    step = max(1, round(seen.depth.shape[1] / THUMBNAIL_WIDTH))
+    depth, camera = seen.depth[step // 2 :: step, step // 2 :: step], seen.camera.downscaled(step)
+    depth = depth[: camera.height, : camera.width]
+    graph = posterior.best_graph()
+    left = pictures.paint(depth, *pictures.depth_limits(depth), pictures.DEPTH_ANCHORS)
+    right = pictures.shade(graph.solids(), camera, graph.solid_names, samples=1)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(png_bytes(np.hstack([left, right])))
+
+
+def leave_with_parent() -> None:
+    """End this process as soon as the one that started it has gone, however that came about."""
+    import multiprocessing
+    import threading
+
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    if parent is not None:
+        threading.Thread(target=wait, daemon=True).start()

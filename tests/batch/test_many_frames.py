@@ -1,0 +1,113 @@
+"""derender infer over many frames, as a person runs it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from derender.batch.frames import Frame
+from derender.batch.processes import Processes
+from derender.batch.work import Done, Order
+from derender.structures.options import Options
+
+
+def infer(*arguments, folder, **more):
+    command = [sys.executable, "-m", "derender", "infer", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False, **more)
+
+
+def files(folder):
+    """Return the bytes of all files below a folder, by name."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Return a folder with frames: three floors, one of them in a folder of its own, and a file that is no image."""
+    folder = tmp_path_factory.mktemp("many")
+    (folder / "frames" / "more").mkdir(parents=True)
+    for number, name in enumerate(("a", "b", "more/c")):
+        np.save(folder / "frames" / f"{name}.npy", np.full((48, 64), 0.9 + 0.01 * number, np.float32))
+    (folder / "frames" / "bad.npz").write_bytes(b"no archive")
+    return folder
+
+
+def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
+    one = infer("frames", "-o", "one", "--quick", "-j", 1, folder=frames)
+    assert one.returncode == 1 and "Traceback" not in one.stderr, one.stderr
+    assert "derender: bad: frames/bad.npz: not a depth image" in one.stderr
+    assert one.stdout.splitlines() == ["a\ttrusted", "b\ttrusted", "bad\tfailed", "more/c\ttrusted"]
+    two = infer("frames", "-o", "two", "--quick", "-j", 2, folder=frames)
+    assert two.returncode == 1 and two.stdout == one.stdout
+    first, second = files(frames / "one"), files(frames / "two")
+    assert first == second
+    wanted = {f"{name}/{file}" for name in ("a", "b", "more/c") for file in ("summary.json", "posterior.npz")}
+    assert wanted | {"index.html", "results.csv", "results.jsonl"} <= set(first)
+    assert "a/report.html" not in first
+    assert json.loads(first["more/c/summary.json"])["command"] == "derender infer frames/more/c.npy --quick"
+    (frames / "one" / "b" / "summary.json").unlink()  # as a killed run leaves it
+    kept = (frames / "one" / "a" / "posterior.npz").stat().st_mtime_ns
+    again = infer("frames", "-o", "one", "--quick", folder=frames)
+    assert again.stdout.splitlines() == ["b\ttrusted", "bad\tfailed"] and "2 were done before" in again.stderr
+    assert (frames / "one" / "a" / "posterior.npz").stat().st_mtime_ns == kept and files(frames / "one") == second
+    other = infer("frames", "-o", "one", folder=frames)
+    assert other.returncode == 1 and "were made with other options (--quick)" in other.stderr
+
+
+def test_frames_that_come_are_done_until_ctrl_c(frames, tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "derender",
+        "infer",
+        str(tmp_path),
+        "--watch",
+        "--quick",
+        "-o",
+        str(tmp_path / "out"),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        (tmp_path / "late.npy").write_bytes((frames / "frames" / "a.npy").read_bytes())
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "out" / "late" / "thumbnail.png").exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0 and out == "late\ttrusted\n", err
+    assert "late,done" in (tmp_path / "out" / "results.csv").read_text()
+
+
+class Dies:
+    """Stands for a frame whose inference ends its process, as one that needs too much memory does."""
+
+    def __reduce__(self):
+        return os._exit, (1,)
+
+
+def test_a_process_that_dies_takes_one_frame_with_it(tmp_path):
+    crew = Processes(1, Order(Options(seed=0, method="map")), str(tmp_path / "out"))
+    try:
+        crew.submit(Frame("deadly", Dies()))
+        (done,) = wait_for(crew)
+        assert done.error.startswith("the process that worked on it died")
+        crew.submit(Frame("missing", str(tmp_path / "missing.npy")))
+        (done,) = wait_for(crew)
+        assert isinstance(done, Done) and "cannot read the depth image" in done.error
+    finally:
+        crew.close()
+
+
+def wait_for(crew):
+    done = []
+    for _ in range(600):
+        done = done or crew.finished(0.1)
+    return done

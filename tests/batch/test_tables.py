@@ -1,0 +1,174 @@
+"""Names of frames, tables and the page of many frames, without inferring any."""
+
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+
+from derender.batch.frames import Frame, Watch, find_frames, is_many
+from derender.batch.index import index_page
+from derender.batch.ledger import Ledger
+from derender.batch.run import duration, words
+from derender.batch.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of
+from derender.batch.work import Done, Order
+from derender.camera.png import png_bytes
+from derender.errors import DerenderError
+from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.structures.options import Options
+
+
+def summary(*objects, trusted=True, doubts=(), method="auto"):
+    scene = {"frame": "camera", "gravity": [0.0, 9.81, 0.0], "objects": list(objects)}
+    return {"scene": scene, "trusted": trusted, "doubts": list(doubts), "method": method}
+
+
+def box(name="box_1", size=(0.2, 0.1, 0.05), pose=None, interval=True):
+    pose = translation(0.1, 0.2, 0.9) if pose is None else pose
+    ranges = [[0.9 * side, 1.1 * side] for side in size]
+    return {"name": name, "type": "box", "size": list(size), "pose": pose.tolist(), "parent": "floor",
+            "probability": 0.97, **({"size_interval": ranges} if interval else {})}  # fmt: skip
+
+
+FLOOR = {"name": "floor", "type": "plane", "size": None, "pose": np.eye(4).tolist(), "parent": "root"}
+
+
+def test_frames_are_found_in_folders_patterns_and_by_name(tmp_path):
+    folder = tmp_path / "frames"
+    (folder / "more").mkdir(parents=True)
+    (folder / "made").mkdir()
+    for name in ("b.npy", "a.npz", "more/a.png", ".hidden.npy", "notes.txt", "made/posterior.npz", "made/summary.json"):
+        (folder / name).write_bytes(b"x")
+    (folder / "colour.png").write_bytes(png_bytes(np.zeros((2, 2, 3), np.uint8)))
+    (folder / "out").mkdir()
+    (folder / "out" / "frame.npy").write_bytes(b"x")
+    found = find_frames([str(folder)], folder / "out")
+    assert [frame.name for frame in found] == ["a", "b", "more/a"]
+    assert find_frames([str(folder / "*.np?")], folder / "out") == [found[0], found[1]]
+    named = find_frames([str(folder / "colour.png"), "missing.npy", str(folder / "colour.png")], tmp_path / "out")
+    assert [frame.name for frame in named] == ["colour", "missing"]
+    with pytest.raises(DerenderError, match="no depth image is there"):
+        find_frames([str(folder / "*.exr")], tmp_path)
+
+
+def test_no_two_frames_share_a_name(tmp_path):
+    found = find_frames(["../one/a.npy", "two/a.npy", "two/a.png", "b.npy"], tmp_path)
+    assert [frame.name for frame in found] == ["one/a", "two/a.npy", "two/a.png", "b"]
+
+
+def test_what_is_more_than_one_image(tmp_path):
+    assert is_many(["a.npy", "b.npy"]) and is_many([str(tmp_path)]) and is_many(["*.npy"])
+    assert not is_many(["a.npy"])
+    (tmp_path / "a[1].npy").write_bytes(b"x")  # a file of that name, no pattern
+    assert not is_many([str(tmp_path / "a[1].npy")])
+
+
+def test_a_file_that_grows_is_left_alone(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("derender.batch.frames.time.monotonic", lambda: clock[0])
+    watch = Watch([str(tmp_path)], tmp_path / "out")
+    assert watch.look() == []
+    (tmp_path / "a.npy").write_bytes(b"1")
+    looks = [watch.look()]
+    for data, later in ((b"12", 0.8), (b"123", 0.8), (b"123", 0.6), (b"123", 0.6), (b"123", 2.0)):
+        (tmp_path / "a.npy").write_bytes(data) if (tmp_path / "a.npy").read_bytes() != data else None
+        clock[0] += later
+        looks.append(watch.look())
+    assert [len(look) for look in looks] == [0, 0, 0, 0, 1, 0]
+
+
+def test_rows_hold_size_place_and_turn():
+    pose = translation(0.1, 0.2, 0.9) @ rotation_x(math.pi / 2) @ rotation_z(0.3)  # its z upwards, against gravity
+    rows = rows_of("a/b", summary(FLOOR, box(pose=pose), box("box_2", interval=False), doubts=["why"], trusted=False))
+    assert [row["object"] for row in rows] == ["box_1", "box_2"] and all(set(row) == set(COLUMNS) for row in rows)
+    first = rows[0]
+    assert (first["length"], first["length_low"], first["height_high"]) == (0.2, 0.18, 0.055)
+    assert (first["x"], first["y"], first["z"], first["rests_on"]) == (0.1, 0.2, 0.9, "floor")
+    assert first["turn"] == pytest.approx(0.3, abs=1e-5) and rows[1]["length_low"] is None
+    assert first["trusted"] is False and first["doubts"] == ["why"]
+
+
+def test_turn_is_seen_from_above_whatever_the_camera_sees():
+    for tilt in (0.2, 0.9, 1.5):
+        down = rotation_x(tilt) @ np.array([0.0, 1.0, 0.0, 0.0])
+        up_frame = rotation_x(tilt) @ rotation_x(math.pi / 2)
+        assert turn_of(up_frame @ rotation_z(-0.7), down[:3]) == pytest.approx(-0.7)
+    assert turn_of(rotation_z(math.pi / 2), [0.0, 9.81, 0.0]) == 0.0  # its x is upright
+
+
+def test_the_best_scene_alone_has_no_ranges_and_no_probabilities():
+    (row,) = rows_of("a", summary(FLOOR, box(), method="map"))
+    assert row["length"] == 0.2 and row["length_low"] is None and row["probability"] is None
+
+
+def test_lines_and_csv_hold_the_same(tmp_path):
+    rows = [
+        *rows_of("a", summary(box(), doubts=["one", "two, of two"])),
+        *rows_of("b", summary()),
+        failed_row("c", "x"),
+    ]
+    path = tmp_path / "results.jsonl"
+    path.write_text(as_lines(rows) + '{"frame": "d", "obj')  # a killed writer's half line
+    assert list(read_lines(path)) == rows
+    table = list(csv.DictReader(io.StringIO(as_csv(rows))))
+    assert [row["frame"] for row in table] == ["a", "b", "c"] and table[1]["object"] == ""
+    assert table[0]["doubts"] == "one; two, of two" and [row["trusted"] for row in table] == ["true", "true", "false"]
+    assert float(table[0]["length_high"]) == rows[0]["length_high"] and table[2]["status"] == "failed"
+
+
+def done_folder(folder, name, told):
+    (folder / name).mkdir(parents=True)
+    (folder / name / "summary.json").write_text(json.dumps(told))
+    (folder / name / "thumbnail.png").write_bytes(b"x")
+
+
+def test_a_ledger_goes_on_where_it_was_killed(tmp_path):
+    """Frames whose folder is whole are done, with or without lines; those with lines and no folder are not."""
+    order = Order(Options(seed=1), words=["--seed", "1"])
+    frames = [Frame(name, name + ".npy") for name in "abcd"]
+    for name in "ab":
+        done_folder(tmp_path, name, summary(box()))
+    (tmp_path / "c").mkdir()
+    (tmp_path / "results.jsonl").write_text(as_lines(rows_of("a", summary(box()))) + '{"frame": "b"')
+    ledger = Ledger(tmp_path, order)
+    assert [frame.name for frame in ledger.missing(frames)] == ["c", "d"]
+    ledger.record(Done(frames[3], [failed_row("d", "too dark")]))
+    ledger.record(Done(frames[2], rows_of("c", summary())))
+    ledger.write_tables(ended=True)
+    rows = list(read_lines(tmp_path / "results.jsonl"))
+    assert [(row["frame"], row["status"]) for row in rows] == [
+        ("a", "done"), ("b", "done"), ("c", "done"), ("d", "failed")]  # fmt: skip
+    assert (tmp_path / "results.csv").read_text() == as_csv(rows)
+    done_folder(tmp_path, "d", summary(box(), box("box_2")))  # as a later run leaves it
+    again = Ledger(tmp_path, order)
+    assert [frame.name for frame in again.missing(frames)] == ["c"]  # its folder is not whole
+    again.write_tables(ended=True)
+    last = [row for row in read_lines(tmp_path / "results.jsonl") if row["frame"] == "d"]
+    assert [row["object"] for row in last] == ["box_1", "box_2"]
+
+
+def test_results_of_other_options_are_not_mixed(tmp_path):
+    Ledger(tmp_path, Order(words=["--quick"]))
+    with pytest.raises(DerenderError, match=r"other options \(--quick\); give the same ones, or another folder"):
+        Ledger(tmp_path, Order(words=["--method", "mcmc"]))
+
+
+def test_the_page_names_every_frame_and_escapes_it(tmp_path):
+    rows = {
+        "<a>/1": rows_of("<a>/1", summary(FLOOR, box("<b>"))),
+        "dark": [failed_row("dark", "no pixel & more")],
+        "odd": rows_of("odd", summary(trusted=False, doubts=["the fit is poor"])),
+    }
+    page = index_page(tmp_path, rows)
+    assert "&lt;a&gt;/1" in page and "<b>:" not in page and "&lt;b&gt;: 20.0±2.0 × 10.0±1.0 × 5.0±0.5" in page
+    assert 'src="%3Ca%3E/1/thumbnail.png"' in page and "no pixel &amp; more" in page
+    assert [page.count(f'data-state="{state}"') for state in ("trusted", "doubtful", "failed")] == [1, 1, 1]
+
+
+def test_the_bar_says_what_is_left():
+    assert words(0, 12, 1.0) == "12 of 12 frames left"
+    assert words(3, 12, 30.0) == "9 of 12 frames left, 90 s"
+    assert words(12, 12, 30.0, watch=True) == "12 frames done, watching"
+    assert [duration(seconds) for seconds in (3.4, 200, 7500)] == ["3 s", "3 min", "2 h 05 min"]
