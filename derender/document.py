@@ -30,6 +30,7 @@ from derender.scene.priors.base import Prior
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.tree import TreePrior
 from derender.scene.priors.values import QUATERNION, ROTATION, Value, draw, log_density
+from derender.scene.shapes import shapes
 
 FORMAT = 1
 TOP_KEYS = ("derender", "made", "camera", *KEYS, "likelihood", "inference")
@@ -253,7 +254,7 @@ def graph_data(graph: SceneGraph, folder: Path | None = None) -> dict[str, Any]:
         entry["contact"] = _contact_data(vertex.contact)
         if vertex.supports:
             entry["supports"] = list(vertex.supports)
-        entry.update({key: value for key, value in vertex.options.items() if key not in ("file", "hull")})
+        entry.update({key: value for key, value in vertex.options.items() if key not in shapes[vertex.shape].options})
         data["objects"][vertex.name] = entry
     if graph.constraints:
         data["constraints"] = [
@@ -278,6 +279,8 @@ def _shape_data(vertex: Any, folder: Path | None) -> Any:
         data["file"] = os.path.relpath(file, folder) if folder is not None else str(file)
         if not vertex.options.get("hull", True):
             data["hull"] = False
+    if vertex.options.get("surface"):
+        data["surface"] = vertex.options["surface"]
     return data if len(data) > 1 else vertex.shape
 
 

@@ -51,7 +51,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
     closer : Closer for a real sensor's draws, or None.
     """
-    knowable = seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
+    knowable = not seen.things and seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
     if len(state) and seen.correlation < INDEPENDENT and knowable:
         return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
     if only_best:

@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.detection.given_floor import read_floor
 from derender.detection.search.bodies import body_hypotheses, find_bodies
-from derender.detection.search.greedy import Settings
+from derender.detection.search.greedy import Settings, settle
 from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import search
@@ -14,6 +14,7 @@ from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.image import make_image
 from derender.detection.solids.support import final_parents
+from derender.detection.things import find_things, made_thing
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.priors.bare_image import BareImagePrior
@@ -42,8 +43,17 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     for body in find_bodies(seen.points, seen.mask, seen.footprint):
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
     state, image = search(rng, seen.image, hypotheses, settings, pool)
+    seen = seen._replace(image=image)
+    masks: list = []
+    if settings.free_forms:
+        state, masks = find_things(seen, state, settings)
+        for mask, _ in masks:  # they explain what they show, so that solids leave it alone
+            image.floor[mask] = image.depth[mask] + 1e-9
+        if masks and len(state):
+            state = settle(rng, image, state, settings)
     state.parents = final_parents(state)
-    return state.ordered(), seen._replace(image=image)
+    state = state.ordered()
+    return state, seen._replace(things=tuple(made_thing(seen, state, *each) for each in masks))
 
 
 def settings_of(options):
@@ -73,6 +83,9 @@ def settings_of(options):
         settings = settings._replace(shapes=tuple(options.shapes))
     if options.max_objects:
         settings = settings._replace(max_objects=options.max_objects)
+    said = options.shapes or options.known or not isinstance(prior, BareImagePrior | None)
+    if said or (isinstance(options.floor, str) and options.floor == "none"):
+        settings = settings._replace(free_forms=False)  # what there may be is said, or nothing that it could stand on
     return settings._replace(
         may_overlap=settings.may_overlap or options.may_overlap, may_float=settings.may_float or options.may_float
     )
@@ -93,6 +106,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.detection.solids.graph import without_floor
     from derender.results.posterior import Posterior
     from derender.structures.bridges import with_bridges
+    from derender.structures.free_forms import with_things
     from derender.structures.graph_posterior import parts_of
     from derender.structures.known.library import chosen_library
 
@@ -132,7 +146,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         real = seen.factor > 1 and seen.correlation > CORRELATED
         closer = closer_look(seen, depth, camera) if real else None
         parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
-    parts = with_bridges(parts, settings.slack, loose)
+    parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
     if isinstance(plane, str):
         parts = [without_floor(part) for part in parts]
     if progress:

@@ -20,8 +20,9 @@ def random_body(rng, name, options=None):
 
 
 def all_choices(parents=None, children=None, types=None):
-    """Return every (type, parent, child, parent_face, child_face) that the registries hold; meshes need a file."""
-    names = [name for name in shapes if name != "mesh"]
+    """Return every (type, parent, child, parent_face, child_face) that the registries hold; meshes need a file, and
+    a thing has the faces of a box."""
+    names = [name for name in shapes if name not in ("mesh", "thing")]
     return [
         (kind, parent, child, *pair)
         for kind in types or contacts

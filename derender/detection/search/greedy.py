@@ -40,6 +40,7 @@ class Settings(NamedTuple):
     uneven : metres by which a floor and its image may be off the plane.
     discrepancy : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
+    free_forms : whether there may be things of no such shape.
     beliefs : of weights and draws, None: the default ones; the search has its own prior.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
@@ -63,6 +64,7 @@ class Settings(NamedTuple):
     discrepancy: float = 0.0
     may_overlap: bool = False
     may_float: bool = False
+    free_forms: bool = True
     beliefs: Beliefs | None = None
 
     @property

@@ -38,6 +38,8 @@ class Observation(NamedTuple):
         sensors.
     background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
     behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
+    things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
+        it is seen.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     """
 
@@ -53,6 +55,7 @@ class Observation(NamedTuple):
     background: float
     behind: np.ndarray
     backdrop: bool
+    things: tuple = ()
 
 
 class Closer(NamedTuple):

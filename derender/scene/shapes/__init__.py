@@ -3,7 +3,7 @@
 from derender.scene.shapes.base import POINT, UNBOUNDED, Body, Face, Outline, Shape, Symmetry, box_face, shapes
 
 # The built-in types register themselves when they are imported.
-from derender.scene.shapes import box, cube, cylinder, frame, mesh, plane, sphere  # isort: skip
+from derender.scene.shapes import box, cube, cylinder, frame, mesh, plane, sphere, thing  # isort: skip
 
 __all__ = [
     "POINT",
@@ -22,4 +22,5 @@ __all__ = [
     "plane",
     "shapes",
     "sphere",
+    "thing",
 ]

@@ -59,7 +59,7 @@ def infer_by_jumps(image, camera, options, document, rng=None, progress=None) ->
         remedy = "give a plane, leave --floor out, or take --method auto"
         raise DerenderError(f"the prior {DEFAULT_PRIOR} has a floor", "--floor", remedy)
     prior: Any = (document or read_prior_document(DEFAULT_PRIOR)).prior
-    settings = settings_of(replace(options, prior=prior))
+    settings = settings_of(replace(options, prior=prior))._replace(free_forms=False)
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     state, seen = point_estimate(rng, depth, camera, settings, plane=plane)
     if document is None:

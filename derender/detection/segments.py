@@ -1,0 +1,159 @@
+"""Pieces of a free-form surface: cut at concave edges and jumps, and joined again where that is the shorter story.
+
+Most objects meet the next one in a concave edge, few have one of their own (Stein et al., Object partitioning using
+local convexity, CVPR 2014). So a surface is cut there, and two pieces are one thing where their common edge is so short
+that it costs less than another thing.
+"""
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.local_planes import separation
+from derender.detection.outline import convex_outline
+from derender.detection.search.bodies import label_bodies
+
+REACH = 2  # pixels on either side over which the normals are compared
+CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
+TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
+SPECK = 5  # pixels: smaller pieces join their neighbours
+ROUNDS = 6  # in which pixels on edges join the nearest piece
+CLOSE = 0.015  # metres between pieces of one thing, with nothing between but what returned nothing
+SAME_TOP = 0.02  # metres between their highest points
+FILLED = 1.12  # most times the pieces' outlines, seen from above, that their common outline may hold
+MOST_POINTS = 150  # of a piece, that distances are taken between
+
+
+@njit(cache=True, nogil=True)
+def concave_edges(points, mask, normal, jump):
+    """Return (H, W) bool: pixels of the mask through which a concave edge passes."""
+    height, width = mask.shape
+    found = np.zeros((height, width), np.bool_)
+    for j in range(height):
+        for i in range(width):
+            if not mask[j, i]:
+                continue
+            for way in range(2):
+                a, b = (j, i - REACH) if way == 0 else (j - REACH, i)
+                c, d = (j, i + REACH) if way == 0 else (j + REACH, i)
+                if a < 0 or b < 0 or c >= height or d >= width or not mask[a, b] or not mask[c, d]:
+                    continue
+                if separation(points, a, b, c, d) > (2.0 * REACH * jump[j, i]) ** 2:
+                    continue
+                cosine, opening, one, other = 0.0, 0.0, 0.0, 0.0
+                for axis in range(3):
+                    p, q = normal[a, b, axis], normal[c, d, axis]
+                    cosine += p * q
+                    opening += (q - p) * (points[c, d, axis] - points[a, b, axis])
+                    one += p * p
+                    other += q * q
+                if one > 0.5 and other > 0.5 and cosine < CONCAVE and opening < 0.0:
+                    found[j, i] = True
+    return found
+
+
+@njit(cache=True, nogil=True)
+def fill(points, mask, label, jump):
+    """Let pixels of the mask without a label join that of a neighbour without a jump between, in place."""
+    height, width = mask.shape
+    for _ in range(ROUNDS):
+        before = label.copy()
+        for j in range(height):
+            for i in range(width):
+                if not mask[j, i] or before[j, i] >= 0:
+                    continue
+                least = jump[j, i] ** 2
+                for way in range(4):
+                    v = j + (1 if way == 0 else -1 if way == 1 else 0)
+                    u = i + (1 if way == 2 else -1 if way == 3 else 0)
+                    if v < 0 or v >= height or u < 0 or u >= width or before[v, u] < 0:
+                        continue
+                    apart = separation(points, j, i, v, u)
+                    if apart < least:
+                        least = apart
+                        label[j, i] = before[v, u]
+
+
+@njit(cache=True, nogil=True)
+def common_edges(points, label, count, jump, footprint):
+    """Return (N, N) metres along which two pieces are neighbours without a jump between them."""
+    height, width = label.shape
+    edges = np.zeros((count, count))
+    for j in range(height):
+        for i in range(width):
+            a = label[j, i]
+            if a < 0:
+                continue
+            for way in range(2):
+                v, u = (j, i + 1) if way == 0 else (j + 1, i)
+                if v >= height or u >= width or label[v, u] < 0 or label[v, u] == a:
+                    continue
+                if separation(points, j, i, v, u) < jump[j, i] ** 2:
+                    b = label[v, u]
+                    edges[a, b] += footprint[j, i]
+                    edges[b, a] += footprint[j, i]
+    return edges
+
+
+def segments(points, mask, normal, jump, footprint):
+    """Return (label (H, W) int32, -1 for none; count; edges (N, N) metres) of the pieces of a masked surface.
+
+    points : (H, W, 3) floor frame. normal : (H, W, 3), zero where there is none. jump : (H, W) metres between
+    neighbours of one body, at most. footprint : (H, W) metres across a pixel.
+    """
+    edge = concave_edges(points, mask, normal, jump)
+    label, count = label_bodies(points, mask & ~edge, TIGHT * jump)
+    pixels = np.bincount(label[label >= 0], minlength=count)
+    alive = pixels > SPECK
+    number = np.append(np.where(alive, np.cumsum(alive) - 1, -1), -1).astype(np.int32)
+    label, count = np.ascontiguousarray(number[label]), int(alive.sum())
+    fill(points, mask, label, jump)
+    return label, count, common_edges(points, label, count, jump, footprint)
+
+
+def joined(points, label, count, edges, price, nats):
+    """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
+
+    price : nats of one more thing. nats : of each metre of edge within a thing.
+    """
+    owner = np.arange(count)
+    edges = edges.copy()
+    while count > 1:
+        gains = np.where(edges > 0.0, price - nats * edges, -np.inf)
+        a, b = np.unravel_index(np.argmax(gains), gains.shape)
+        if gains[a, b] <= 0.0:
+            break
+        owner[owner == b] = a
+        edges[a] += edges[b]
+        edges[:, a] += edges[:, b]
+        edges[b], edges[:, b], edges[a, a] = 0.0, 0.0, 0.0
+    clouds = {k: points[np.isin(label, np.flatnonzero(owner == k))] for k in np.unique(owner)}
+    for a in sorted(clouds):
+        for b in sorted(clouds):
+            if a < b and a in clouds and b in clouds and one_rim(clouds[a], clouds[b]):
+                owner[owner == b] = a
+                clouds[a] = np.vstack([clouds[a], clouds.pop(b)])
+    return owner
+
+
+def one_rim(first, second):
+    """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
+
+    They are close, equally high, and complement each other seen from above: their common outline holds hardly more
+    than theirs do.
+    """
+    if abs(np.quantile(first[:, 2], 0.98) - np.quantile(second[:, 2], 0.98)) > SAME_TOP:
+        return False
+    a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
+    apart = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
+    if apart.min() > CLOSE**2:
+        return False
+    return outline_area(np.vstack([first, second])) < FILLED * (outline_area(first) + outline_area(second))
+
+
+def outline_area(points):
+    """Return the area of the outline of points (K, 3) seen from above."""
+    corners = convex_outline(np.ascontiguousarray(points[:, :2]))
+    if corners is None:
+        return 0.0
+    x, y = corners.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))

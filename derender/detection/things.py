@@ -1,0 +1,232 @@
+"""Free-form things: bodies of pixels over the support that primitives do not explain become one thing each.
+
+Whether some primitives or a free-form surface explain a body is a matter of description length. A surface that is
+anyhow smooth needs a number for each patch of PATCH by PATCH metres beyond what its neighbours tell, and as many again
+for each PATCH of an edge or a jump within it; a number known to a tenth of what it might have been costs NUMBER nats. A
+primitive costs what the search asks for it, and its misfit. So a box that fits stays a box, whatever its size, and a
+bowl is not eight of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.local_planes import local_planes, separation
+from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.search.greedy import complexity, total_energy
+from derender.detection.search.proposals import smallest_rectangle
+from derender.detection.segments import joined, segments
+from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.interpenetration import highest
+from derender.detection.solids.misfit import LIMIT
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, held_out
+from derender.detection.solids.support import flat_top
+from derender.results.explanation import smooth_surface
+from derender.scene.pose import rotation_z
+from derender.scene.solids import BOX
+
+PATCH = 0.03  # metres over which household surfaces bend little
+NUMBER = 2.3  # nats: log 10
+EDGE = 14.0  # nats: the odds against PATCH metres of a concave edge within one thing, a million to one
+CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
+BAD = 4.5  # misfit of a pixel that is not explained
+FEWEST = 12  # pixels of a thing
+INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
+LARGEST = 0.6  # metres: what is larger is furniture or a wall
+LEAST_HEIGHT = 0.012  # metres over its support
+ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying pixels
+NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
+THINNEST = 0.004  # metres of any extent
+BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
+
+
+class Thing(NamedTuple):
+    """A free-form thing.
+
+    Attributes
+    ----------
+    mask : (H, W) bool, the pixels that show it.
+    row : (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on.
+    parent : FLOOR, or the index of the solid that it stands on.
+    gain : nats by which it explains its pixels better than what the search had for them.
+    """
+
+    mask: np.ndarray
+    row: np.ndarray
+    parent: int
+    gain: float
+
+
+class Cost(NamedTuple):
+    """What free-form surfaces cost: maps (H, W) of numbers, in nats, and of misfit that noise leaves; normals."""
+
+    numbers: np.ndarray
+    misfit: np.ndarray
+    normal: np.ndarray
+
+
+def find_things(seen, state, settings):
+    """Return (State of the solids that stay, [(mask, gain)] of what is free-form) that explain the image best.
+
+    A mask is (H, W) bool, a gain what `Thing` says of it.
+
+    seen : Observation. state : State of the solids that the search found.
+    """
+    image = seen.image
+    jump = APART * seen.footprint + 3.0 * seen.sigma
+    body, count = label_bodies(seen.points, seen.mask, jump)
+    if count == 0:
+        return state, []
+    cost = cost_of(seen, jump)
+    keep = set(range(len(state)))
+    for members in groups_of(image, state, body, count):
+        keep = best_subset(seen, state, keep, members, cost, jump, settings)
+    kept = subset(state, keep)
+    return kept, pieces_of(seen, kept, cost, jump, settings)[0]
+
+
+def cost_of(seen, jump):
+    """Return the Cost of free-form surfaces for every pixel of an Observation."""
+    mask = seen.mask
+    normal, _, _ = local_planes(seen.points, mask, seen.image.origin, np.ascontiguousarray(jump), 2)
+    area, crease = surface_lengths(seen.points, mask, normal, jump, seen.footprint)
+    smooth = smooth_surface(seen.image.depth, mask)
+    misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
+    return Cost(NUMBER * (area / PATCH**2 + crease / PATCH), misfit, normal)
+
+
+@njit(cache=True, nogil=True)
+def surface_lengths(points, mask, normal, jump, footprint):
+    """Return (H, W) the area of surface that a pixel shows, and the metres of edges and jumps that pass through it."""
+    height, width = mask.shape
+    area, crease = np.zeros((height, width)), np.zeros((height, width))
+    for j in range(height):
+        for i in range(width):
+            if not mask[j, i]:
+                continue
+            f = footprint[j, i]
+            area[j, i] = f * f
+            for way in range(2):
+                v, u = (j, i + 1) if way == 0 else (j + 1, i)
+                if v >= height or u >= width or not mask[v, u]:
+                    continue
+                apart = separation(points, j, i, v, u)
+                if apart > jump[j, i] ** 2:
+                    crease[j, i] += f
+                    continue
+                area[j, i] = max(area[j, i], f * min(np.sqrt(apart), 4.0 * f))
+                a, b = (j, i - 2) if way == 0 else (j - 2, i)
+                c, d = (j, i + 2) if way == 0 else (j + 2, i)
+                if a < 0 or b < 0 or c >= height or d >= width or not mask[a, b] or not mask[c, d]:
+                    continue
+                if separation(points, a, b, c, d) > (4.0 * jump[j, i]) ** 2:
+                    continue
+                cosine = 0.0
+                for axis in range(3):
+                    cosine += normal[a, b, axis] * normal[c, d, axis]
+                if cosine < CREASE:
+                    crease[j, i] += 0.25 * f  # an edge is seen by four pixels across it
+    return area, crease
+
+
+def groups_of(image, state, body, count):
+    """Return lists of solids that show in the same bodies of pixels: whether they stay is decided together."""
+    _, label, _, _ = held_out(image, state, -1)
+    shares = np.zeros((len(state), count), int)
+    both = (label >= 0) & (body >= 0)
+    np.add.at(shares, (label[both], body[both]), 1)
+    shows = shares > 0.1 * np.maximum(shares.sum(axis=1, keepdims=True), 1)
+    groups, left = [], set(range(len(state)))
+    while left:
+        group, ahead = set(), {left.pop()}
+        while ahead:
+            group |= ahead
+            bodies = shows[list(ahead)].any(axis=0)
+            ahead = {k for k in left if (shows[k] & bodies).any()}
+            left -= ahead
+        groups.append(sorted(group))
+    return groups
+
+
+def best_subset(seen, state, keep, members, cost, jump, settings):
+    """Return which solids stay: `keep` without those of `members` that a free-form surface explains better."""
+
+    def value(chosen):
+        trial = subset(state, chosen)
+        return total_energy(seen.image, trial, settings) - pieces_of(seen, trial, cost, jump, settings)[1]
+
+    best, least = keep, value(keep)
+    none = keep - set(members)
+    if (energy := value(none)) < least:
+        best, least = none, energy
+    changed = len(members) > 1
+    while changed:
+        changed = False
+        for k in members:
+            trial = best ^ {k}
+            if (energy := value(trial)) < least:
+                best, least, changed = trial, energy, True
+    return best
+
+
+def subset(state, keep):
+    """Return the State of these solids alone."""
+    for k in reversed(range(len(state))):
+        if k not in keep:
+            state = state.without(k)
+    return state
+
+
+def pieces_of(seen, state, cost, jump, settings):
+    """Return ([(mask, gain)], the sum of the gains) of the free-form things that pay beside the solids of a state."""
+    image = seen.image
+    depth, _, misfit, _ = held_out(image, state, -1)
+    left = seen.mask & (misfit > BAD) & (image.depth < depth)
+    label, count, edges = segments(seen.points, left, cost.normal, jump, seen.footprint)
+    if count == 0:
+        return [], 0.0
+    price = complexity(BOX, UPRIGHT, False, settings)
+    nats = settings.temper * EDGE / PATCH
+    owner = joined(seen.points, label, count, edges, price, nats)
+    thing = np.append(owner, -1)[label]  # of each pixel
+    within = 0.5 * np.array([edges[np.ix_(owner == k, owner == k)].sum() for k in range(count)])
+    inside = thing >= 0
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        inside &= np.roll(thing, way, axis) == thing
+    place = thing[thing >= 0]
+    pixels = np.bincount(place, minlength=count)
+    inner = np.bincount(thing[inside], minlength=count)
+    won = np.bincount(place, (misfit - cost.misfit)[thing >= 0], count)
+    numbers = np.bincount(place, cost.numbers[thing >= 0], count)
+    gain = won - price - settings.temper * numbers - nats * within
+    found, total = [], 0.0
+    for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > 0.0)):
+        mask = thing == k
+        points = seen.points[mask]
+        low, high = np.quantile(points, [ENDS, 1.0 - ENDS], axis=0)
+        if high[2] < max(LEAST_HEIGHT, settings.uneven) or max(high[:2] - low[:2]) > LARGEST:
+            continue
+        found.append((mask, float(gain[k])))
+        total += float(gain[k])
+    return found, total
+
+
+def made_thing(seen, state, mask, gain):
+    """Return the Thing that these pixels show, standing on a solid of the state or on the floor."""
+    points = seen.points[mask]
+    low = float(np.quantile(points[:, 2], ENDS))
+    parent, bottom = FLOOR, 0.0
+    for k, row in enumerate(state.rows):
+        top = highest(row)
+        if not flat_top(row) or abs(low - top) > NEAR_TOP or top < bottom:
+            continue
+        local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
+        if (local <= 0.5 * row[13:15]).all(axis=1).mean() > BENEATH:
+            parent, bottom = k, top
+    upright = rotation_z(smallest_rectangle(points[:, :2]))[:3, :3]
+    ends = np.quantile(points @ upright, [ENDS, 1.0 - ENDS], axis=0)
+    ends[0, 2] = bottom
+    size = np.maximum(ends[1] - ends[0], THINNEST)
+    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, gain)

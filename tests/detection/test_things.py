@@ -1,0 +1,104 @@
+"""Free-form things: a bowl is one thing and a box stays a box; the pieces of a surface; its closed surface."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from derender.camera.intrinsics import Camera
+from derender.detection.closing import closed_surface, surface_of
+from derender.detection.search.bodies import APART
+from derender.detection.segments import joined, one_rim
+from derender.render.raycast.depth import render_depth
+from derender.scene.solids import BOX, MESH, PLANE, Solids
+from derender.structures.infer import infer_structure, point_estimate
+from derender.structures.options import Options
+
+CAMERA = Camera.from_field_of_view(160, 120)
+TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0.5, 0.75], [0, 0, 0, 1]])
+SIGMA = 0.001
+
+
+def bowl(radius=0.07, height=0.06):
+    """Return vertices and triangles of a bowl about its bounding box's centre."""
+    inner = 0.92 * radius
+    line = [(0, 0), (0.5 * radius, 0), (radius, height), (inner, height), (0.45 * radius, 0.006), (0, 0.006)]
+    mesh = trimesh.creation.revolve(np.array(line), sections=48)
+    return mesh.vertices - [0, 0, 0.5 * height], np.ascontiguousarray(mesh.faces, np.int32)
+
+
+def seen_on_the_table(solids, seed=0):
+    """Return a noisy depth image of (kind, x, y, size, mesh or None) that stand on the table."""
+    kinds, poses, sizes, which, meshes = [PLANE], [TABLE], [np.zeros(3)], [-1], []
+    for kind, x, y, size, mesh in solids:
+        pose = np.eye(4)
+        pose[:3, 3] = x, y, 0.5 * size[2]
+        kinds.append(kind), poses.append(TABLE @ pose), sizes.append(np.array(size, float))
+        which.append(-1 if mesh is None else len(meshes))
+        if mesh is not None:
+            meshes.append((mesh[0] / np.ptp(mesh[0], axis=0), mesh[1]))
+    scene = Solids(
+        np.array(kinds, np.int32), np.array(poses), np.array(sizes), np.array(which, np.int32), tuple(meshes)
+    )
+    depth, _ = render_depth(scene, CAMERA)
+    return depth + SIGMA * np.random.default_rng(seed).standard_normal(depth.shape)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A bowl and a box beside it, as inferred."""
+    image = seen_on_the_table([
+        (MESH, -0.09, 0.0, (0.14, 0.14, 0.06), bowl()), (BOX, 0.1, 0.0, (0.09, 0.07, 0.12), None),
+    ])  # fmt: skip
+    return image, infer_structure(image, CAMERA, Options(seed=0, chains=2, draws=4))
+
+
+def test_a_bowl_is_one_thing_and_a_box_a_box(scene):
+    _, found = scene
+    graph = found.best_graph()
+    kinds = sorted(graph.vertex(name).shape for name in graph.names)
+    assert kinds == ["box", "plane", "thing"]
+    thing = next(name for name in graph.names if graph.vertex(name).shape == "thing")
+    assert graph.vertex(thing).parent == "floor"
+    assert np.allclose(graph.body(thing).size(), [0.14, 0.14, 0.06], rtol=0.1)
+    assert found.parts[0].values.shape[2] == len(found.parts[0].addresses)
+
+
+def test_the_thing_explains_what_is_seen_of_it(scene):
+    image, found = scene
+    told = found.explanation
+    assert told.share(image, within=0.01) > 0.98
+    assert (told.label == told.names.index("thing_1")).sum() > 280
+
+
+def test_a_closed_surface_is_watertight_and_hides_nothing_that_is_seen():
+    image = seen_on_the_table([(MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl())])
+    _, seen = point_estimate(np.random.default_rng(0), image, CAMERA)
+    (thing,) = seen.things
+    jump = APART * seen.footprint
+    vertices, triangles = closed_surface(seen.image, thing.mask, thing.row, jump)
+    ways = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    there, back = (np.sort(each @ [len(vertices), 1]) for each in (ways, ways[:, ::-1]))
+    assert np.array_equal(there, back)  # along each edge as many triangles one way as the other: closed
+    assert 2e-4 < trimesh.Trimesh(vertices, triangles, process=False).volume < 2e-3  # outward, and no more than its box
+    assert (np.abs(vertices) <= 0.5 * thing.row[13:] + 1e-12).all()
+    text, size, _ = surface_of(seen.image, thing.mask, thing.row, jump)
+    assert text and np.allclose(size, thing.row[13:], atol=2e-3)
+
+
+def test_pieces_are_joined_where_their_edge_is_short():
+    points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
+    points[:, 2:, 2] = 0.5  # far apart in height: not the two sides of one rim
+    for metres, things in ((0.05, 1), (0.2, 2)):
+        edges = np.array([[0.0, metres], [metres, 0.0]])
+        assert len(np.unique(joined(points, label, 2, edges, price=47.0, nats=14.0 / 0.03))) == things
+
+
+def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
+    angle = np.linspace(0, np.pi, 60)
+    ring = np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle)])
+    rise = np.linspace(0.05, 0.1, 6)
+    outside = np.array([[x, -y, z] for x, y in ring for z in rise])
+    inside = np.array([[x, y, z] for x, y in ring for z in rise])
+    assert one_rim(outside, inside)
+    assert not one_rim(outside, outside + [0.09, 0.0, 0.0])
+    assert not one_rim(outside, inside + [0.0, 0.0, 0.05])
