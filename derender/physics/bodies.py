@@ -15,9 +15,9 @@ KIND_NAMES = {kinds.PLANE: "plane", kinds.BOX: "box", kinds.SPHERE: "sphere", ki
 DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
 FRICTION = 0.8
-"""Coulomb coefficient between two bodies: wood on wood and cardboard on wood lie at 0.4-0.8."""
+"""Coulomb coefficient between two bodies that say none: wood on wood and cardboard on wood lie at 0.4-0.8."""
 STANDARD_GRAVITY = 9.81
-MATERIAL = ("density", "mass", "friction", "elasticity", "fixed")
+MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")
 
 
 class Body(NamedTuple):
@@ -32,10 +32,12 @@ class Body(NamedTuple):
     vertices : (V, 3) float64 in the body's axes, metres, for a mesh; else None.
     density : kg / m^3, used where `mass` is None.
     mass : kg, or None.
-    friction : Coulomb coefficient; of two bodies that touch the greater counts (MuJoCo's rule).
+    friction : Coulomb coefficient, or None where nothing is said of it; see `pair_frictions` in materials.
     elasticity : coefficient of restitution, 0 to 0.99: speed after a bounce over that before it; of two bodies that
         meet the greater counts.
     fixed : whether it stays where it is. Planes always do.
+    velocity : (3,) m / s of the centre of mass at the start, in the frame of the scene.
+    angular_velocity : (3,) rad / s at the start, in the frame of the scene.
     """
 
     name: str
@@ -45,9 +47,45 @@ class Body(NamedTuple):
     vertices: np.ndarray | None = None
     density: float = DENSITY
     mass: float | None = None
-    friction: float = FRICTION
+    friction: float | None = None
     elasticity: float = 0.0
     fixed: bool = False
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def moves(self) -> bool:
+        """Whether forces can move it: planes and what is fixed stay."""
+        return not self.fixed and self.kind != "plane"
+
+    def volume(self) -> float:
+        """Return its volume in cubic metres (a mesh: of its convex hull); 0 for a plane."""
+        if self.kind == "mesh":
+            return _hull(self.vertices)[0]
+        share = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}[self.kind]
+        return share * float(np.prod(self.size))
+
+    def weight_in_kg(self) -> float:
+        """Return its mass: as given, or volume times density."""
+        return float(self.mass) if self.mass is not None else self.density * self.volume()
+
+    def centre_of_mass(self) -> np.ndarray:
+        """Return (3,) where its mass is centred, in the frame of the scene: it is homogeneous."""
+        if self.kind != "mesh":
+            return self.pose[:3, 3]
+        return self.pose[:3, :3] @ _hull(self.vertices)[1] + self.pose[:3, 3]
+
+
+def _hull(vertices: np.ndarray | None) -> tuple[float, np.ndarray]:
+    """Return the volume and the centroid (3,) of the convex hull of points (V, 3)."""
+    from scipy.spatial import ConvexHull
+
+    assert vertices is not None
+    hull = ConvexHull(vertices)
+    inside = vertices.mean(axis=0)
+    corners = vertices[hull.simplices] - inside
+    volumes = np.abs(np.linalg.det(corners)) / 6
+    return float(volumes.sum()), inside + (volumes[:, None] * corners.sum(axis=1) / 4).sum(axis=0) / volumes.sum()
 
 
 class Matter(NamedTuple):

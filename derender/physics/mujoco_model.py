@@ -2,46 +2,78 @@
 
 Soft contacts push two bodies apart where they overlap and let them fall together where a gap is left. An inferred scene
 has both, by millimetres: the slack of its contacts. Here every pair that the graph joins, and every pair that overlaps
-at the start, gets a contact of its own whose rest distance (MuJoCo's `margin`, which may be negative) is the distance
-they start with. All other pairs collide as usual.
+at the start, gets a contact whose rest distance (MuJoCo's `margin`, which may be negative) is the distance they start
+with. All other pairs collide as usual.
 
-Sizes and times scale: the unit of length is the smallest extent s among the bodies, that of time sqrt(s / g), so that a
-tower of 4 cm blocks gets the verdict of the same tower of 40 cm blocks.
+The engine works in the scene's own units: the unit of length is the smallest extent s among the bodies, that of time
+sqrt(s / g), that of mass the heaviest body's. A tower of 0.1 mm blocks gets the verdict of the same tower of 40 cm.
 """
 
+from collections.abc import Mapping
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from derender.physics.bodies import STANDARD_GRAVITY, Body, Matter
-from derender.scene.pose import inverse, quaternion, rotation_x
+from derender.errors import DerenderError
+from derender.physics.bodies import FRICTION, STANDARD_GRAVITY, Body, Matter
+from derender.physics.materials import bounce_damping, clamped_masses, pair_frictions
+from derender.physics.statics import ROLLING, WIDEST_GAP, WIDEST_GAP_METRES, plane_is_below, unit_of_length
+from derender.scene.pose import quaternion, rotation_x
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
 # at this one (200 of 200); half of it changes no verdict.
 TIMESTEP = 0.01
-# Contacts are overdamped no faster than the integrator resolves: 2 steps is MuJoCo's limit, 5 leaves room.
-CONTACT_STEPS = 5
-# Nearly rigid: at rest a body sinks by (1 - d) / d of g times the contact's time squared, some 1e-5 of its size.
-IMPEDANCE = (0.99, 0.999)
-# Depth over which contacts harden, in units of s.
-IMPEDANCE_WIDTH = 0.0025
+# Where something moves from the start: a box that slides is then lifted by .3 mm and not by 1.2 (10 cm, 1 m / s).
+MOVING_TIMESTEP = 0.005
+# Where something bounces: the speed after a fall from half the smallest extent or more is then right to .03.
+BOUNCING_TIMESTEP = 0.0025
+# A contact is a spring whose frequency times the step is this. One that bounces is softer: a bounce then takes 20
+# steps, and the speed after it depends on when within a step it began by .015 of the speed before, not by .02.
+STIFFNESS, BOUNCING_STIFFNESS = 0.2, 0.15
+# How much of the demanded acceleration a contact enforces, and how many times more so across than along its normal.
+# At rest a body sinks by (1 - d) / d of g times the contact's time squared, some 1e-5 of its size. A box is pushed into
+# sliding at .98 to 1.02 of friction times weight (friction .3 to .8); with a ratio of 1, or at .99, some slide at .98.
+IMPEDANCE, FRICTION_RATIO = 0.98, 10.0
+# Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). Greater rates lift a
+# sliding box (by friction times rate times speed over the stiffness), smaller ones let it slip on before it stops (by
+# friction times g over twice the rate's square): 10 balances both at .1-.3 mm for 10 cm boxes at 1 m / s.
+GRIP = 10.0
 # Contacts of the graph start engaged by this much (in units of s), about what the weight of two or three bodies presses
 # them in, so that they bear from the first step.
 ENGAGED = 2e-5
-# A contact of the graph is open by no more than this (in units of s, or metres); beyond it the graph is wrong, and
-# things fall.
-WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
-# Sliding is the body's own; resistance to spinning and rolling in units of s: enough that a ball on a table stays.
-SPINNING, ROLLING = 0.05, 0.01
+# Resistance to spinning in units of s; that to rolling is ROLLING: enough that a ball on a table stays.
+SPINNING = 0.05
 # MuJoCo now and then reports a cylinder that stands exactly flat on a plane as sunk in by its radius (the direction
 # to its deepest point is then a difference of equal numbers), and throw it into the air. Upright ones are prisms.
 PRISM_SIDES = 32
-# MuJoCo takes the mean of two bodies' springs, weighted; here the elastic one's counts.
-ELASTIC_WEIGHT = 1e6
-# Without bodies there is nothing to scale by.
-DEFAULT_LENGTH = 0.1
+# Up to so many bodies every pair has a contact of its own; beyond, those within reach at the start do, and all others
+# meet by MuJoCo's own rules, which are the same where all are made of the same.
+MOST_PAIRED = 16
+# A pair is within reach if its distance is below so many units of s.
+WITHIN_REACH = 4.0
+# A body sleeps when it is slower than this (in units of sqrt(s g)) for ten steps together with all that it touches: a
+# body that nothing holds is faster after the first of them, one that leans over by .001 g after the tenth.
+SLEEPING = 2e-5
+# The smallest extent is taken for the unit unless the greatest is more than this many times greater.
+MOST_EXTENT = 1000.0
+BROKEN = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+class Units(NamedTuple):
+    """What one of the engine's units is worth: metres, seconds, kilograms."""
+
+    length: float
+    time: float
+    mass: float
+
+
+class Diverged(DerenderError):
+    """The engine's numbers have become infinite: its steps are too long for what happens."""
+
+    def __init__(self) -> None:
+        super().__init__("the simulation diverged", None, "masses or sizes too far apart, or speeds too high")
 
 
 def prism(size: np.ndarray) -> np.ndarray:
@@ -59,108 +91,198 @@ class World:
     matter : bodies, gravity and who rests on whom.
     keep_contacts : whether the distances at the start are the rest distances (see the module); without it the bodies
         are as they are, for measuring gaps.
+    timestep : in units of sqrt(s / g); None: TIMESTEP, MOVING_TIMESTEP where a body moves at the start, or
+        BOUNCING_TIMESTEP where one is elastic.
+    sleeping : whether bodies at rest are left out of the computation until something touches them.
+    units : of the engine; None: the scene's own.
 
     Attributes
     ----------
     names : of the bodies, in the order of all arrays.
-    model, data : MuJoCo's.
-    length : the smallest extent, the unit of length, metres.
+    moving : indices of those that can move.
+    model, data : MuJoCo's, in the engine's units.
+    length : the smallest extent, metres.
     """
 
-    def __init__(self, matter: Matter, keep_contacts: bool = True) -> None:
+    def __init__(
+        self,
+        matter: Matter,
+        keep_contacts: bool = True,
+        timestep: float | None = None,
+        sleeping: bool = False,
+        units: Units | None = None,
+    ) -> None:
         self.matter = matter
         self.names = [body.name for body in matter.bodies]
-        extents = [float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"]
-        self.length = min(extents, default=DEFAULT_LENGTH)
-        spec = self._spec()
-        self.spec = spec
-        self.model = spec.compile()
+        self.moving = [index for index, body in enumerate(matter.bodies) if body.moves]
+        extents = [float(np.max(body.size)) for body in matter.bodies if body.kind != "plane"]
+        self.length = max(unit_of_length(matter), max(extents, default=0.0) / MOST_EXTENT)
+        strength = float(np.linalg.norm(matter.gravity)) or STANDARD_GRAVITY
+        period = float(np.sqrt(self.length / strength))
+        masses = clamped_masses(matter.bodies)
+        self.units = units or Units(self.length, period, float(np.max(masses, initial=0.0)) or 1.0)
+        # the scene's own scales in the engine's units: 1 unless the caller has chosen the units
+        self._long, self._slow = self.length / self.units.length, period / self.units.time
+        started = any(np.any(body.velocity) or np.any(body.angular_velocity) for body in matter.bodies if body.moves)
+        bouncy = any(body.elasticity > 0 for body in matter.bodies)
+        chosen = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if started else TIMESTEP
+        self._step = (timestep or chosen) * self._slow
+        self._rough = [body.friction for body in matter.bodies]
+        self._bouncy = [body.elasticity for body in matter.bodies]
+        self.spec = self._spec(masses, sleeping)
+        self.model = self.spec.compile()
+        self._body_id = np.array([self.model.geom_bodyid[k] for k in range(self.model.ngeom)], dtype=int)
+        self._index_of_geom = np.array([self.names.index(geom.name) for geom in self.spec.geoms], dtype=int)
+        self._geom_of = {int(index): geom for geom, index in enumerate(self._index_of_geom)}
+        self._moving_ids = np.array([self._body_id[self._geom_of[index]] for index in self.moving], dtype=int)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
+        self._set_materials()
+        self._keep = keep_contacts
         if keep_contacts:
-            self._add_resting_pairs(spec)
-            self.model = spec.compile()
-            self.data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, self.data)
+            self._rest_as_they_are()
+        self._start()
+
+    # ---- state ----------------------------------------------------------------------------------------------------
 
     @property
     def timestep(self) -> float:
         """Seconds of one step."""
-        return float(self.model.opt.timestep)
+        return float(self.model.opt.timestep) * self.units.time
+
+    @property
+    def asleep(self) -> bool:
+        """Whether every body that can move has come to rest and is left out of the computation."""
+        return bool(self.data.ntree_awake == 0)
 
     def gap(self, a: str, b: str, limit: float = 1.0) -> float:
         """Return the signed distance of two bodies in metres (negative: how deep they overlap), at most `limit`."""
-        first, second = (mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in (a, b))
-        if all(self.matter.bodies[self.names.index(name)].kind == "plane" for name in (a, b)):
+        first, second = (self.names.index(name) for name in (a, b))
+        if self.matter.bodies[first].kind == self.matter.bodies[second].kind == "plane":
             return limit
-        return float(mujoco.mj_geomDistance(self.model, self.data, first, second, limit, None))
+        return self._distance(self._geom_of[first], self._geom_of[second], limit / self.units.length) * (
+            self.units.length
+        )
 
     def poses(self) -> np.ndarray:
         """Return where the bodies are now, (N, 4, 4) float64, body to the frame of the scene."""
-        poses = np.tile(np.eye(4), (len(self.names), 1, 1))
-        for index, body in enumerate(self.matter.bodies):
-            if self._is_fixed(body):
-                poses[index] = body.pose
-            else:
-                number = self._body_ids[index]
-                poses[index, :3, :3] = self.data.xmat[number].reshape(3, 3)
-                poses[index, :3, 3] = self.data.xpos[number]
+        poses = np.array([body.pose for body in self.matter.bodies], dtype=float).reshape(-1, 4, 4)
+        poses[self.moving] = self.moving_poses()
+        return poses
+
+    def moving_poses(self) -> np.ndarray:
+        """Return where the bodies that can move are now, (M, 4, 4) float64."""
+        poses = np.zeros((len(self.moving), 4, 4))
+        poses[:, :3, :3] = self.data.xmat[self._moving_ids].reshape(-1, 3, 3)
+        poses[:, :3, 3] = self.data.xpos[self._moving_ids] * self.units.length
+        poses[:, 3, 3] = 1.0
         return poses
 
     def step(self, count: int = 1) -> None:
-        """Advance by `count` steps, and bring the poses up to date."""
+        """Advance by `count` steps, and bring the poses up to date; Diverged where numbers become infinite."""
         mujoco.mj_step(self.model, self.data, count)
         mujoco.mj_kinematics(self.model, self.data)
+        if any(self.data.warning[kind].number for kind in BROKEN) or not np.isfinite(self.data.qpos).all():
+            raise Diverged
 
     def speed(self) -> float:
-        """Return the greatest speed of a body's centre, m / s."""
+        """Return the greatest speed of a body, m / s: of its centre, or of its turning times the smallest extent."""
         moving = self.data.qvel.reshape(-1, 6)
-        return float(np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0))
+        straight = np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0)
+        turning = np.linalg.norm(moving[:, 3:], axis=1).max(initial=0.0) * self._long
+        return float(max(straight, turning)) * self.units.length / self.units.time
 
     def acceleration(self) -> float:
         """Return the greatest acceleration of a body's centre, m / s^2."""
         moving = self.data.qacc.reshape(-1, 6)
-        return float(np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0))
+        return float(np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0)) * self.units.length / self.units.time**2
+
+    def set_gravity(self, gravity: np.ndarray) -> None:
+        """Set gravity (3,), m / s^2 in the frame of the scene."""
+        self.model.opt.gravity[:] = np.asarray(gravity) * (self.units.time**2 / self.units.length)
+
+    def set_forces(self, forces: Mapping[str, np.ndarray]) -> None:
+        """Set the forces (3,), newtons, that act on the centres of mass of some bodies; none on the others."""
+        self.data.xfrc_applied[:] = 0.0
+        newton = self.units.time**2 / (self.units.mass * self.units.length)
+        for name, force in forces.items():
+            self.data.xfrc_applied[self._body_id[self._geom_of[self.names.index(name)]], :3] = (
+                np.asarray(force) * newton
+            )
+
+    def reset(
+        self,
+        poses: np.ndarray | None = None,
+        velocity: np.ndarray | None = None,
+        angular_velocity: np.ndarray | None = None,
+    ) -> None:
+        """Begin anew: poses (M, 4, 4) and velocities (M, 3), m / s and rad / s, of the moving bodies.
+
+        What is not given is as the scene says. With kept contacts, they rest at the distances of these poses.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        if poses is not None:
+            for k, pose in enumerate(poses):
+                self.data.qpos[7 * k : 7 * k + 3] = pose[:3, 3] / self.units.length
+                self.data.qpos[7 * k + 3 : 7 * k + 7] = quaternion(pose)
+            mujoco.mj_kinematics(self.model, self.data)
+            if self._keep:
+                self._rest_as_they_are()
+        self._start(velocity, angular_velocity)
+
+    def set_masses(self, masses: Mapping[str, float]) -> None:
+        """Set the masses of some bodies, kg, their inertias in proportion; call `reset` afterwards."""
+        for name, mass in masses.items():
+            number = self._body_id[self._geom_of[self.names.index(name)]]
+            share = mass / self.units.mass / self.model.body_mass[number]
+            self.model.body_mass[number] *= share
+            self.model.body_inertia[number] *= share
+        mujoco.mj_setConst(self.model, self.data)
+
+    def set_materials(self, friction: Mapping[str, float | None], elasticity: Mapping[str, float]) -> None:
+        """Set the friction and elasticity of some bodies."""
+        for values, given in ((self._rough, friction), (self._bouncy, elasticity)):
+            for name, value in given.items():
+                values[self.names.index(name)] = value
+        self._set_materials()
 
     def to_xml(self, name: str) -> str:
         """Return the model as MJCF text, in the frame of the scene."""
         self.spec.modelname = name
         return self.spec.to_xml()
 
-    def _is_fixed(self, body: Body) -> bool:
-        return body.fixed or body.kind == "plane"
+    # ---- the model ------------------------------------------------------------------------------------------------
 
-    def _spec(self) -> Any:
+    def _spec(self, masses: np.ndarray, sleeping: bool) -> Any:
         spec = mujoco.MjSpec()
-        gravity = float(np.linalg.norm(self.matter.gravity)) or STANDARD_GRAVITY
-        spec.option.timestep = TIMESTEP * np.sqrt(self.length / gravity)
-        spec.option.gravity = self.matter.gravity
+        spec.option.timestep = self._step
+        spec.option.gravity = self.matter.gravity * (self.units.time**2 / self.units.length)
         # Elliptic cones: friction does not depend on the axes that the engine happens to choose.
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.impratio = FRICTION_RATIO
         spec.option.iterations = 50
-        self._body_ids: dict[int, int] = {}
-        number = 0
-        for index, body in enumerate(self.matter.bodies):
-            pose = self._upright(body) if body.kind == "plane" else body.pose
-            if self._is_fixed(body):
-                holder = spec.worldbody
-                place: dict[str, Any] = {"pos": pose[:3, 3], "quat": quaternion(pose)}
-            else:
-                number += 1
-                self._body_ids[index] = number
-                holder = spec.worldbody.add_body(
-                    name=f"{body.name}_body" if body.name == "world" else body.name,
-                    pos=pose[:3, 3],
-                    quat=quaternion(pose),
-                )
+        # A divergence must be seen, and not be started again from the beginning in silence.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        if sleeping:
+            spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+            spec.option.sleep_tolerance = SLEEPING
+        for body, mass in zip(self.matter.bodies, masses, strict=True):
+            pose = body.pose
+            if body.kind == "plane" and not plane_is_below(self.matter, body):
+                pose = body.pose @ rotation_x(np.pi)
+            place: dict[str, Any] = {"pos": pose[:3, 3] / self.units.length, "quat": quaternion(pose)}
+            holder = spec.worldbody
+            if body.moves:
+                holder = holder.add_body(name=f"{body.name}_body" if body.name == "world" else body.name, **place)
                 holder.add_freejoint()
                 place = {}
-            self._add_geom(spec, holder, body, place)
+            self._add_geom(spec, holder, body, mass / self.units.mass, place)
+        self._add_pairs(spec)
         return spec
 
-    def _add_geom(self, spec: Any, holder: Any, body: Body, place: dict[str, Any]) -> None:
-        half = 0.5 * np.asarray(body.size)
+    def _add_geom(self, spec: Any, holder: Any, body: Body, mass: float, place: dict[str, Any]) -> None:
+        half = 0.5 * np.asarray(body.size) / self.units.length
         if body.kind == "plane":
             shape = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.01]}
         elif body.kind == "sphere":
@@ -170,65 +292,102 @@ class World:
         elif body.kind in ("cylinder", "mesh"):
             mesh = spec.add_mesh(name=f"{body.name}_mesh")
             vertices = body.vertices if body.kind == "mesh" else prism(body.size)
-            mesh.uservert = np.asarray(vertices, float).ravel().tolist()
+            mesh.uservert = (np.asarray(vertices, float) / self.units.length).ravel().tolist()
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
         else:
             shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}
         geom = holder.add_geom(name=body.name, **shape, **place)
-        geom.friction = [body.friction, SPINNING * self.length, ROLLING * self.length]
-        geom.condim = 6
-        geom.solref = self._spring(spec, body.elasticity)
-        if body.elasticity > 0:
-            geom.solmix = ELASTIC_WEIGHT
-        geom.solimp = [*IMPEDANCE, IMPEDANCE_WIDTH * self.length, 0.5, 2]
-        if body.mass is not None:
-            geom.mass = body.mass
-        else:
-            geom.density = body.density
+        geom.friction = self._friction(FRICTION if body.friction is None else body.friction)[[0, 2, 3]]
+        geom.condim = 6 if self._rolls(body) else 3
+        geom.solref = self._spring(body.elasticity)
+        geom.solimp = [IMPEDANCE, IMPEDANCE, self._long, 0.5, 2]
+        if body.moves:
+            geom.mass = mass
 
-    def _spring(self, spec: Any, elasticity: float) -> list[float]:
-        """Return MuJoCo's time constant (seconds) and damping ratio of a contact.
+    def _friction(self, sliding: float) -> np.ndarray:
+        """Return MuJoCo's five coefficients: sliding twice, spinning, rolling twice."""
+        rolling = ROLLING * self._long
+        return np.array([sliding, sliding, SPINNING * self._long, rolling, rolling])
 
-        A spring with damping ratio z gives back exp(-pi z / sqrt(1 - z^2)) of the speed; since a contact cannot pull, a
-        little more where that is little: 0.53 for 0.5, 0.36 for 0.3. One that bounces is as stiff as one that does
-        not: its time constant is longer by 1 / z.
-        """
-        rest = CONTACT_STEPS * spec.option.timestep
-        if elasticity <= 0:
-            return [rest, 1.0]
-        damping = float(-np.log(elasticity) / np.hypot(np.pi, np.log(elasticity)))
-        return [rest / damping, damping]
+    def _spring(self, elasticity: float) -> list[float]:
+        """Return MuJoCo's direct contact parameters, minus stiffness and minus damping, for a restitution."""
+        share = BOUNCING_STIFFNESS if elasticity > 0 else STIFFNESS
+        frequency, step = share / self._step, self._step / self._slow
+        return [-(frequency**2), -2.0 * bounce_damping(elasticity, share / step, step) * frequency]
+
+    def _rolls(self, body: Body) -> bool:
+        return body.kind == "sphere" or (body.kind == "cylinder" and not self._stands(body))
 
     def _stands(self, cylinder: Body) -> bool:
         """Return whether a cylinder is upright rather than lying on its side."""
         return abs(float(cylinder.pose[:3, 2] @ self.matter.gravity)) > 0.7 * float(np.linalg.norm(self.matter.gravity))
 
-    def _add_resting_pairs(self, spec: Any) -> None:
-        """Give each pair that touches by the graph, or overlaps, a contact whose rest distance is the present one."""
+    def _add_pairs(self, spec: Any) -> None:
+        """Give pairs of bodies contacts of their own: all of them, or those that are within reach of each other."""
+        bodies = self.matter.bodies
+        alike = len({body.friction for body in bodies}) == 1 and not any(body.elasticity for body in bodies)
         joined = {frozenset(pair) for pair in self.matter.supports}
-        for a, b in combinations(self.matter.bodies, 2):
-            if self._is_fixed(a) and self._is_fixed(b):
+        reach = np.array([0.5 * np.linalg.norm(body.size) for body in bodies])
+        for k, body in enumerate(bodies):
+            if body.kind == "mesh" and body.vertices is not None:
+                reach[k] = np.linalg.norm(body.vertices, axis=1).max()
+        centre = np.array([body.pose[:3, 3] for body in bodies]).reshape(-1, 3)
+        for i, j in combinations(range(len(bodies)), 2):
+            a, b = bodies[i], bodies[j]
+            if not (a.moves or b.moves):
                 continue
-            by_graph = frozenset((a.name, b.name)) in joined
-            gap = self.gap(a.name, b.name)
-            if gap > (self._widest_gap() if by_graph else 0.0):
-                continue
+            if len(bodies) > MOST_PAIRED and alike and "plane" not in (a.kind, b.kind):
+                apart = float(np.linalg.norm(centre[i] - centre[j])) - reach[i] - reach[j]
+                if apart > WITHIN_REACH * self.length and frozenset((a.name, b.name)) not in joined:
+                    continue
             pair = spec.add_pair(geomname1=a.name, geomname2=b.name)
-            sliding, rolling = max(a.friction, b.friction), ROLLING * self.length
-            pair.friction = [sliding, sliding, SPINNING * self.length, rolling, rolling]
-            pair.condim = 6
-            pair.solref = self._spring(spec, max(a.elasticity, b.elasticity))
-            pair.solimp = [*IMPEDANCE, IMPEDANCE_WIDTH * self.length, 0.5, 2]
-            pair.margin = gap + (ENGAGED * self.length if by_graph else 0.0)
+            # resistance to rolling shares the friction cone with that to sliding: what does not roll is without it
+            pair.condim = 6 if self._rolls(a) or self._rolls(b) else 3
+            pair.solimp = [IMPEDANCE, IMPEDANCE, self._long, 0.5, 2]
+            pair.solreffriction = [-1.0, -GRIP / self._slow]
 
-    def _widest_gap(self) -> float:
-        return max(WIDEST_GAP * self.length, WIDEST_GAP_METRES)
+    def _set_materials(self) -> None:
+        """Write friction and elasticity of the bodies into the contacts of all pairs."""
+        first, second = (self._index_of_geom[geoms] for geoms in (self.model.pair_geom1, self.model.pair_geom2))
+        rough = np.array([np.nan if value is None else value for value in self._rough], dtype=float)
+        self.model.pair_friction[:] = self._friction(0.0)
+        self.model.pair_friction[:, :2] = pair_frictions(rough[first], rough[second])[:, None]
+        springs = {value: self._spring(value) for value in set(self._bouncy)}
+        for k, (i, j) in enumerate(zip(first, second, strict=True)):
+            self.model.pair_solref[k] = springs[max(self._bouncy[i], self._bouncy[j])]
 
-    def _upright(self, plane: Body) -> np.ndarray:
-        """Return the plane's pose with its normal to the side of what rests on it (MuJoCo's planes have one side)."""
-        others = [body for body in self.matter.bodies if body.kind != "plane"]
-        children = {child for child, parent in self.matter.supports if parent == plane.name}
-        seen = [body for body in others if body.name in children] or others
-        heights = [float((inverse(plane.pose) @ body.pose)[2, 3]) for body in seen]
-        return plane.pose @ rotation_x(np.pi) if heights and np.mean(heights) < 0 else plane.pose
+    def _rest_as_they_are(self) -> None:
+        """Let each pair that touches by the graph, or overlaps, rest at its present distance."""
+        joined = {frozenset(pair) for pair in self.matter.supports}
+        widest = max(WIDEST_GAP * self.length, WIDEST_GAP_METRES) / self.units.length
+        self.model.pair_margin[:] = 0.0
+        centre, reach = self.data.geom_xpos, self.model.geom_rbound
+        flat = self.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        for k, (a, b) in enumerate(zip(self.model.pair_geom1, self.model.pair_geom2, strict=True)):
+            if not (flat[a] or flat[b]):
+                apart = centre[a] - centre[b]
+                if apart @ apart > (reach[a] + reach[b] + widest) ** 2:
+                    continue
+            names = frozenset(self.names[self._index_of_geom[geom]] for geom in (a, b))
+            gap = self._distance(int(a), int(b), 2 * widest)
+            if gap <= (widest if names in joined else 0.0):
+                self.model.pair_margin[k] = gap + (ENGAGED * self._long if names in joined else 0.0)
+
+    def _distance(self, a: int, b: int, limit: float) -> float:
+        return float(mujoco.mj_geomDistance(self.model, self.data, a, b, limit, None))
+
+    def _start(self, velocity: np.ndarray | None = None, angular_velocity: np.ndarray | None = None) -> None:
+        """Set the speeds at the start and compute forces."""
+        bodies = [self.matter.bodies[index] for index in self.moving]
+        straight = np.array([body.velocity for body in bodies]) if velocity is None else np.asarray(velocity, float)
+        turning = [body.angular_velocity for body in bodies] if angular_velocity is None else angular_velocity
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        for k, number in enumerate(self._moving_ids):
+            turn = np.asarray(turning[k], float) * self.units.time
+            # MuJoCo's speed is that of the body's origin, which for a mesh is not its centre of mass
+            arm = self.data.xpos[number] - self.data.xipos[number]
+            self.data.qvel[6 * k : 6 * k + 3] = straight[k] * self.units.time / self.units.length + np.cross(turn, arm)
+            self.data.qvel[6 * k + 3 : 6 * k + 6] = self.data.xmat[number].reshape(3, 3).T @ turn
+        mujoco.mj_forward(self.model, self.data)

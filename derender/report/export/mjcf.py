@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:
     """Return the file's bytes by its name."""
     from derender.physics.bodies import Matter, matter_of_graph
-    from derender.physics.mujoco_model import World
+    from derender.physics.mujoco_model import Units, World
 
     matter = matter_of_graph(graph)
     up = upright_pose(graph)
     bodies = tuple(body._replace(pose=up @ body.pose) for body in matter.bodies)
-    world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports))
+    world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports), units=Units(1.0, 1.0, 1.0))
     colours = dict(zip(graph.solid_names, colours_of(graph.solids(), graph.solid_names) / 255, strict=True))
     for geom in world.spec.geoms:
         geom.rgba = [*colours[geom.name], 1.0]

@@ -1,0 +1,75 @@
+"""What pairs of bodies do to each other where they touch, from what is said of each: friction, restitution, mass."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from derender.physics.bodies import FRICTION, Body
+
+# Of the heaviest body's mass. A lighter one is taken for so heavy: it bears what stands on it all the same, and the
+# engine's rounding does not throw it about.
+LEAST_MASS = 1e-4
+# The speed, in units of sqrt(s g), at which restitution is calibrated: of a fall from 4.5 times the smallest extent.
+CALIBRATION_SPEED = 3.0
+# Phases within a step at which a bounce may begin; the calibration is their mean.
+PHASES = 8
+# Of a bounce: one that has not left the surface after so many steps rests on it.
+MOST_STEPS = 200
+# Damping per step beyond which a contact would turn the speed round within one.
+MOST_DAMPING_PER_STEP = 0.96
+
+
+def pair_frictions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the Coulomb coefficients (P,) of pairs that touch: the geometric mean of what the two (P,) say.
+
+    NaN is a body of which nothing is said: it takes the other's, so that a slippery block slips on a floor of which
+    nothing is known; FRICTION where nothing is said of either.
+    """
+    mean = np.sqrt(first * second)
+    mean = np.where(np.isnan(first), second, np.where(np.isnan(second), first, mean))
+    return np.where(np.isnan(mean), FRICTION, mean)
+
+
+def pair_elasticity(first: float, second: float) -> float:
+    """Return the restitution of two bodies that meet: that of the more elastic one."""
+    return max(first, second)
+
+
+def clamped_masses(bodies: Sequence[Body]) -> np.ndarray:
+    """Return the masses (N,) of bodies in kg, none below LEAST_MASS of the heaviest; 0 for what does not move."""
+    masses = np.array([body.weight_in_kg() if body.moves else 0.0 for body in bodies], dtype=float)
+    moves = np.array([body.moves for body in bodies], dtype=bool)
+    return np.where(moves, np.maximum(masses, LEAST_MASS * masses.max(initial=0.0)), 0.0)
+
+
+def restitution_of(damping: float, frequency: float, step: float) -> float:
+    """Return which share of its speed a contact with a damping ratio gives back, as the engine steps it.
+
+    The contact is a damped spring that cannot pull, under gravity, stepped by semi-implicit Euler; in units of the
+    smallest extent s and sqrt(s / g). Mean over the phases within a step at which the bounce begins.
+    """
+    total = 0.0
+    for phase in range(PHASES):
+        speed = -CALIBRATION_SPEED
+        depth = speed * step * (phase + 0.5) / PHASES  # how far below the surface the first step in contact begins
+        for _ in range(MOST_STEPS):
+            force = max(-frequency * (frequency * depth + 2.0 * damping * speed), 0.0)
+            speed += step * (force - 1.0)
+            depth += step * speed
+            if depth >= 0.0:
+                break
+        total += max(speed, 0.0) if depth >= 0.0 else 0.0
+    return total / (PHASES * CALIBRATION_SPEED)
+
+
+@lru_cache(maxsize=4096)
+def bounce_damping(elasticity: float, frequency: float, step: float) -> float:
+    """Return the damping ratio of a contact that gives back `elasticity` of the speed; see `restitution_of`."""
+    low, high = 0.0, 0.5 * MOST_DAMPING_PER_STEP / (frequency * step)
+    if elasticity <= 0.0 or restitution_of(high, frequency, step) >= elasticity:
+        return high
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if restitution_of(middle, frequency, step) > elasticity else (low, middle)
+    return 0.5 * (low + high)

@@ -1,0 +1,236 @@
+"""Whether a scene can be at rest, decided without simulation: is there a set of contact forces that holds it?
+
+Rigid bodies stay at rest if forces within the friction cones of their contacts can balance their weights, and move if
+none can. The decision is exact for rigid bodies up to the tolerances of `contact_points` and `balance`; it cannot tell
+a scene that settles from one that falls, which is what the simulation is for.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.physics.balance import BALANCED, equilibrium, least_push
+from derender.physics.bodies import STANDARD_GRAVITY, Body, Matter
+from derender.physics.contact_points import across, all_contacts
+from derender.physics.materials import clamped_masses, pair_frictions
+from derender.scene import solids as kinds
+
+KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
+# Bodies without a contact in the graph touch where they are no further apart than this share of the smallest extent.
+NEAR = 2e-3
+# Contacts of the graph are open by no more than this share of the smallest extent, or metres (as in the simulation).
+WIDEST_GAP, WIDEST_GAP_METRES = 0.2, 0.01
+# Corners within this share of the smallest extent (metres at most: what inferred faces are off flush) bear on a face.
+FLUSH, FLUSH_METRES = 0.1, 0.005
+# Resistance to rolling, in units of the smallest extent: the half width of the patch on which a ball rests.
+ROLLING = 0.01
+MOST_MARGIN = 4.0
+"""Accelerations beyond this many g are not looked at."""
+WAYS = 16
+"""Directions around the circle in which a margin is confirmed: it is at most 2 % too great."""
+WITHIN = 2e-3
+
+
+class Contacts(NamedTuple):
+    """Points at which bodies touch.
+
+    Attributes
+    ----------
+    first, second : (P,) int64, indices of bodies.
+    point : (P, 3) float64, in the frame of the scene. normal : (P, 3), unit, from the second body to the first.
+    gap : (P,) metres by which the two are apart; negative: overlap.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    gap: np.ndarray
+
+
+class ContactForce(NamedTuple):
+    """What one body bears of another.
+
+    Attributes
+    ----------
+    body, by : names; `by` pushes `body`.
+    point : (3,) metres, the centre of pressure. force : (3,) newtons, both in the frame of the scene.
+    """
+
+    body: str
+    by: str
+    point: tuple[float, float, float]
+    force: tuple[float, float, float]
+
+
+class StaticVerdict(NamedTuple):
+    """Whether a scene can be at rest.
+
+    Attributes
+    ----------
+    stands : whether contact forces can balance every weight.
+    unbalanced : names of the bodies whose weight they cannot, and by which share of it.
+    margin : the least horizontal acceleration, in g, that topples or slides something; 0 where nothing holds the scene,
+        None where it was not asked for.
+    direction : (3,) unit vector in which that acceleration acts on the bodies, or None.
+    """
+
+    stands: bool
+    unbalanced: dict[str, float]
+    margin: float | None = None
+    direction: tuple[float, float, float] | None = None
+
+
+def unit_of_length(matter: Matter) -> float:
+    """Return the smallest extent among the bodies, metres: contacts are near or far in terms of it."""
+    return min((float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"), default=0.1)
+
+
+def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
+    """Return where the bodies of a scene touch; pairs that the graph joins touch across gaps of millimetres too.
+
+    near : metres of gap up to which the others touch; None: NEAR of the smallest extent.
+    """
+    bodies = matter.bodies
+    count = len(bodies)
+    kind = np.array([KINDS[body.kind] for body in bodies], dtype=np.int64)
+    pose = np.array([body.pose for body in bodies], dtype=float).reshape(count, 4, 4)
+    size = np.array([body.size for body in bodies], dtype=float).reshape(count, 3)
+    held = np.array([not body.moves for body in bodies], dtype=bool)
+    for index, body in enumerate(bodies):
+        if body.kind == "plane" and not plane_is_below(matter, body):
+            pose[index, :3, 1:3] *= -1.0
+    radius = 0.5 * np.linalg.norm(size, axis=1)
+    vertices, normals = [np.empty((0, 3))], [np.empty((0, 3))]
+    vertex_start, normal_start = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
+    for index, body in enumerate(bodies):
+        points = 0
+        faces = 0
+        if body.kind == "mesh":
+            rotation, place = pose[index, :3, :3], pose[index, :3, 3]
+            vertices.append(body.vertices @ rotation.T + place)
+            normals.append(_face_normals(body.vertices.tobytes()) @ rotation.T)
+            points, faces = len(vertices[-1]), len(normals[-1])
+            radius[index] = np.linalg.norm(body.vertices, axis=1).max()
+        vertex_start[index + 1], normal_start[index + 1] = vertex_start[index] + points, normal_start[index] + faces
+    number = {body.name: index for index, body in enumerate(bodies)}
+    joined = np.zeros((count, count), dtype=bool)
+    for child, parent in matter.supports:
+        joined[number[child], number[parent]] = joined[number[parent], number[child]] = True
+    length = unit_of_length(matter)
+    flush = np.array([NEAR * length, min(FLUSH * length, FLUSH_METRES)])
+    nearest = NEAR * length if near is None else near
+    return Contacts(*all_contacts(
+        kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held, joined,
+        radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush, ROLLING * length,
+    ))  # fmt: skip
+
+
+class Equilibrium:
+    """The forces of a scene's contacts, ready to be balanced.
+
+    Parameters
+    ----------
+    matter : the scene. contacts : where it touches; found where not given.
+
+    Attributes
+    ----------
+    residual : (B, 6) what cannot be balanced of each moving body's force and moment, in units of its weight (and its
+        weight times its size).
+    stands : whether there is none.
+    """
+
+    def __init__(self, matter: Matter, contacts: Contacts | None = None) -> None:
+        self.matter = matter
+        self.contacts = find_contacts(matter) if contacts is None else contacts
+        bodies = matter.bodies
+        self.moving = [index for index, body in enumerate(bodies) if body.moves]
+        strength = float(np.linalg.norm(matter.gravity))
+        place = np.full(len(bodies), -1, dtype=np.int64)
+        place[self.moving] = np.arange(len(self.moving))
+        centre = np.array([body.centre_of_mass() for body in bodies], dtype=float).reshape(-1, 3)
+        extent = np.array([max(float(np.max(body.size)), 1e-12) for body in bodies])
+        self.weight = clamped_masses(bodies)[self.moving] * (strength or STANDARD_GRAVITY)
+        first, second, point, normal, _ = self.contacts
+        rough = np.array([np.nan if body.friction is None else body.friction for body in bodies], dtype=float)
+        self.parts = (
+            place[first], place[second],
+            (point - centre[first]) / extent[first, None], (point - centre[second]) / extent[second, None],
+            normal, pair_frictions(rough[first], rough[second]), self.weight,
+        )  # fmt: skip
+        self.down = matter.gravity / strength if strength > 0 else np.zeros(3)
+        self.load = np.zeros((len(self.moving), 6))
+        self.load[:, :3] = -self.down
+        self.residual, self._memory = equilibrium(self.parts, self.load)
+        self.stands = bool(np.all(np.linalg.norm(self.residual, axis=1) <= BALANCED))
+
+    def unbalanced(self) -> dict[str, float]:
+        """Return by name which share of a body's weight nothing holds, the greatest first."""
+        missing = np.linalg.norm(self.residual, axis=1)
+        order = [k for k in np.argsort(-missing, kind="stable") if missing[k] > BALANCED]
+        return {self.matter.bodies[self.moving[k]].name: float(missing[k]) for k in order}
+
+    def margin(self) -> tuple[float, tuple[float, float, float] | None]:
+        """Return the least horizontal acceleration that something cannot bear, in g, and its direction (3,)."""
+        if not self.stands:
+            return 0.0, None
+        if not self.moving or not np.any(self.down):
+            return MOST_MARGIN, None
+        axes = np.array(across(self.down))
+        least, way = least_push(self.parts, self.load, self._memory, axes, MOST_MARGIN, WAYS, WITHIN)
+        return float(least), _triple(-way)
+
+    def forces(self) -> list[ContactForce]:
+        """Return forces that hold the scene, one for each pair that touches; [] where nothing does.
+
+        Where several sets of forces do, stiff bodies alone do not say which is there; one of few forces is returned.
+        """
+        if not self.stands:
+            return []
+        number, points, rays, _, values, *_ = equilibrium(self.parts, self.load)[1]
+        total: dict[tuple[int, int], list[np.ndarray]] = {}
+        for k in range(number[0]):
+            p, force = points[k], rays[k] * values[k]
+            pair = int(self.contacts.first[p]), int(self.contacts.second[p])
+            total.setdefault(pair, []).append(np.concatenate([force, self.contacts.point[p] * np.linalg.norm(force)]))
+        bodies = self.matter.bodies
+        found = []
+        for (a, b), each in sorted(total.items()):
+            parts = np.array(each)
+            point = parts[:, 3:].sum(axis=0) / np.linalg.norm(parts[:, :3], axis=1).sum()
+            force = parts[:, :3].sum(axis=0)
+            upper, lower = (a, b) if bodies[a].moves else (b, a)
+            if not bodies[a].moves:
+                force = -force
+            found.append(ContactForce(bodies[upper].name, bodies[lower].name, _triple(point), _triple(force)))
+        return found
+
+
+def judge_statics(matter: Matter, margin: bool = False) -> StaticVerdict:
+    """Return whether a scene can be at rest, and with `margin` how much it can bear."""
+    found = Equilibrium(matter)
+    least, direction = found.margin() if margin else (None, None)
+    return StaticVerdict(found.stands, found.unbalanced(), least, direction)
+
+
+def plane_is_below(matter: Matter, plane: Body) -> bool:
+    """Return whether what rests on a plane (all bodies, where nothing says so) lies on the side that its +z shows."""
+    children = {child for child, parent in matter.supports if parent == plane.name}
+    others = [body for body in matter.bodies if body.kind != "plane"]
+    seen = [body for body in others if body.name in children] or others
+    heights = [float((body.pose[:3, 3] - plane.pose[:3, 3]) @ plane.pose[:3, 2]) for body in seen]
+    return not heights or float(np.mean(heights)) >= 0.0
+
+
+@lru_cache(maxsize=256)
+def _face_normals(points: bytes) -> np.ndarray:
+    """Return the unit normals (F, 3) of the hull of vertices given as bytes, those of coplanar triangles once."""
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(np.frombuffer(points).reshape(-1, 3))
+    return np.unique(np.round(hull.equations[:, :3], 6), axis=0)
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])
