@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
 QUICK = 1000  # draws of all chains together, below which it was a quick look
 SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
+MARGIN = 2.5  # times the draws that seem enough
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
@@ -90,7 +91,30 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
     if least and least["ess_bulk"] < smallest:
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
+    if any(map(doubtful, rows)):
+        doubts[-1] += f"; --draws {enough_draws(rows)} would do"
     return tuple(map(Doubt, doubts))
+
+
+def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:
+    """Return how many draws of each chain the limits ask for, going by how fast these chains learn.
+
+    Effective draws grow with the draws, and R-hat - 1 falls with them; MARGIN is for what short chains do not know of
+    themselves.
+    """
+    chains, draws = rows[0]["draws"].shape
+
+    def asked(total: int) -> int:
+        largest, smallest = limits(total)
+        times = [smallest / row["ess_bulk"] for row in rows if np.isfinite(row["ess_bulk"]) and row["ess_bulk"] > 0]
+        times += [(row["r_hat"] - 1.0) / (largest - 1.0) for row in rows if np.isfinite(row["r_hat"])]
+        return int(np.ceil(MARGIN * draws * max([1.0, *times])))
+
+    needed = asked(chains * draws)
+    if chains * needed >= QUICK:
+        needed = asked(chains * needed)  # no quick look any more
+    digits = 10 ** max(len(str(needed)) - 2, 0)
+    return -(-needed // digits) * digits
 
 
 def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[str]:

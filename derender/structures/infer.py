@@ -1,5 +1,6 @@
 """From a bare depth image to a posterior over scene graphs: observe, propose, search, sample."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -117,6 +118,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
 
         return infer_by_jumps(image, camera, options, None, rng, progress)
     settings = settings_of(options)
+    if options.budget is not None:
+        settings = settings._replace(until=time.monotonic() + options.budget)
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)

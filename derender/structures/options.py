@@ -31,6 +31,8 @@ class Options:
     may_overlap, may_float : whether solids may interpenetrate and hang in the air.
     prior : an open prior that the search obeys, or None: the one of bare images. likelihood : what its document says of
         the sensor, or None.
+    budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
+        worth it, and a seed gives the same on any machine.
     unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
     """
 
@@ -51,6 +53,7 @@ class Options:
     may_float: bool = False
     prior: Any = None
     likelihood: Any = None
+    budget: float | None = None
     unit: float | None = None
 
     def __post_init__(self) -> None:
@@ -64,4 +67,4 @@ class Options:
         return repr([(f.name, getattr(self, f.name)) for f in fields(self) if f.name not in NOT_DECIDING])
 
 
-NOT_DECIDING = frozenset({"folder", "resume", "jobs", "draws", "prior", "likelihood", "unit"})
+NOT_DECIDING = frozenset({"folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit"})

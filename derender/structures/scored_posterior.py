@@ -4,6 +4,7 @@ Solids take turns in compiled Metropolis walks (`solids/polish.walk`). Structure
 the price of each number in `Settings` stands for the Occam factor that its integral would give.
 """
 
+import time
 from dataclasses import replace
 from functools import partial
 
@@ -15,7 +16,7 @@ from derender.detection.solids.graph import names_of, periods_of, pose_of, scene
 from derender.detection.solids.image import CENTRE, ROTATION, rotation_of
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.naming import matched_names, structure_key
-from derender.detection.solids.polish import MOVES, walk
+from derender.detection.solids.polish import WALK_MOVES, walk
 from derender.detection.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.detection.solids.support import with_bottom
 from derender.results.posterior import StructurePosterior
@@ -31,8 +32,9 @@ from derender.structures.draws.discrepancy import with_offsets
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
 MOST_PARTS = 12
-# Steps of each solid between two draws, and how many times as many where the chains do not agree; sweeps of warm-up.
-STEPS, MORE, WARMUP = 120, 3, 4
+# Steps of each solid between two draws, doubled for as long as the chains do not agree; how many of a chain that is
+# worth without a budget, a few seconds; sweeps of warm-up.
+STEPS, MOST_STEPS, WARMUP = 120, 800_000, 4
 STEPPING = 0.002, 0.001  # metres of the first steps of two sweeps in a closer look
 
 
@@ -55,18 +57,20 @@ def walk_solid(rng, image, state, index, settings, scales, steps, adapt):
     )  # fmt: skip
 
 
-def draw_rows(rng, image, state, settings, chains, draws, steps=STEPS):
-    """Return rows (chains, draws, N, ROW) and energies (chains, draws) of states of this structure."""
-    one = partial(draw_chain, image=image, state=state, settings=settings, draws=draws, steps=steps)
-    rows, energies = zip(*in_threads(rng, [one] * chains), strict=True)
+def draw_rows(rng, image, walkers, settings, draws, steps):
+    """Return rows (chains, draws, N, ROW) and energies (chains, draws) of chains from where `walkers` are.
+
+    walkers : (state, scales (N, WALK_MOVES)) of each chain; both are changed in place, so that it can go on.
+    """
+    tasks = [partial(draw_chain, image=image, now=now, scales=scales, settings=settings, draws=draws, steps=steps)
+             for now, scales in walkers]  # fmt: skip
+    rows, energies = zip(*in_threads(rng, tasks), strict=True)
     return np.array(rows), np.array(energies)
 
 
-def draw_chain(rng, image, state, settings, draws, steps):
+def draw_chain(rng, image, now, scales, settings, draws, steps):
     """Return rows (draws, N, ROW) and energies (draws,) of one chain."""
-    rows, energies = np.empty((draws, *state.rows.shape)), np.empty(draws)
-    now = state.copy()
-    scales = np.full((len(now), MOVES), 1e-3)
+    rows, energies = np.empty((draws, *now.rows.shape)), np.empty(draws)
     for sweeps in range(WARMUP + draws):
         early = sweeps < WARMUP
         for index in rng.permutation(len(now)):
@@ -185,8 +189,10 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
         values = values_of(graph, state, rows, names, floor_pose, addresses)
     else:
-        for steps in (STEPS, MORE * STEPS):
-            rows, energies = draw_rows(rng, image, state, settings, chains, draws, steps)
+        walkers = [(state.copy(), np.full((len(state), WALK_MOVES), 1e-3)) for _ in range(chains)]
+        steps, spent = STEPS, 0
+        while True:
+            rows, energies = draw_rows(rng, image, walkers, settings, draws, steps)
             for k in range(len(state)):
                 if int(state.rows[k][0]) == CYLINDER:
                     undo_spin(rows[:, :, k], state.rows[k])
@@ -196,6 +202,11 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
             rows[0, 0], energies[0, 0] = state.rows, total_energy(image, state, settings)
             values = values_of(graph, state, rows, names, floor_pose, addresses)
             if chains == 1 or agree(np.stack([*map(unwrap, np.moveaxis(values, -1, 0), periods)], axis=-1)):
+                break
+            spent, steps = spent + steps * draws * len(state), 2 * steps
+            if settings.until is None and spent + steps * draws * len(state) > MOST_STEPS:
+                break
+            if settings.until is not None and time.monotonic() > settings.until:
                 break
     return StructurePosterior(
         graph,

@@ -45,6 +45,7 @@ class Settings(NamedTuple):
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
+    until : time.monotonic() from which on draws that do not agree yet are not gone on with; None: while it is worth it.
     """
 
     shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
@@ -66,6 +67,7 @@ class Settings(NamedTuple):
     may_float: bool = False
     free_forms: bool = True
     beliefs: Beliefs | None = None
+    until: float | None = None
 
     @property
     def rules(self):

@@ -16,7 +16,9 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6
 SLACK = 0.0015
 UPRIGHT, FREE = 0, 1
-MOVES = 14  # kinds of steps, see try_step
+# Kinds of steps, see try_step: of a search, and of a walk, which must also let a cube's side change under a top that
+# the image holds still.
+MOVES, WALK_MOVES = 14, 15
 
 
 @njit(cache=True, nogil=True)
@@ -100,7 +102,8 @@ def shift(row, axis, distance):
 def try_step(rng, row, origin, form, cube, tilt, move, step):
     """Change the row by the step of kind `move` (see module), in place; return False where it is not allowed.
 
-    Moves: 0-5 faces, 6-8 shifts, 9-11 turns about own axes, 12 scale about a corner, 13 radius.
+    Moves: 0-5 faces, 6-8 shifts, 9-11 turns about own axes, 12 scale about a corner (an upright cube's at the bottom),
+    13 radius, 14 scale about a corner at the top.
     """
     kind = int(row[0])
     if move < 6:
@@ -127,12 +130,14 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
                 pz += w * row[7 + k]
         turn(row, axis, step * 8.0, px, py, pz)
         return True
-    if move == 12:
+    if move == 12 or move == 14:
         if kind != BOX or not cube:
             return False
         for k in range(3):
             w = 0.5 * step * (1.0 if rng.random() < 0.5 else -1.0)
-            if form == UPRIGHT and k == 2 and row[9] > 0:
+            if k == 2 and move == 14:
+                w = -0.5 * step if row[9] > 0 else 0.5 * step
+            elif form == UPRIGHT and k == 2 and row[9] > 0:
                 w = abs(w) if step > 0 else -abs(w)
             shift(row, k, w)
             row[13 + k] += step
@@ -160,8 +165,11 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
 
 @njit(cache=True, nogil=True)
 def propose(rng, row, trial, origin, form, cube, tilt, scale):
-    """Write a solid one random step from `row` into `trial`; return (the kind of step, whether it is possible)."""
-    move = int(MOVES * rng.random())
+    """Write a solid one random step from `row` into `trial`; return (the kind of step, whether it is possible).
+
+    scale : (M,) metres, of as many kinds of steps.
+    """
+    move = int(scale.size * rng.random())
     step = scale[move] * rng.standard_normal()
     for n in range(row.size):
         trial[n] = row[n]
@@ -262,7 +270,7 @@ def walk(
 
     Parameters
     ----------
-    scale : (MOVES,) float64, standard deviation of each kind of step; changed in place when `adapt` (warm-up only).
+    scale : (WALK_MOVES,) float64, standard deviation of each kind of step; changed in place if `adapt` (in a warm-up).
     temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
     """
     row = start.copy()

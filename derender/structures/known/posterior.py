@@ -16,7 +16,7 @@ from derender.detection.solids.graph import (
     without,
 )
 from derender.detection.solids.image import make_row, rotation_of
-from derender.detection.solids.polish import MOVES, walk
+from derender.detection.solids.polish import WALK_MOVES, walk
 from derender.detection.solids.state import FLOOR, NOTHING, in_the_way
 from derender.results.posterior import StructurePosterior
 from derender.scene.contacts import contacts
@@ -131,7 +131,7 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
     density = np.empty((chains, draws))
     for chain in range(chains):
         now = list(placed)
-        scales = [np.full(MOVES, 1e-3) if item.known is None else SCALES / 10 for item in now]
+        scales = [np.full(WALK_MOVES, 1e-3) if item.known is None else SCALES / 10 for item in now]
         for draw in range(-3, draws):
             for k in rng.permutation(len(now)):
                 if draw != 0 or chain != 0:  # the very first draw is the best scene as it was polished

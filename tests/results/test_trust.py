@@ -1,0 +1,44 @@
+"""What a posterior's chains say of it: limits, and how many draws would do."""
+
+import numpy as np
+import pytest
+
+from derender.report.tables import parameter_rows
+from derender.results.trust import Doubt, doubtful, enough_draws, limits, trusted, verdict
+
+
+def chains(correlation, draws, rng, count=2):
+    """Return (count, draws, 1) of stationary first-order chains."""
+    values = np.empty((count, draws, 1))
+    values[:, 0] = rng.standard_normal((count, 1))
+    for k in range(1, draws):
+        values[:, k] = correlation * values[:, k - 1] + np.sqrt(1 - correlation**2) * rng.standard_normal((count, 1))
+    return values
+
+
+@pytest.mark.parametrize("correlation, draws", [(0.97, 100), (0.9, 300)])
+def test_so_many_draws_as_are_said_would_do(correlation, draws):
+    """Of chains that are run as long as was said most hold the limits, with not twenty times as many as needed."""
+    rng, good, said = np.random.default_rng(0), 0, []
+    for _ in range(20):
+        rows = parameter_rows(["a.x"], chains(correlation, draws, rng))
+        said.append(enough_draws(rows))
+        longer = parameter_rows(["a.x"], chains(correlation, said[-1], rng))
+        good += not doubtful(longer[0])
+    assert good >= 14
+    enough = 100 * (1 + correlation) / (1 - correlation) / 2  # draws of each of two chains worth 100 together
+    assert np.median(said) < 20 * enough
+
+
+def test_good_chains_need_no_more_than_they_have_and_a_margin():
+    rows = parameter_rows(["a.x"], np.random.default_rng(1).standard_normal((2, 200, 1)))
+    assert not doubtful(rows[0]) and enough_draws(rows) == 500
+    assert limits(999) != limits(1000)
+
+
+def test_what_is_worth_knowing_comes_last_and_harms_nothing():
+    rows = parameter_rows(["a.x"], np.random.default_rng(1).standard_normal((2, 200, 1)))
+    doubts = (Doubt("A", False), Doubt("B"))
+    assert verdict(doubts, rows) == ["not to be trusted: B", "worth knowing: A"]
+    assert verdict(doubts[:1], rows)[0].startswith("the chains agree") and trusted(doubts[:1])
+    assert not trusted(doubts)
