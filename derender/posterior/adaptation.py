@@ -1,12 +1,12 @@
 """What warm-up learns from where the chain has been: a centre, a covariance, a scale for each kernel. Then it stops."""
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from derender.posterior.kernels.base import Part, Tuning, kernels
 from derender.posterior.space import Space
+from derender.sampling.metropolis import adapted_scale
 
 PRIOR_SHARE = 1e-4  # of the prior's variance, with the weight of five draws: keeps a covariance of few draws regular
 
@@ -51,6 +51,6 @@ def rescale(scale: Mapping[str, float], parts: list[Part], counts: np.ndarray, g
         kind = kernels[part.type]
         if kind.adapts and steps > 0:
             trust = min(1.0, steps / 20)
-            change = gain * trust * (accepted / steps - kind.acceptance)
-            scale[part.name] = scale.get(part.name, 1.0) * math.exp(max(-1.5, min(1.5, change)))
+            former = scale.get(part.name, 1.0)
+            scale[part.name] = adapted_scale(former, accepted / steps, kind.acceptance, gain * trust)
     return scale

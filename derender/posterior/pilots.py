@@ -17,6 +17,7 @@ from derender.posterior.adaptation import centre_of, covariance_of, first_tuning
 from derender.posterior.kernels.base import Part, Tuning
 from derender.posterior.smc import tempered
 from derender.posterior.space import Space
+from derender.sampling.metropolis import log_threshold
 
 LOCAL = ("drift", "slide", "window", "slide-window", "turn", "choose")  # kernels that move a starting population
 ALONE = ("drift", "slide")  # kernels with which a scout moves one object
@@ -159,7 +160,7 @@ def climb(rng, backend: Any, parts: list[Part], rungs: list[Tuning], start, roun
                 densities.append(stretch.densities.sum(axis=1).mean())
         for r in range(len(rungs) - 1):
             log_ratio = (rungs[r].temperature - rungs[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
-            if math.log(1.0 - rng.random()) < log_ratio:
+            if log_threshold(rng) < log_ratio:
                 places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
     later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
     return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])

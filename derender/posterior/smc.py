@@ -1,8 +1,7 @@
-"""Sequential Monte Carlo over temperatures: a population that follows posterior_b = prior x likelihood^b from 0 to 1.
+"""Tempered populations of one structure: they follow prior x likelihood^b from b = 0 to 1 (`sampling/smc.py`).
 
-Del Moral, Doucet, Jasra, "Sequential Monte Carlo samplers" (2006). Particles start from the prior; each stage raises
-the exponent as far as half of the population's weight can bear, resamples, and moves every particle by a mixture of
-kernels that leaves the new stage invariant. It finds the one mode that matters among many, and estimates the evidence.
+Particles start from the prior and are moved by a mixture of kernels. It finds the one mode that matters among many, and
+estimates the evidence.
 """
 
 from collections.abc import Sequence
@@ -14,11 +13,12 @@ from derender.errors import DerenderError
 from derender.posterior.adaptation import first_tuning, rescale
 from derender.posterior.kernels.base import Part, Tuning
 from derender.posterior.space import Space
+from derender.sampling.smc import anneal, systematic
 from derender.scene.priors.terms import MOST_TRIES
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
 ROUNDING = 1e-6  # of log densities
-LEAST_STEP = 1.05  # an exponent grows by this factor at least: a population of a few particles cannot stall
+GAIN = 2.0  # change of a log scale for an acceptance rate wrong by 1, at each stage
 
 
 class Stop(NamedTuple):
@@ -46,33 +46,6 @@ class Population(NamedTuple):
     tuning: Tuning
     temperatures: tuple[float, ...]
     stops: tuple[Stop, ...] = ()
-
-
-def next_temperature(log_likelihood: np.ndarray, present: float, share: float = 0.5) -> float:
-    """Return the largest exponent, at most 1, under which the weights' effective number is `share` of the particles."""
-
-    def effective(exponent: float) -> float:
-        logs = (exponent - present) * (log_likelihood - np.max(log_likelihood))
-        weights = np.exp(logs)
-        return float(np.sum(weights) ** 2 / np.sum(weights**2))
-
-    wanted = share * len(log_likelihood)
-    if effective(1.0) >= wanted:
-        return 1.0
-    low, high = present, 1.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective(middle) >= wanted else (low, middle)
-    return min(1.0, max(low, present * LEAST_STEP))
-
-
-def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None = None) -> np.ndarray:
-    """Return (count,) indices (default: as many as there are weights): systematic resampling, which copies each
-    particle n w or n w + 1 times."""
-    count = len(weights) if count is None else count
-    places = (rng.random() + np.arange(count)) / count
-    cumulative = np.cumsum(weights) / np.sum(weights)
-    return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
 
 
 def from_prior(rng: np.random.Generator, space: Space, backend, count: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -125,27 +98,21 @@ def tempered(
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning = first_tuning(space, values[0])
-    present = 0.0
-    temperatures, kept = [0.0], list[Stop]()
-    while present < 1.0:
-        following = next_temperature(densities[:, 1], present, share * particles / len(values))
-        logs = (following - present) * densities[:, 1]
-        weights = np.exp(logs - np.max(logs))
-        log_evidence += float(np.max(logs) + np.log(np.mean(weights)))
-        if len(values) > particles:  # from the many draws of the prior to the population
-            chosen = systematic(rng, weights)[rng.permutation(len(values))[:particles]]
-        else:
-            chosen = systematic(rng, weights)
+    kept = list[Stop]()
+
+    def advance(chosen: np.ndarray, exponent: float) -> np.ndarray:
+        nonlocal values, densities, tuning
         values, densities = values[chosen], densities[chosen]
-        present = following
-        temperatures.append(present)
-        tuning = tuning._replace(temperature=present)
+        tuning = tuning._replace(temperature=exponent)
         counts = np.zeros((len(parts), 2), np.int64)
         for n in range(particles):
             stretch = backend.sweep(rng, values[n], tuning, 1, steps)
             values[n], densities[n] = stretch.values[-1], stretch.densities[-1]
             counts += stretch.counts
-        tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, 2.0))
-        while len(kept) < len(stops) and present >= stops[len(kept)]:
+        tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
+        while len(kept) < len(stops) and exponent >= stops[len(kept)]:
             kept.append(Stop(values.copy(), tuning))
-    return Population(values, densities, log_evidence, tuning, tuple(temperatures), tuple(kept))
+        return densities[:, 1]
+
+    log_ratio, temperatures = anneal(rng, densities[:, 1], advance, particles, share)
+    return Population(values, densities, log_evidence + log_ratio, tuning, tuple(temperatures), tuple(kept))

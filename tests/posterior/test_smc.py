@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from toy_worlds import World
 
-from derender.posterior import smc
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import ReadableBackend
 from derender.posterior.smc import tempered
 from derender.posterior.space import Block, Unknown
+from derender.sampling import smc
 from derender.scene.distributions import distributions
 
 

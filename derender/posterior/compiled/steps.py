@@ -43,6 +43,7 @@ from derender.posterior.compiled.prior import (
 )
 from derender.posterior.kernels.independence import DEGREES
 from derender.posterior.kernels.window import FINEST
+from derender.sampling.metropolis import compiled_log_threshold
 
 RESIMULATE, DRIFT, INDEPENDENCE, WINDOW, JUMP, FLIP, RELOCATE, TURN = range(8)
 PLACING = (RELOCATE, TURN)  # they put objects down in the world
@@ -224,7 +225,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
                         + temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])
                         + (correction + jacobian)
                     )
-                accepted = math.log(1.0 - rng.random()) < log_ratio
+                accepted = compiled_log_threshold(rng) < log_ratio
             settle(model, chain, engine, accepted)
         counts[k, 0] += 1
         counts[k, 1] += accepted

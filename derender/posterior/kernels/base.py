@@ -17,6 +17,8 @@ import numpy as np
 from derender.errors import DerenderError, at_fault
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
+from derender.sampling import metropolis
+from derender.sampling.metropolis import Info
 
 
 class Target(Protocol):
@@ -37,17 +39,6 @@ class State(NamedTuple):
     values: np.ndarray
     log_prior: float
     log_likelihood: float
-
-
-class Info(NamedTuple):
-    """What diagnostics need of a step.
-
-    accepted : whether the state changed; log_ratio : -inf where it was impossible; name : of the kernel.
-    """
-
-    accepted: bool
-    log_ratio: float
-    name: str
 
 
 class Kernel(Protocol):
@@ -216,5 +207,4 @@ def decide(
         log_ratio = -math.inf
     else:
         log_ratio = new.log_prior - old.log_prior + temperature * (new.log_likelihood - old.log_likelihood) + correction
-    accepted = math.log(1.0 - rng.random()) < log_ratio
-    return (new if accepted else old), Info(accepted, log_ratio, name)
+    return metropolis.decide(rng, old, new, log_ratio, name)

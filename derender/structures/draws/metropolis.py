@@ -23,6 +23,7 @@ from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.agreement import agree, far_apart
 from derender.structures.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
@@ -102,7 +103,7 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
         elif proposals.members[first] < size - FLOOR_WAYS:  # over a floor that moves solids stay where they are
             new_prior += log_prior_about(chart, trial_rows, touched) - log_prior_about(chart, rows, touched)
         taken_up = False
-        threshold = np.log(1.0 - rng.random())
+        threshold = compiled_log_threshold(rng)
         if new_prior > -np.inf:
             camera_poses(chart, trial, trial_rows, poses, sizes)
             moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
@@ -125,7 +126,8 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                 rows, trial_rows = trial_rows, rows
                 accepted += 1
         if gain > 0.0:
-            proposals.scale[p] *= np.exp(gain * ((1.0 if taken_up else 0.0) - proposals.wanted[p]))
+            rate = 1.0 if taken_up else 0.0
+            proposals.scale[p] = compiled_adapted_scale(proposals.scale[p], rate, proposals.wanted[p], gain)
             if pull >= 0:
                 proposals.scale[p] = min(proposals.scale[p], 1.0)
         if (taken + 1) % thin == 0:

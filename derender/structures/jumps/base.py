@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.kernels.base import Info
 from derender.registry import Registry
+from derender.sampling.metropolis import Info, decide
 from derender.scene.graph import SceneGraph
 from derender.structures.jumps.vocabulary import Vocabulary
 
@@ -136,15 +136,11 @@ def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move
     log_prior = target.log_prior(applied.graph)
     if not log_prior > -math.inf:
         return refused
-    # The threshold is drawn before the image is asked for: a prior far too low need not be drawn.
-    threshold = math.log(1.0 - rng.random())
     log_likelihood = target.propose(applied.graph)
     log_ratio = log_prior - state.log_prior + target.temperature * (log_likelihood - state.log_likelihood) + correction
-    accepted = threshold < log_ratio
-    target.settle(accepted)
-    if not accepted:
-        return state, Info(False, log_ratio, move.name)
-    return State(applied.graph, log_prior, log_likelihood), Info(True, log_ratio, move.name)
+    state, info = decide(rng, state, State(applied.graph, log_prior, log_likelihood), log_ratio, move.name)
+    target.settle(info.accepted)
+    return state, info
 
 
 def mixture(weights: Mapping[str, float] | None = None) -> list[tuple[Move, float]]:

@@ -21,7 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.posterior.smc import next_temperature, systematic
+from derender.sampling.metropolis import log_threshold
+from derender.sampling.smc import anneal
 from derender.scene.graph import SceneGraph
 from derender.structures.jumps.base import Move, State, Target, evaluate
 from derender.structures.jumps.chain import Draws, acceptance_of, walk
@@ -78,7 +79,7 @@ def structure_smc(
     most: int,
     parts: Sequence[tuple[Move, float]],
     steps: int,
-    anneal: int = 8,
+    new_steps: int = 8,
     counts: Counter | None = None,
 ) -> Draws:
     """Return particles of equal weight from the posterior over scenes of at most `most` grown objects.
@@ -86,7 +87,7 @@ def structure_smc(
     Parameters
     ----------
     start : the scene without any grown object; with a root whose pose is unknown it is where the jumps start from.
-    steps : of the jumps for each particle and each number of objects. anneal : steps of a new object at each exponent.
+    steps : of the jumps for each particle and each number of objects. new_steps : of a new object at each exponent.
     """
     empty = evaluate(target, start)
     population = [Particle(empty, None, empty)] * particles
@@ -94,18 +95,17 @@ def structure_smc(
     counts = Counter() if counts is None else counts
     for size in range(1, most + 1):
         population = [_forth(rng, target, words, particle.state, size) for particle in population]
-        whole = np.array([log_increment(words, particle, size) for particle in population])
-        present = 0.0
-        while present < 1.0:
-            exponent = next_temperature(np.maximum(whole, -1e12), present)
-            logs = (exponent - present) * whole
-            log_evidence += float(np.logaddexp.reduce(logs)) - math.log(particles)
-            weights = np.exp(logs - logs.max())
-            population = [population[index] for index in systematic(rng, weights)]
-            present = exponent
-            if present < 1.0:
-                population = [_anneal(rng, target, words, p, size, present, anneal) for p in population]
-                whole = np.array([log_increment(words, particle, size) for particle in population])
+        gain = np.array([log_increment(words, particle, size) for particle in population])
+
+        def advance(chosen, exponent, size=size):
+            nonlocal population
+            population = [population[index] for index in chosen]
+            if exponent == 1.0:  # the jumps below move them
+                return np.zeros(particles)
+            population = [_rejuvenate(rng, target, words, p, size, exponent, new_steps) for p in population]
+            return np.array([log_increment(words, particle, size) for particle in population])
+
+        log_evidence += anneal(rng, gain, advance)[0]
         limited = Limited(target, words, size)
         for index, particle in enumerate(population):
             evaluate(target, particle.state.graph)  # the image goes back to this particle
@@ -125,7 +125,7 @@ def _forth(rng, target: Target, words: Vocabulary, state: State, size: int) -> P
     return Particle(evaluate(target, graph), vertex.name, state)
 
 
-def _anneal(rng, target: Target, words: Vocabulary, particle: Particle, size: int, exponent: float, steps: int):
+def _rejuvenate(rng, target: Target, words: Vocabulary, particle: Particle, size: int, exponent: float, steps: int):
     """Return the particle after moves of its new object that leave the annealed target invariant.
 
     That is pi(G) b(v | G) times the increment to the exponent; steps are those of `wiggle`, even, with Jacobian one.
@@ -156,7 +156,7 @@ def _anneal(rng, target: Target, words: Vocabulary, particle: Particle, size: in
         state = State(applied.graph, log_prior, target.propose(applied.graph))
         proposed = particle._replace(state=state)
         new = density(proposed)
-        accepted = math.log(1.0 - rng.random()) < new - present
+        accepted = log_threshold(rng) < new - present
         target.settle(accepted)
         if accepted:
             particle, present = proposed, new

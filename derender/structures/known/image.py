@@ -10,8 +10,11 @@ from derender.detection.solids.image import pixels_within
 from derender.detection.solids.misfit import LIMIT, WALL, change_within
 from derender.detection.solids.polish import resting_energy
 from derender.render.raycast.mesh import fill_triangle
+from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 
-STEPS = 6
+STEPS = 6  # kinds of steps: along three axes, about three axes
+SHORTEST, LONGEST = 5e-5, 0.03  # metres between which a step's standard deviation is adapted
+ACCEPTANCE, GAIN = 0.25, 0.3  # wanted share of accepted steps; change of a log scale for one that is wrong by 1
 
 
 @njit(cache=True, nogil=True)
@@ -206,7 +209,7 @@ def walk_known(
         )
         new = new_change / temper + standing_energy(row, low, base, others, skip, slack, lean, tilt)
         temperature = heat * (1.0 - k / rounds) if annealing else 1.0
-        accepted = new < energy or (temperature > 0 and rng.random() < np.exp((energy - new) / temperature))
+        accepted = compiled_log_threshold(rng) * temperature < energy - new
         if accepted:
             rotation[:] = trial_rotation
             centre[:] = trial_centre
@@ -216,7 +219,8 @@ def walk_known(
                 best_centre[:] = centre
                 best, best_change = energy, change
         if adapt:
-            scale[move] = min(max(scale[move] * (1.25 if accepted else 0.93), 5e-5), 0.03)
+            adapted = compiled_adapted_scale(scale[move], 1.0 if accepted else 0.0, ACCEPTANCE, GAIN)
+            scale[move] = min(max(adapted, SHORTEST), LONGEST)
     if annealing:
         return best_rotation, best_centre, best, best_change
     return rotation, centre, energy, change
