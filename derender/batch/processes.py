@@ -9,7 +9,7 @@ from multiprocessing import get_context
 from derender.batch.frames import Frame
 from derender.batch.table import failed_row
 from derender.batch.work import Done, Order, infer_frame, leave_with_parent
-from derender.compilation.threads import THREADS_VARIABLE
+from derender.compilation.threads import THREADS_VARIABLE, safe_path
 
 
 class Processes:
@@ -34,7 +34,8 @@ class Processes:
     def submit(self, frame: Frame) -> None:
         """Begin to infer a frame; fewer than `size` are in work."""
         executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
-        self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
+        with safe_path():  # an executor starts its process with its first task
+            self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
 
     def finished(self, timeout: float) -> list[Done]:
         """Return the frames that were finished since the last call; waits for one for so many seconds at most."""

@@ -93,7 +93,7 @@ def _try(renderer: str, environment: dict[str, str]) -> str | None:
     """Return None where a renderer works in a process with this environment, else what is wrong, in one line."""
     try:
         done = subprocess.run(
-            [sys.executable, "-c", CHECK, renderer],
+            [sys.executable, "-P", "-c", CHECK, renderer],
             env=os.environ | environment,
             capture_output=True,
             text=True,

@@ -9,8 +9,9 @@ and the processor. An entry is written under a temporary name and moved into pla
 numba is imported by the process that compiles something (kernel_compiler.py), and by no other: what was compiled before
 is loaded without it (kernel_loader.py), for its import takes as long as many a command.
 
-The folder is the first of these that can be written: NUMBA_CACHE_DIR, the `__pycache__` beside the source, the user's
-cache folder, and a private folder for temporary files. Without any, kernels are compiled anew in each process.
+The folder is the first of these that can be written and that nobody else can write to: NUMBA_CACHE_DIR, the
+`__pycache__` beside the source, the user's cache folder, and a private folder for temporary files. Without any, kernels
+are compiled anew in each process.
 """
 
 import functools
@@ -25,7 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from derender.compilation.entries import Entries, machine
+from derender.compilation.entries import Entries, is_private, machine
 from derender.compilation.loader import Version, fingerprint, fingerprints, load
 
 PACKAGE = Path(__file__).parent.parent
@@ -222,10 +223,13 @@ def _listing(folder: str) -> frozenset[str]:
 
 @functools.cache
 def _folder(source: Path) -> Path | None:
-    """Return the folder for the kernels of a file, or None where nothing can be written."""
+    """Return the folder for the kernels of a file, or None where nothing can be kept."""
     for folder in _candidates(source):
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o755, exist_ok=True)
+            if not is_private(folder):
+                continue
             tempfile.TemporaryFile(dir=folder).close()
         except OSError:
             continue

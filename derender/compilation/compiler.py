@@ -6,6 +6,7 @@ into others: the bitcode that they inline, and what it knows of the types.
 
 import functools
 import gc
+import io
 import pickle
 import sys
 from pathlib import Path
@@ -25,6 +26,7 @@ from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload, typeof_impl
 
 from derender.compilation import cache as kernel_cache
+from derender.compilation.entries import read_entry
 from derender.compilation.loader import Code, Version
 
 
@@ -103,11 +105,8 @@ class _Files:
         return self.entries.path((numba.__version__, key), "nbc")
 
     def load(self, key):
-        try:
-            with self.path(key).open("rb") as file:
-                return _Unpickler(file).load()
-        except OSError:
-            return None
+        data = read_entry(self.path(key))
+        return None if data is None else _Unpickler(io.BytesIO(data)).load()
 
     def save(self, key, data) -> None:
         self.entries.save(self.path(key), caching.dumps(data))

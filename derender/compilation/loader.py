@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.compilation.entries import read_entry
+
 
 class Version(NamedTuple):
     """A kernel compiled for arguments of certain types.
@@ -54,12 +56,11 @@ def fingerprints(arguments) -> tuple:
 
 
 def load(path: Path) -> Version | None:
-    """Return the version in a file, or None where there is none."""
-    try:
-        with path.open("rb") as file:
-            code = Code(*pickle.load(file))
-    except OSError:
+    """Return the version in a file, or None where there is none that is whole."""
+    data = read_entry(path)
+    if data is None:
         return None
+    code = Code(*pickle.loads(data))
     import llvmlite.binding as llvm
 
     engine = _engine()

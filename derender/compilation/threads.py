@@ -1,5 +1,6 @@
 """Work in several threads: compiled code and waiting for the disk let go of the interpreter."""
 
+import contextlib
 import functools
 import importlib.util
 import os
@@ -9,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 THREADS = 2  # so that two processors walk in half the time of one
+SAFE_PATH = "PYTHONSAFEPATH"  # of the environment: as python -P
 THREADS_VARIABLE = "DERENDER_THREADS"  # of the environment: how many a process may use where it is one of many
 
 
@@ -28,6 +30,20 @@ def _import_all(modules) -> None:
     for module in modules:
         if importlib.util.find_spec(module.partition(".")[0]) is not None:
             importlib.import_module(module)
+
+
+@contextlib.contextmanager
+def safe_path():
+    """Within, processes that are started do not look for modules in the current folder, whatever lies there."""
+    former = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if former is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = former
 
 
 def run_together(*tasks: Callable[[], object]) -> None:

@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from derender.compilation.threads import safe_path
 from derender.errors import DerenderError
 from derender.sampling.chains import Plan, Progress, run_chain
 from derender.sampling.checkpoint import Record
@@ -143,7 +144,8 @@ class _Processes:
     def _hire(self) -> None:
         ours, theirs = self.context.Pipe()
         process = self.context.Process(target=_work, args=(theirs, self.plan), daemon=True)
-        process.start()
+        with safe_path():
+            process.start()
         theirs.close()
         self.workers[ours] = (process, None)
         self._assign(ours)

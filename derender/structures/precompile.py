@@ -24,7 +24,7 @@ def precompile(name: str) -> None:
 
 @functools.cache  # it keeps the pipe to the other process open as long as this one lives
 def _start(name: str) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-m", "derender.structures.precompile", name], stdin=subprocess.PIPE,
+    return subprocess.Popen([sys.executable, "-P", "-m", "derender.structures.precompile", name], stdin=subprocess.PIPE,
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 

@@ -6,11 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import derender
-from derender.compilation.cache import PACKAGE, _candidates, _read, njit, source_stamp
+from derender.compilation.cache import PACKAGE, Kernel, _candidates, _read, njit, source_stamp
 from derender.compilation.compiler import fcntl
+from derender.compilation.entries import Entries, is_private, read_entry
 
 PROBE = """
 import sys
@@ -286,3 +288,82 @@ def test_a_closure_that_holds_what_has_no_name_is_refused():
 
     with pytest.raises(TypeError, match="numbers and words"):
         njit(closure)
+
+
+# ---- damage ----
+
+
+@pytest.fixture(scope="module")
+def entry(tmp_path_factory):
+    """The entry of a kernel of one line, and what it holds."""
+    folder = tmp_path_factory.mktemp("entries")
+    kernel = Kernel(lambda x: x + 1, True, {})
+    kernel.entries = Entries(folder, "tiny", "0" * 64)
+    assert kernel(1) == 2
+    (path,) = folder.glob("*.run")
+    return path, path.read_bytes()
+
+
+def damaged(rng, content, number):
+    """Return a file's bytes after an accident."""
+    kind = number % 5
+    if kind == 0:  # cut off
+        return content[: rng.integers(len(content))]
+    if kind == 1:  # bits flipped
+        array = np.frombuffer(content, np.uint8).copy()
+        places = rng.integers(len(array), size=rng.integers(1, 9))
+        array[places] ^= rng.integers(1, 256, size=len(places)).astype(np.uint8)
+        return content if array.tobytes() == content else array.tobytes()
+    if kind == 2:
+        return b""
+    if kind == 3:  # written over by nothing
+        start = rng.integers(len(content))
+        return content[:start] + bytes(len(content) - start)
+    return rng.bytes(int(rng.integers(1, 2 * len(content))))
+
+
+def test_broken_entries_are_deleted_and_never_run(entry):
+    path, content = entry
+    rng = np.random.default_rng(5)
+    for number in range(500):
+        broken = damaged(rng, content, number)
+        path.write_bytes(broken)
+        if broken != content:
+            assert read_entry(path) is None and not path.exists(), number
+
+
+def test_a_kernel_with_a_broken_entry_is_compiled_again(entry):
+    path, content = entry
+    for broken in (content[:-1], b"", content[:40] + b"\0" + content[41:]):
+        path.write_bytes(broken)
+        kernel = Kernel(lambda x: x + 1, True, {})
+        kernel.entries = Entries(path.parent, "tiny", "0" * 64)
+        assert kernel(1) == 2
+        assert read_entry(path) is not None
+
+
+def test_an_entry_under_another_ones_name_is_none(entry):
+    """Such as one of another version or machine, which the name tells."""
+    path, content = entry
+    other = path.with_name("other.run")
+    other.write_bytes(content)
+    assert read_entry(other) is None and not other.exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have owners on POSIX alone")
+def test_folders_that_others_can_write_to_are_not_used(tmp_path):
+    for mode, private in ((0o755, True), (0o700, True), (0o775, False), (0o757, False)):
+        tmp_path.chmod(mode)
+        assert is_private(tmp_path) == private, oct(mode)
+    tmp_path.chmod(0o755)
+
+
+def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
+    (tmp_path / "multiprocessing.py").write_text("open('it-was-run', 'w')\n")
+    code = "import sys\nfrom derender.compilation.threads import safe_path\nimport subprocess\n"
+    code += "with safe_path(): subprocess.run([sys.executable, '-c', 'import multiprocessing'], check=True)\n"
+    code += "import os; assert 'PYTHONSAFEPATH' not in os.environ\n"
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    environment.pop("PYTHONSAFEPATH", None)
+    subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, check=True, timeout=60)
+    assert not (tmp_path / "it-was-run").exists()
