@@ -24,7 +24,7 @@ from derender.structures.precompile import precompile
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
 WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules that only the files need
 # Of a scene whose objects are given nothing remains to be said of what there is.
-FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float")
+FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
 Say = Callable[[str], None]

@@ -123,7 +123,7 @@ def test_the_yaml_is_a_prior(text, tmp_path):
 @pytest.mark.parametrize("text", parameters("json"))
 def test_the_json_is_json(text):
     scene = json.loads(text)
-    assert set(scene) == {"frame", "gravity", "objects"}
+    assert set(scene) == {"frame", "gravity", "objects", "explained", "trusted", "doubts"}
 
 
 @pytest.mark.parametrize("text", parameters("toml"))

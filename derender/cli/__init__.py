@@ -5,6 +5,7 @@ import contextlib
 import gc
 import importlib
 import os
+import signal
 import sys
 import threading
 import warnings
@@ -107,7 +108,27 @@ def _open_closed_streams() -> None:
             setattr(sys, name, open(number, mode, closefd=False))
 
 
+def _end_as_ctrl_c() -> None:
+    """Let SIGTERM and SIGHUP end this process as Ctrl-C does, the work saved; those it forks die of them as usual."""
+    own = os.getpid()
+
+    def handle(number: int, frame: Any) -> None:
+        if os.getpid() == own:
+            signal.raise_signal(signal.SIGINT)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
+        return
+    for name in ("SIGTERM", "SIGHUP"):  # the latter not on Windows
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup's stays ignored
+            signal.signal(number, handle)
+
+
 def _run(arguments: Sequence[str] | None) -> Any:
+    _end_as_ctrl_c()
     try:
         return group.main(args=arguments, prog_name="derender", standalone_mode=False)
     except SystemExit:  # so click says that whoever read our output has gone

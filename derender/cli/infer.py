@@ -64,6 +64,13 @@ OF_THE_RUN = frozenset({"images", "output", "jobs", "watch", "page", "strict", "
     type=click.IntRange(0, 10_000_000),
     help="Rounds in which a chain adapts. Default 200; without --scene 40, of mcmc alone.",
 )
+@click.option(
+    "--budget",
+    type=options.Duration(),
+    metavar="TIME",
+    help="Without --scene: draw on until the chains agree or so much time (30s, 2min) is spent on the image. Default: "
+    "while it is worth it; then a seed gives the same on any machine.",
+)
 @options.jobs
 @click.option("--watch", is_flag=True, help="Go on with frames as they come into the folders, until Ctrl-C.")
 @click.option(
@@ -90,7 +97,8 @@ def command(talk: Talk, **arguments) -> int | None:
     Writes DIR/scene.yaml (the most probable scene), DIR/posterior.npz (and posterior.nc where h5netcdf is installed),
     DIR/report.html, DIR/summary.json, DIR/observation.npz, DIR/labels.png (16 bits, k where the pixel shows the k-th
     object of `derender show DIR --json`) and DIR/explained.npy (the depth of the best scene, metres), and prints a
-    table. Ctrl-C writes what there is.
+    table. Ctrl-C writes what there is. What does not speak for the result - chains that disagree, parts of the image
+    that nothing explains, solids where nothing returned - is told at the end; --strict makes it exit status 3.
 
     Several images, folders or patterns are inferred --jobs at a time, each into a folder DIR/FRAME, without report.html
     and with thumbnail.png. DIR/index.html shows them all. DIR/results.csv and DIR/results.jsonl have a row for each

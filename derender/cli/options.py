@@ -12,6 +12,7 @@ Paths are plain strings, not click.Path: a file that is missing is the user's in
 
 import functools
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -80,6 +81,22 @@ class Seed(click.IntRange):
 
     def _describe_range(self) -> str:
         return "x>=0"
+
+
+class Duration(click.ParamType):
+    """A time such as 30s, 2min or 1.5h; a plain number counts seconds."""
+
+    name = "time"
+    UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return seconds."""
+        if isinstance(value, float):
+            return value
+        found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|)", str(value).strip())
+        if found is None or float(found[1]) <= 0.0:
+            self.fail(f"{value!r} is no time, such as 30s, 2min or 1h", param, ctx)
+        return float(found[1]) * self.UNITS[found[2]]
 
 
 seed = click.option(

@@ -72,6 +72,8 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
     """
     doubts = [f"{lost} of the chains died"] if lost else []
+    if posterior.meta.get("interrupted"):
+        doubts.append("it was interrupted: this is the best so far")
     structures = posterior.meta.get("structure_chains", {})
     evidence = posterior.meta.get("log_evidence") or [0.0]
     if max(evidence) - min(evidence) > APART:

@@ -10,7 +10,7 @@ from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle
 from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
-from derender.detection.search.searches import search
+from derender.detection.search.searches import Interrupted, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.image import make_image
@@ -43,8 +43,12 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     hypotheses = all_hypotheses(surface, settings.shapes)
     for body in find_bodies(seen.points, seen.mask, seen.footprint):
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
-    state, image = search(rng, seen.image, hypotheses, settings, pool)
-    seen = seen._replace(image=image)
+    try:
+        state, image = search(rng, seen.image, hypotheses, settings, pool)
+        seen = seen._replace(image=image)
+    except Interrupted as stopped:
+        state, image = stopped.state, stopped.image
+        seen = seen._replace(image=image, interrupted=True)
     masks: list = []
     if settings.free_forms:
         state, masks = find_things(seen, state, settings)
@@ -102,7 +106,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     options : Options; None: all as it comes.
     rng : numpy Generator; progress : called with (fraction done, message), or None.
 
-    Returns a Posterior.
+    Returns a Posterior; on Ctrl-C, once something was found, that of the best scene so far, its meta "interrupted".
     """
     from derender.detection.solids.graph import without_floor
     from derender.results.posterior import Posterior
@@ -138,17 +142,23 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = options.chains or 2, options.draws or 100
-    only_best = options.method == "map"
-    if library:
-        from derender.structures.known.posterior import known_posterior
+    interrupted = seen.interrupted
 
-        many = (1, 1) if only_best else (chains, draws)
-        others = not options.only_known
-        parts = known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
-    else:
+    def parts_about(only_best):
+        if library:
+            from derender.structures.known.posterior import known_posterior
+
+            many = (1, 1) if only_best else (chains, draws)
+            others = not options.only_known
+            return known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
         real = seen.factor > 1 and seen.correlation > CORRELATED
         closer = closer_look(seen, depth, camera) if real else None
-        parts = parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
+        return parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
+
+    try:
+        parts = parts_about(interrupted or options.method == "map")
+    except KeyboardInterrupt:
+        interrupted, parts = True, parts_about(True)
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
     if isinstance(plane, str):
         parts = [without_floor(part) for part in parts]
@@ -156,6 +166,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
+            "interrupted": interrupted,
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))

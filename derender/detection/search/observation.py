@@ -41,6 +41,7 @@ class Observation(NamedTuple):
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
+    interrupted : whether the search that looked at it was, so that what it found is the best so far.
     """
 
     image: Image
@@ -56,6 +57,7 @@ class Observation(NamedTuple):
     behind: np.ndarray
     backdrop: bool
     things: tuple = ()
+    interrupted: bool = False
 
 
 class Closer(NamedTuple):

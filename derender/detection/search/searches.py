@@ -30,11 +30,20 @@ def search(rng, image, hypotheses, settings, pool=None):
 
     Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
     have not. (state, energy) of all that were tried are appended to the list `pool`.
+
+    Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
     found: list[Found] = []
+    early: list[Found] = []
     for _ in range(ROUNDS):
-        task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings)
-        found += in_threads(rng, [task] * THREADS)
+        task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early)
+        try:
+            found += in_threads(rng, [task] * THREADS)
+        except KeyboardInterrupt:
+            if not (found or early):
+                raise
+            best = min([*found, *early], key=lambda each: each.energy)
+            raise Interrupted(best.state, best.image) from None
         found.sort(key=lambda each: each.energy)
         if found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state)):
             break
@@ -43,6 +52,14 @@ def search(rng, image, hypotheses, settings, pool=None):
             pool += each.pool
         pool += [(each.state, each.energy) for each in found[1:]]
     return found[0].state, found[0].image
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C in a search that has found something: `state`, the best so far, and the Image in its focus."""
+
+    def __init__(self, state: State, image: Image) -> None:
+        super().__init__("interrupted")
+        self.state, self.image = state, image
 
 
 class Found(NamedTuple):
@@ -54,8 +71,11 @@ class Found(NamedTuple):
     pool: list
 
 
-def one_search(rng, image, hypotheses, settings):
-    """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case."""
+def one_search(rng, image, hypotheses, settings, early):
+    """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case.
+
+    early : list to which it appends the Found of what was settled before the moves.
+    """
     pool: list = []
     state = greedy(rng, image, hypotheses, settings)
     image, gained = refocused(image, state.rows, settings.price)
@@ -64,6 +84,7 @@ def one_search(rng, image, hypotheses, settings):
         image, _ = refocused(image, state.rows, settings.price)
     state = settle(rng, image, state, settings)
     image, _ = refocused(image, state.rows, settings.price)
+    early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
     state = repair(rng, image, state, hypotheses, settings, pool)
     state = support_all(rng, image, state, settings)
     state = merge_all(rng, image, state, settings)

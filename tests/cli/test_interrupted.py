@@ -1,0 +1,93 @@
+"""Ctrl-C and its kin on a bare image: the best scene so far is written, with the flags that say so."""
+
+import json
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from derender.camera.depth_file import write_depth
+from derender.camera.intrinsics import Camera
+from derender.cli import _end_as_ctrl_c
+from derender.cli.infer import command
+from derender.cli.options import Duration
+from derender.detection.search import searches
+from derender.render.raycast.depth import render_depth
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, translation
+from derender.structures import graph_posterior
+
+CAMERA = Camera.from_field_of_view(80, 60)
+
+
+@pytest.fixture
+def image(tmp_path):
+    contact = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.4})
+    vertices = (
+        Vertex("floor", "plane", {}, ROOT, Contact("6dof")),
+        Vertex("red", "cube", {"side": 0.1}, "floor", contact),
+    )
+    graph = SceneGraph(translation(0.0, 0.05, 0.7) @ rotation_x(np.deg2rad(140)), vertices)
+    depth = render_depth(graph.solids(), CAMERA, background=10.0)[0]
+    depth += np.random.default_rng(0).normal(0.0, 0.002, depth.shape)
+    write_depth(tmp_path / "image.npz", depth, CAMERA)
+    return tmp_path / "image.npz"
+
+
+@pytest.mark.parametrize("place, name", [(graph_posterior, "weighed_structures"), (searches, "repair")])
+def test_the_best_scene_so_far_is_written(image, tmp_path, monkeypatch, place, name):
+    """Interrupted among the draws, and in the search."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(place, name, interrupted)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(command, [str(image), "-o", str(out)], catch_exceptions=False, standalone_mode=False)
+    assert result.return_value == 130
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["interrupted"] is True and summary["trusted"] is False
+    assert any("interrupted" in doubt for doubt in summary["doubts"])
+    sizes = [item["size"] for item in summary["scene"]["objects"] if item["size"]]
+    assert len(sizes) == 1 and np.allclose(sizes[0], 0.1, atol=0.01)
+    assert (out / "labels.png").exists() and (out / "report.html").exists()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_being_told_to_end_is_as_ctrl_c(name):
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    assert threading.current_thread() is threading.main_thread()
+    try:
+        signal.signal(number, signal.SIG_DFL)
+        _end_as_ctrl_c()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+            signal.pause()
+        child = os.fork()
+        if child == 0:
+            os.kill(os.getpid(), number)
+            os._exit(3)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -number  # what it forks dies of it
+        signal.signal(number, signal.SIG_IGN)  # as under nohup
+        _end_as_ctrl_c()
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.parametrize("text, seconds", [("30s", 30.0), ("30", 30.0), ("2min", 120.0), ("1.5h", 5400.0)])
+def test_times_have_units(text, seconds):
+    assert Duration().convert(text, None, None) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0s", "-3s", "3 days", "nan", "s"])
+def test_no_time_is_refused(text):
+    from click import BadParameter
+
+    with pytest.raises(BadParameter):
+        Duration().convert(text, None, None)
