@@ -30,6 +30,7 @@ from derender.render.renderers import find_renderer  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.report.tables import parameter_rows  # noqa: E402
 from derender.results.trust import chain_doubts  # noqa: E402
+from derender.sampling.streams import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.jumps.run import DEFAULT_PRIOR  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
@@ -62,7 +63,7 @@ def statements(posterior, truth):
 def made_scene(name, number):
     """Return (depth (H, W), camera, objects in the contract's JSON, names of those hardly seen) of one scene."""
     if name != DEFAULT_PRIOR:
-        scene = make_scene(np.random.default_rng([number, SETS.index(name)]), name)
+        scene = make_scene(stream(number, SCENES, SETS.index(name)), name)
         truth, hidden = truth_scene(scene)
         return scene["depth"], scene["camera"], truth["objects"], hidden
     draw = next(draw_documents(read_prior_document(name), 1, number, {}))

@@ -24,6 +24,7 @@ from scene_makers import SETS, make_scene  # noqa: E402
 from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
+from derender.sampling.streams import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 
@@ -46,7 +47,7 @@ def evaluate_made(name, count, first, options, verbose):
     """Return the table row of a set of made scenes."""
     results, seconds = [], []
     for k in range(first, first + count):
-        scene = make_scene(np.random.default_rng([k, SETS.index(name)]), name)
+        scene = make_scene(stream(k, SCENES, SETS.index(name)), name)
         start = time.perf_counter()
         posterior = infer_structure(scene["depth"], scene["camera"], options, np.random.default_rng(k))
         seconds.append(time.perf_counter() - start)

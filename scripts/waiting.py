@@ -24,6 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from scene_makers import SETS, make_scene  # noqa: E402
 
+from derender.sampling.streams import SCENES, stream  # noqa: E402
+
 WARM_SETS = ("settled", "noisy", "mixed", "tower", "cubes")
 
 
@@ -41,7 +43,7 @@ def images(folder, name, count):
     """Write made images with their cameras; return the arguments of `infer` for each."""
     found = []
     for k in range(count):
-        scene = make_scene(np.random.default_rng([k, SETS.index(name)]), name)
+        scene = make_scene(stream(k, SCENES, SETS.index(name)), name)
         image, camera = folder / f"{name}_{k}.npy", folder / f"{name}_{k}.json"
         np.save(image, scene["depth"])
         camera.write_text(json.dumps(scene["camera"]))

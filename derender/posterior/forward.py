@@ -9,6 +9,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
+from derender.sampling.streams import SCENES, stream
 from derender.scene.graph import SceneGraph
 
 WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
@@ -55,7 +56,7 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
     """Yield `count` draws; draw k depends on the seed and on k alone."""
     camera = document.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     for number in range(count):
-        rng = np.random.default_rng([seed, number])
+        rng = stream(seed, SCENES, number)
         graph = document.prior.sample(rng)
         likelihood = document.likelihood
         if likelihood is not None:

@@ -22,6 +22,7 @@ from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import workers
 from derender.sampling.chains import Plan
 from derender.sampling.checkpoint import Record, fingerprint
+from derender.sampling.streams import POPULATIONS, STRUCTURES, child_seed, stream
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import TreePrior
@@ -158,14 +159,15 @@ def infer_scene(
             image.tobytes(), repr(camera), document.file, repr(target.space.unknowns), repr(target.template.numbers()),
             repr(settings._replace(draws=0, where=None)), method, str(seed), str(number),
         )  # fmt: skip
+        own = child_seed(seed, STRUCTURES, number) if number else seed  # the first one's is the seed itself
         place = None
         if folder is not None and method != "map":
             place = folder / "checkpoint" / str(number)
             place.mkdir(parents=True, exist_ok=True)
         if not (resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
             tell(0.0, "searching")
-            sampler = sampler.prepared(seed + number, chains, jobs)
-        plan = Plan(sampler, seed + number, chains, warmup, draws, place, run, resume)
+            sampler = sampler.prepared(own, chains, jobs)
+        plan = Plan(sampler, own, chains, warmup, draws, place, run, resume)
         total = chains * (warmup + draws)
         done = dict.fromkeys(range(chains), 0)
 
@@ -256,7 +258,7 @@ def _particles(target, mixed, settings: Settings, seed: int, number: int, weight
     populations = []
     for chain in range(settings.chains):
         tell(chain / settings.chains, "tempering")
-        rng = np.random.default_rng([seed, number, chain])
+        rng = stream(seed, POPULATIONS, number, chain)
         backend = target.backend(mixed)
         populations.append(tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS))
     densities = np.stack([population.densities for population in populations])
