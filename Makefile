@@ -9,7 +9,7 @@ CAMERA ?=
 OUT ?= demo
 JOBS ?= 2
 
-.PHONY: help demo test test-all lint bench figures eval build clean osmesa
+.PHONY: help demo test test-all test-bounds lint bench figures eval build clean osmesa
 .DEFAULT_GOAL := help
 
 help:  ## Say what there is
@@ -24,6 +24,9 @@ test: .venv/developed osmesa lint  ## Check style, types and tests, in under 5 m
 test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
 	$(BIN)/python -m pytest -n $(JOBS) -m ''
 	$(BIN)/python scripts/calibrate.py -n 500 --jobs $(JOBS) --strict -o figures/calibration.png
+
+test-bounds: .venv/made osmesa  ## The lowest and the highest numba and mujoco that pyproject.toml allows, in .venv-low and .venv-high
+	@sh scripts/test_bounds.sh "$(PYTHON)"
 
 lint: .venv/developed  ## Check style and types only
 	$(BIN)/ruff format --check derender tests scripts
@@ -45,7 +48,7 @@ build: .venv/developed  ## Build wheel and sdist into dist/
 	$(BIN)/python -m build
 
 clean:  ## Remove what the other targets made
-	rm -rf .venv build dist demo figures .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-low .venv-high build dist demo figures .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/made:
