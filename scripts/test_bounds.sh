@@ -11,6 +11,7 @@ for end in low high; do
     # shellcheck disable=SC2086  # each is an argument of its own
     ".venv-$end/bin/python" -m pip install --quiet --disable-pip-version-check --upgrade -e '.[dev]' $wanted
     echo "== $end: $(".venv-$end/bin/python" -m pip list 2>/dev/null | grep -E '^(numba|mujoco|numpy) ' | tr -s ' \n' ' ')"
+    mkdir -p ".venv-$end/kernels"
     NUMBA_CACHE_DIR=".venv-$end/kernels" ".venv-$end/bin/python" -m pytest -n 2 tests/compilation tests/physics tests/render \
         tests/posterior/test_compiled.py tests/structures/test_graph_posterior.py
 done
