@@ -33,7 +33,7 @@ class Report(NamedTuple):
     observed : (height, width) float64, metres, NaN without return, or None.
     draws : solids of some posterior draws, to show the spread.
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
-    structures : (weight, words) of each structure found, most probable first.
+    structures : (probability as it is said, words) of each structure found, most probable first.
     facts : what else is known, shown in the head: seed, version, command, the sensor, times.
     doubts : reasons to doubt the posterior, from its chains and from its image.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
@@ -49,7 +49,7 @@ class Report(NamedTuple):
     observed: np.ndarray | None = None
     draws: Sequence[Solids] = ()
     parameters: Sequence[Mapping[str, Any]] = ()
-    structures: Sequence[tuple[float, str]] = ()
+    structures: Sequence[tuple[str, str]] = ()
     facts: Mapping[str, Any] = {}
     likelihood: Mapping[str, Any] = {}
     doubts: tuple[trust.Doubt, ...] = ()

@@ -117,7 +117,7 @@ def _structures(report: Report) -> str:
     if len(report.structures) < 2:
         return ""
     rows = "".join(
-        f'<tr><td class="number">{weight:.1%}</td><td>{escape(words)}</td></tr>'
+        f'<tr><td class="number">{escape(weight)}</td><td>{escape(words)}</td></tr>'
         for weight, words in report.structures[:MOST_STRUCTURES]
     )
     head = '<tr><th class="number">weight</th><th>structure</th></tr>'

@@ -47,10 +47,13 @@ class Outcome:
         return trusted(self.doubts)
 
     def structures(self) -> list[str]:
-        """Return a line for each structure found that has any weight in three digits: what rests on what."""
-        from derender.report.structure_words import told_structures
+        """Return a line for each structure found that has any weight in two digits: what rests on what."""
+        from derender.report.structure_words import hidden_words, told_structures
 
-        return [f"p {weight:.3f}  {words}" for weight, words in told_structures(self.posterior)]
+        told = told_structures(self.posterior)
+        wide = max(len(probability) for probability, _ in told)
+        lines = [f"p {probability:{wide}}  {words}" for probability, words in told]
+        return [*lines, *hidden_words(self.posterior)]
 
     def table(self) -> str:
         """Return the table, and what rests on what, as plain text."""
@@ -127,7 +130,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         "chains": int(best.values.shape[0]),
         "draws": int(best.values.shape[1]),
         "log_density": float(np.max(best.log_density)),
-        "structures": [{"weight": part.weight, "objects": list(part.graph.names)} for part in posterior.parts],
+        "structures": [structure_summary(part) for part in posterior.parts],
         "extras": best.extras,
         "parameters": rows,
         "scene": report.scene,
@@ -160,3 +163,10 @@ def _best_values(part) -> dict[str, float]:
 def _number(value: Any) -> float | None:
     """Return a number as JSON can hold it: None for nan and infinity."""
     return float(value) if np.isfinite(value) else None
+
+
+def structure_summary(part: Any) -> dict[str, Any]:
+    """Return what summary.json says of one structure: its weight, the 90 % interval of that, its objects."""
+    interval = [part.weight, part.weight] if part.weight_interval is None else list(part.weight_interval)
+    return {"weight": part.weight, "weight_error": part.weight_error, "weight_interval": interval,
+            "objects": list(part.graph.names)}  # fmt: skip

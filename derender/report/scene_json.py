@@ -50,6 +50,7 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
         if posterior is not None:
             entry["size_interval"] = intervals.get(vertex.name)
             entry["probability"] = float(posterior.object_probability(vertex.name))
+            entry["probability_error"] = float(posterior.object_probability_error(vertex.name))
             parents = posterior.parent_probability(vertex.name)
             entry["parent_probability"] = {name: float(share) for name, share in parents.items()}
             if supports := posterior.support_probability(vertex.name):

@@ -1,19 +1,37 @@
 """The structures of a posterior in words: who rests on what."""
 
-from derender.results.posterior import Posterior
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.results.probability_text import probability_text
 from derender.scene.graph import SceneGraph, Vertex
 
-SHOWN_WEIGHT = 5e-4  # less is 0.000 in three digits
+SHOWN_WEIGHT = 0.005  # less is none in two digits
+LEAST_HIDDEN = 0.01  # expected number of hidden things that is worth a line
 
 
-def told_structures(posterior: Posterior) -> list[tuple[float, str]]:
-    """Return (weight, words) of the structures that have any weight in three digits, the most probable first."""
+def told_structures(posterior: Posterior) -> list[tuple[str, str]]:
+    """Return (probability, words) of the structures that have any weight in two digits, the most probable first.
+
+    The probability is said as `probability_text` does, and what no image tells, things behind others, comes last.
+    """
     ordered = sorted(posterior.parts, key=lambda part: -part.weight)
     first = ordered[0].graph
     others = [part for part in ordered[1:] if part.weight >= SHOWN_WEIGHT]
-    return [(ordered[0].weight, structure_words(first))] + [
-        (part.weight, structure_words(part.graph, first)) for part in others
-    ]
+    told = [(said(ordered[0]), structure_words(first))]
+    told += [(said(part), structure_words(part.graph, first)) for part in others]
+    return told
+
+
+def said(part: StructurePosterior) -> str:
+    """Return a structure's probability in words."""
+    return probability_text(part.weight, part.weight_error, part.weight_interval)
+
+
+def hidden_words(posterior: Posterior) -> list[str]:
+    """Return the line about things that nothing shows; none where that is unknown or too few to say."""
+    expected = posterior.meta.get("hidden_expected")
+    if expected is None or expected < LEAST_HIDDEN:
+        return []
+    return [f"things that nothing shows: {expected:.2f} expected behind what is seen".replace("0.", ".")]
 
 
 def structure_words(graph: SceneGraph, other: SceneGraph | None = None) -> str:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from derender.results.probability_text import digits, probability_text
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
@@ -93,10 +94,11 @@ def _number(name: str, value: float, parameter: Any) -> str:
 def _probabilities(vertex: Vertex, posterior: Any) -> str:
     parents = posterior.parent_probability(vertex.name)
     likely = {name: share for name, share in parents.items() if share >= ALTERNATIVE or name == vertex.parent}
-    shares = ", ".join(f"{name} {share:.2f}" for name, share in sorted(likely.items(), key=lambda item: -item[1]))
+    shares = ", ".join(f"{name} {digits(share)}" for name, share in sorted(likely.items(), key=lambda item: -item[1]))
     others = posterior.support_probability(vertex.name)
-    also = "".join(f", also {name} {share:.2f}" for name, share in others.items() if share >= ALTERNATIVE)
-    return f"p {posterior.object_probability(vertex.name):.2f} (on {shares}{also})"
+    also = "".join(f", also {name} {digits(share)}" for name, share in others.items() if share >= ALTERNATIVE)
+    there = probability_text(posterior.object_probability(vertex.name), posterior.object_probability_error(vertex.name))
+    return f"p {there} (on {shares}{also})"
 
 
 def prior_lines(prior: Any) -> list[str]:

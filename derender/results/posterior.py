@@ -43,7 +43,8 @@ class StructurePosterior:
         with "root." or "likelihood." are no numbers of the graph.
     values : (chains, draws, P) float64.
     log_prior, log_likelihood : (chains, draws) float64.
-    weight : posterior probability of the structure.
+    weight : posterior probability of the structure. weight_error : its standard error. weight_interval : in which it
+        lies with 90 %; None where nothing was said of its error.
     root_pose : (chains, draws, 4, 4) float64 where the root's pose is unknown, else None: the graph has it.
     periods : (P,) of float or None, of angles.
     extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...).
@@ -58,6 +59,8 @@ class StructurePosterior:
     periods: tuple[float | None, ...] = ()
     root_pose: np.ndarray | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
+    weight_error: float = 0.0
+    weight_interval: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         chains, draws, size = self.values.shape
@@ -87,6 +90,13 @@ class StructurePosterior:
         """Return the scene of highest log density among the draws, and that density."""
         chain, draw = np.unravel_index(np.argmax(self.log_density), self.log_density.shape)
         return self.graph_at(int(chain), int(draw)), float(self.log_density[chain, draw])
+
+    def scaled(self, share: float) -> "StructurePosterior":
+        """Return the same draws with a share of the weight."""
+        ends = self.weight_interval
+        interval = None if ends is None else (share * ends[0], share * ends[1])
+        return replace(self, weight=share * self.weight, weight_error=share * self.weight_error,
+                       weight_interval=interval)  # fmt: skip
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return the diagnostics' summary of each unknown, by address."""
@@ -131,6 +141,13 @@ class Posterior:
     def object_probability(self, name: str) -> float:
         """Return the probability that an object of this name is there."""
         return self._probability(lambda graph: name in graph.names)
+
+    def object_probability_error(self, name: str) -> float:
+        """Return the standard error of that probability: of the weights, and of what the search may have missed."""
+        there = [part.weight_error for part in self.parts if name in part.graph.names]
+        gone = [part.weight_error for part in self.parts if name not in part.graph.names]
+        known = min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
+        return float(np.hypot(known, self.meta.get("missed", 0.0)))
 
     def parent_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each parent of an object, given that it is there; the likeliest first."""
@@ -194,6 +211,8 @@ class Posterior:
                     "graph": graph_to_tree(part.graph),
                     "addresses": list(part.addresses),
                     "weight": part.weight,
+                    "weight_error": part.weight_error,
+                    "weight_interval": None if part.weight_interval is None else list(part.weight_interval),
                     "periods": list(part.periods),
                     "extras": _plain(part.extras),
                 }
@@ -232,6 +251,8 @@ def load(path: str | Path) -> Posterior:
                     tuple(part["periods"]),
                     file[f"root_pose_{number}"] if f"root_pose_{number}" in file.files else None,
                     part["extras"],
+                    part.get("weight_error", 0.0),
+                    None if part.get("weight_interval") is None else tuple(part["weight_interval"]),
                 )
                 for number, part in enumerate(header["parts"])
             )

@@ -6,6 +6,7 @@ over everything. What a solid's coordinates cost (its sizes' and places' densiti
 so the ratio of integrals holds the Occam factor, and no price has to be set.
 """
 
+import math
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,8 @@ from derender.detection.solids.naming import matched_names, structure_key
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR
 from derender.detection.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
+from derender.sampling.evidence import evidence_of
+from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
@@ -26,22 +29,27 @@ from derender.structures.draws.refined import (
     Refined,
     at_mode,
     floor_pose_of,
+    height,
     local_evidence,
     near_evidence,
     refined_at,
+    refitted,
     without_unseen,
 )
 from derender.structures.draws.sensor import model_image
 from derender.structures.standing import log_standing
+from derender.structures.weighing import NEAR_ERROR, Weighed, of_block, with_own_sensor
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
+PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
+WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed again
+YAWS = tuple(np.radians([0.0, 30.0, 60.0]))  # in which a solid that was round is tried as a box
+SQUARER = 0.87  # times as wide as a circle is a square of about the same outline
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
-# Nats below the best at which `near_evidence` has to do, of a change of one solid and of a structure: a weight of less
-# than a hundredth even if it is as wrong as it ever was.
-IMPROBABLE, VERY_IMPROBABLE = 9.0, 15.0
+VERY_IMPROBABLE = 15.0  # as IMPROBABLE, of a structure that differs in all
 QUICK = 50  # steps of each temperature for one changed solid
 
 
@@ -100,16 +108,22 @@ def other_shapes(best, i, shapes):
     turned = np.eye(3) if kind == SPHERE else rotation_of(row)[:, order]
     wide, mean = np.sqrt(size[order[0]] * size[order[1]]), np.prod(size) ** (1.0 / 3.0)
     form = UPRIGHT if kind == SPHERE else state.forms[i] if axis == 2 else FREE
-    found = []
-    if kind != BOX and {"box", "cube"} & set(shapes):
-        found.append((BOX, form, [wide, wide, size[axis]]))
+    found = []  # kind, form, extents, turn about the axis, whether it is a cube
+    if kind != BOX:
+        for yaw in YAWS:  # nothing of a round solid tells which way a box would be turned
+            if "box" in shapes:
+                found.append((BOX, form, [SQUARER * wide, SQUARER * wide, size[axis]], yaw, False))
+            if "cube" in shapes:
+                sides = spaced([SQUARER * wide, size[axis]], 0.2 * wide)
+                found += [(BOX, form, [side] * 3, yaw, True) for side in sides]
     if kind != CYLINDER and "cylinder" in shapes:
-        found.append((CYLINDER, form, [wide, wide, size[axis]]))
+        found.append((CYLINDER, form, [wide, wide, size[axis]], 0.0, False))
     if kind != SPHERE and "sphere" in shapes and i not in state.parents:
-        found.append((SPHERE, FREE, [mean] * 3))
+        found.append((SPHERE, FREE, [mean] * 3, 0.0, False))
     states = []
-    for other, form, extents in found:
-        new = changed(state, i, make_row(other, turned, row[10:13], extents), other == BOX and kind == SPHERE)
+    for other, form, extents, yaw, cube in found:
+        rotation = turned @ rotation_z(yaw)[:3, :3]
+        new = changed(state, i, make_row(other, rotation, row[10:13], extents), cube)
         new.rows[i, 12] += lowest(row) - lowest(new.rows[i])
         new.forms[i] = form
         states.append(new)
@@ -117,53 +131,53 @@ def other_shapes(best, i, shapes):
 
 
 def of_one_solid(rng, best, i, rules, shapes=()):
-    """Return (Refined, log odds against the best) of the changes of one solid that are not hopeless.
+    """Return the Weighed of the changes of one solid that are not hopeless.
 
     shapes : names of those that it may be instead, where that hardly shows.
     """
     floor = floor_pose_of(best)
-    height = best.log_prior + best.log_likelihood
     found: list[Refined] = []
     for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
-        if trial.log_prior + trial.log_likelihood > height - HOPELESS and all_seen(trial):
+        if height(trial) > height(best) - PROMISING:
+            trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
+        if height(trial) > height(best) - HOPELESS and all_seen(trial):
             found.append(trial)
     removed = without(best, i, floor, rules)
-    keep_removed = removed.log_prior + removed.log_likelihood > height - HOPELESS
-    if not found and not keep_removed:
-        return []
-    near = near_evidence(best, [i])
-    weighed = [(trial, near_evidence(trial, [i]) - near) for trial in found]
-    if not keep_removed and all(odds < -IMPROBABLE for _, odds in weighed):
-        return held_or_not(best, best_of_each(weighed), rules)
-    own = local_evidence(rng, best, [i])
-    weighed = [(trial, odds if odds < -IMPROBABLE else local_evidence(rng, trial, [i]) - own)
-               for trial, odds in weighed]  # fmt: skip
-    weighed = best_of_each(weighed)
-    if keep_removed:
-        weighed.append((removed, removed.log_prior + removed.log_likelihood - own))
-    return held_or_not(best, weighed, rules)
+    if height(removed) > height(best) - PROMISING:
+        removed = refitted(removed)
+    candidates = [(trial, [i]) for trial in likeliest_of_each(found)]
+    if height(removed) > height(best) - HOPELESS:
+        candidates.append((removed, []))
+    return weighed_blocks(rng, best, candidates, [i], rules)
 
 
-def held_or_not(best, weighed, rules):
-    """Return (Refined, log odds against the best) with the term of what would tip in the odds."""
-    own = log_standing(best.state, rules) if weighed else 0.0
-    return [(trial, odds + log_standing(trial.state, rules) - own) for trial, odds in weighed]
+def weighed_blocks(rng, best, candidates, own_places, rules):
+    """Return the Weighed of (Refined, places) that differ from the best in the solids `own_places` of it."""
+    weighed, own = [], None
+    for trial, places in candidates:
+        each = of_block(rng, trial, places, best, own_places, rules, own)
+        if own is None and each.error != NEAR_ERROR:  # the best's own integral is wanted: take one for all
+            own = local_evidence(rng, best, own_places)
+            each = of_block(rng, trial, places, best, own_places, rules, own)
+        weighed.append(each)
+    return weighed
+
+
+def likeliest_of_each(trials):
+    """Return the highest of those trials with the same structure (cubes that hold different corners at the start)."""
+    found: dict[tuple, Refined] = {}
+    for trial in trials:
+        key = (tuple(trial.state.cubes), tuple(trial.state.parents), tuple(trial.state.rows[:, 0]),
+               tuple(trial.state.forms))  # fmt: skip
+        if key not in found or height(trial) > height(found[key]):
+            found[key] = trial
+    return list(found.values())
 
 
 def all_seen(trial):
     """Whether every solid of a Refined shows or carries something: one that does neither could be anywhere at all."""
     return len(without_unseen(trial.state, trial)) == len(trial.state)
-
-
-def best_of_each(weighed):
-    """Return the likeliest of those with the same structure (cubes that hold different corners at the start)."""
-    found: dict[tuple, tuple] = {}
-    for trial, odds in weighed:
-        key = (tuple(trial.state.cubes), tuple(trial.state.parents), tuple(trial.state.rows[:, 0]))
-        if key not in found or odds > found[key][1]:
-            found[key] = (trial, odds)
-    return list(found.values())
 
 
 def without(best, i, floor, rules):
@@ -182,14 +196,15 @@ def one_step_away(best, names):
 
 
 def whole_evidence(rng, refined):
-    """Return the log of the density's integral over all coordinates."""
+    """Return the Evidence of the density over all coordinates."""
     steps = 10 + 5 * len(refined.state)
     found = sample(rng, refined.chart, refined.sensor, refined.values, 1, WHOLE_DRAWS, steps)
-    return log_evidence(found, list(range(len(refined.values))))
+    members = list(range(len(refined.values)))
+    return log_evidence(rng, refined.chart, refined.sensor, refined.values, found, members)
 
 
 def from_search(rng, best, pool, energy, rules, evidence):
-    """Return (Refined, log odds against the best) of structures that the search met, more than one step from the best.
+    """Return the Weighed of structures that the search met, more than one step from the best.
 
     pool : (state, energy) of them. energy : the best one's. evidence : as `whole_evidence`, for the best.
     """
@@ -209,28 +224,33 @@ def from_search(rng, best, pool, energy, rules, evidence):
 
 
 def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
-    """Return (Refined, log odds against the best) of those states that are not hopeless, by integrals over everything.
+    """Return the Weighed of those states that are not hopeless, by integrals over everything.
 
     steps : of each temperature for each solid. evidence : as `whole_evidence`, for the best.
     """
-    trials = [trial for trial in climbed(rng, best, states, rules, steps, HOPELESS) if all_seen(trial)]
+    trials = [with_own_sensor(rng, trial, range(len(trial.state)), WORTHWHILE)
+              for trial in climbed(rng, best, states, rules, steps, PROMISING)]  # fmt: skip
+    trials = [trial for trial in trials if height(trial) > height(best) - HOPELESS and all_seen(trial)]
     if not trials:
         return []
-    near = [near_evidence(each) for each in (best, *trials)]
-    first = int(np.argmax(near))  # the best of all, as it seems: `evidence` is to be of that
-    likely = [k for k in range(len(near)) if near[k] > near[first] - VERY_IMPROBABLE]
-    tasks = [partial(evidence if k == first else whole_evidence, refined=(best, *trials)[k]) for k in likely]
+    everyone = (best, *trials)
+    near = [evidence_of(near_evidence(each), NEAR_ERROR) for each in everyone]
+    first = int(np.argmax([each.log for each in near]))  # the best of all, as it seems: `evidence` is to be of that
+    likely = [k for k in range(len(near)) if near[k].log > near[first].log - VERY_IMPROBABLE]
+    tasks = [partial(evidence if k == first else whole_evidence, refined=everyone[k]) for k in likely]
     if len(likely) > 1:
-        for k, weight in zip(likely, in_threads(rng, tasks), strict=True):
-            near[k] = weight
-    weighed = [(trial, weight - near[0]) for trial, weight in zip(trials, near[1:], strict=True)]
-    return held_or_not(best, weighed, rules)
+        for k, found in zip(likely, in_threads(rng, tasks), strict=True):
+            near[k] = found
+    logs = [found.log + log_standing(each.state, rules) + each.sensor.log_prior()
+            for found, each in zip(near, everyone, strict=True)]  # fmt: skip
+    return [Weighed(trial, log - logs[0], math.hypot(found.standard_error, near[0].standard_error))
+            for trial, log, found in zip(trials, logs[1:], near[1:], strict=True)]  # fmt: skip
 
 
 def climbed(rng, best, states, rules, steps, within):
     """Return the Refined of those states whose modes are within so many nats of the best's."""
-    height, floor = best.log_prior + best.log_likelihood, floor_pose_of(best)
+    floor = floor_pose_of(best)
     trials = in_threads(rng, [
         partial(at_mode, state=new, floor_pose=floor, sensor=best.sensor, rules=rules, steps=steps) for new in states
     ])  # fmt: skip
-    return [trial for trial in trials if trial.log_prior + trial.log_likelihood > height - within]
+    return [trial for trial in trials if height(trial) > height(best) - within]

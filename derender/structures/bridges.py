@@ -129,8 +129,8 @@ def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePost
     probability = candidate.probability
     if min(probability, 1 - probability) < SMALLEST_WEIGHT:
         probability = round(probability)
-    joined = replace(closed(part, candidate), graph=graph, weight=part.weight * probability)
-    apart = replace(part, weight=part.weight * (1 - probability))
+    joined = replace(closed(part, candidate), graph=graph).scaled(probability)
+    apart = part.scaled(1 - probability)
     return [piece for piece in (joined, apart) if piece.weight > 0]
 
 
@@ -165,5 +165,16 @@ def merge_same(parts: Sequence[StructurePosterior]) -> list[StructurePosterior]:
             (v.name, v.shape, v.contact.type, frozenset((v.parent, *v.supports)) if v.supports else v.parent)
             for v in sorted(part.graph.vertices, key=lambda v: v.name)
         )
-        kept[key] = replace(kept[key], weight=kept[key].weight + part.weight) if key in kept else part
+        kept[key] = together(kept[key], part) if key in kept else part
     return sorted(kept.values(), key=lambda part: -part.weight)
+
+
+def together(part: StructurePosterior, other: StructurePosterior) -> StructurePosterior:
+    """Return a structure with the weight of another that says the same; their errors are taken as independent."""
+    error = float(np.hypot(part.weight_error, other.weight_error))
+    weight, ends = part.weight + other.weight, (part.weight_interval, other.weight_interval)
+    interval = None
+    if ends[0] is not None and ends[1] is not None:
+        far = [np.hypot(part.weight - ends[0][k], other.weight - ends[1][k]) for k in range(2)]
+        interval = float(max(weight - far[0], 0.0)), float(min(weight + far[1], 1.0))
+    return replace(part, weight=weight, weight_error=error, weight_interval=interval)

@@ -7,6 +7,7 @@ structures are weighed by integrals (`alternatives.py`).
 On other images, such as those of real sensors, the search's own score has to do (`scored_posterior.py`).
 """
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +16,7 @@ from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import total_energy
 from derender.detection.solids.graph import names_of
 from derender.detection.solids.naming import matched_names, structure_key
+from derender.sampling.evidence import shares
 from derender.structures.alternatives import (
     WHOLE_DRAWS,
     from_search,
@@ -32,9 +34,12 @@ from derender.structures.draws.refined import (
     structure_posterior,
     with_sensor_refitted,
 )
+from derender.structures.hidden import hidden_expected
 from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
 from derender.structures.unions import merges, recuts
+from derender.structures.weighing import Weighed, made_sure
 
+ROUNDS = 3  # in which each solid is tried otherwise, at most
 MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
@@ -64,39 +69,58 @@ def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best
     first = refine(rng, seen, state, settings.rules)
     if only_best:
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
-    made: dict = {}
-
-    def own_evidence(rng, refined):
-        """Return its evidence from the draws that it will need anyway, should it stay the best."""
-        made["of"], made["draws"] = refined, chains_of(rng, refined, chains, draws)
-        return log_evidence(made["draws"], list(range(len(refined.values))))
-
-    evidence = own_evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
+    made = DrawsOfOne(chains, draws)
+    evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
     energy = total_energy(seen.image, state, settings)
-    kept = weighed_structures(rng, first, energy, pool, settings.rules, evidence, settings.shapes)
+    kept = weighed_structures(rng, first, energy, pool, settings.rules, evidence, settings.shapes, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
-    weights = np.exp([odds - kept[0][1] for _, odds, _ in kept])
-    weights /= weights.sum()
+    weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
     parts = []
-    for place, ((trial, _, own), weight) in enumerate(zip(kept, weights, strict=True)):
+    for place, (trial, _, own, _) in enumerate(kept):
         if place == 0:
-            drawn = made["draws"] if made.get("of") is trial else chains_of(rng, trial, chains, draws)
-        elif weight > WORTH_DRAWING and len(trial.state):
+            drawn = made.of(rng, trial)
+        elif weights[place] > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:
             drawn = [only_draw(trial)]
-        parts.append(structure_posterior(trial, own, float(weight), drawn))
+        part = structure_posterior(trial, own, float(weights[place]), drawn)
+        low, high = (float(end) for end in intervals[place])
+        if place == 0:
+            hidden = hidden_expected(rng, trial, settings.beliefs)
+            part = replace(part, extras={**part.extras, "hidden_expected": hidden})
+        parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
     return parts
 
 
-def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence, shapes=()):
-    """Return (Refined, log odds, names) of the structures that the search met and of those one step from the best.
+class DrawsOfOne:
+    """Chains of one structure at a time, made when they are first asked for: the likeliest needs them anyway."""
 
-    The likeliest comes first, with odds 0; a solid has the same name in all.
+    def __init__(self, chains, draws) -> None:
+        self.chains, self.count = chains, draws
+        self.made: tuple = ()
+
+    def of(self, rng, refined):
+        """Return the list of Draws of a Refined, one for each chain."""
+        if not self.made or self.made[0] is not refined:
+            self.made = refined, chains_of(rng, refined, self.chains, self.count)
+        return self.made[1]
+
+    def evidence(self, rng, refined):
+        """Return its Evidence from these draws."""
+        members = list(range(len(refined.values)))
+        return log_evidence(rng, refined.chart, refined.sensor, refined.values, self.of(rng, refined), members)
+
+
+def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence, shapes=(), made=None):
+    """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
+
+    The likeliest comes first, with odds 0 and no error: those of the others are of their odds against it. A solid has
+    the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
     evidence : of the first, see `whole_evidence`. shapes : names of those that a solid may have instead of its own.
+    made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
     """
     best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
     for _ in range(MOST_MERGES):
@@ -109,34 +133,53 @@ def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence,
         best, others = leading(best, [*others, *recuts(rng, best, rules)])
         if best is former:
             break
-    for _ in range(2):  # a second time where the first has led to a better one: the odds are to be against that
+    for _ in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         former = best
-        k = 0
-        while k < len(best.state):  # it may lose one on the way
-            ahead = range(k, min(k + AHEAD, len(best.state)))
-            tasks = [partial(of_one_solid, best=best, i=i, rules=rules, shapes=shapes) for i in ahead]
-            for weighed in in_threads(rng, tasks):
-                k, against = k + 1, best
-                best, others = leading(best, [*others, *weighed])
-                if best is not against:  # what the next solids' changes were weighed against
-                    break
+        best, others = one_solid_each(rng, best, others, rules, shapes)
+        if made is not None and best is former:
+            found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
+            best, others = leading(best, found)
         if best is former:
             break
-    if best is not first:
         best = with_sensor_refitted(rng, best)
     names = names_of(best.state)
-    found = {structure_key(best.state, names): (best, 0.0, names)}
-    for trial, odds in others:
-        own = matched_names(trial.state, best.state, names)
-        key = structure_key(trial.state, own)
-        if key not in found or odds > found[key][1]:
-            found[key] = (trial, odds, own)
+    found = {structure_key(best.state, names): (best, 0.0, names, 0.0)}
+    for other in others:
+        own = matched_names(other.trial.state, best.state, names)
+        key = structure_key(other.trial.state, own)
+        if key not in found or other.odds > found[key][1]:
+            found[key] = (other.trial, other.odds, own, other.error)
     return sorted(found.values(), key=lambda each: -each[1])
 
 
+def draws_of(rng, made, refined):
+    """Return (n, D) draws of the coordinates of a Refined."""
+    return np.concatenate([drawn.values for drawn in made.of(rng, refined)])
+
+
+def one_solid_each(rng, best, others, rules, shapes):
+    """Return the likeliest and the others once each solid of it has been tried otherwise."""
+    k = 0
+    while k < len(best.state):  # it may lose one on the way
+        ahead = range(k, min(k + AHEAD, len(best.state)))
+        tasks = [partial(of_one_solid, best=best, i=i, rules=rules, shapes=shapes) for i in ahead]
+        for weighed in in_threads(rng, tasks):
+            k, against = k + 1, best
+            best, others = leading(best, [*others, *weighed])
+            if best is not against:  # what the next solids' changes were weighed against
+                break
+    return best, others
+
+
 def leading(best, others):
-    """Return the likeliest of the best and the (Refined, log odds) of others, and the rest with odds against it."""
-    better, odds = max(others, key=lambda pair: pair[1], default=(None, 0.0))
-    if odds <= 0.0:
+    """Return the likeliest of the best and the Weighed of others, and the rest with odds against it.
+
+    What was weighed against another best keeps its odds, with the error of both; it shares no coordinates any more.
+    """
+    leader = max(others, key=lambda each: each.odds, default=None)
+    if leader is None or leader.odds <= 0.0:
         return best, others
-    return better, [(t, o - odds) for t, o in [*others, (best, 0.0)] if t is not better]
+    rest = [each for each in others if each is not leader]
+    rest = [each._replace(odds=each.odds - leader.odds, error=float(np.hypot(each.error, leader.error)), places=None)
+            for each in rest]  # fmt: skip
+    return leader.trial, [*rest, Weighed(best, -leader.odds, leader.error)]

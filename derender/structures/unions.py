@@ -17,16 +17,17 @@ from derender.detection.solids.support import final_parents
 from derender.scene.solids import BOX
 from derender.structures.alternatives import (
     HOPELESS,
-    IMPROBABLE,
+    PROMISING,
     QUICK,
+    WORTHWHILE,
     changed,
     climbed,
     weighed_whole,
 )
 from derender.structures.draws.chart import make_chart
-from derender.structures.draws.refined import at_mode, floor_pose_of, local_evidence, near_evidence
+from derender.structures.draws.refined import at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
-from derender.structures.standing import log_standing
+from derender.structures.weighing import of_block, with_own_sensor
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
@@ -50,7 +51,7 @@ def merged_row(row, other):
 
 
 def merges(rng, best, rules):
-    """Return (Refined, log odds against the best) of two neighbouring boxes being one."""
+    """Return the Weighed of two neighbouring boxes being one."""
     state = best.state
     tasks = []
     for i in range(len(state)):
@@ -67,7 +68,7 @@ def merges(rng, best, rules):
 
 
 def merged(rng, best, i, j, rules):
-    """Return (Refined, log odds against the best) of solid `j` being part of `i`; None where that is hopeless."""
+    """Return the Weighed of solid `j` being part of `i`; None where that is hopeless."""
     state = best.state
     new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
     lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
@@ -76,17 +77,16 @@ def merged(rng, best, i, j, rules):
     new = new.without(j)
     place = i - (j < i)
     trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [place])
-    if trial.log_prior + trial.log_likelihood <= best.log_prior + best.log_likelihood - HOPELESS:
+    if height(trial) > height(best) - PROMISING:
+        trial = with_own_sensor(rng, trial, [place], WORTHWHILE)
+    if height(trial) <= height(best) - HOPELESS:
         return None
-    odds = near_evidence(trial, [place]) - near_evidence(best, [i, j])
-    if odds > -IMPROBABLE:
-        odds = local_evidence(rng, trial, [place]) - local_evidence(rng, best, [i, j])
-    return trial, odds + log_standing(trial.state, rules) - log_standing(state, rules)
+    return of_block(rng, trial, [place], best, [i, j], rules)
 
 
 def recuts(rng, best, rules):
-    """Return (Refined, log odds against the best) of two boxes that touch being cut in another way, or one and all that
-    it touches and runs on through.
+    """Return the Weighed of two boxes that touch being cut in another way, or one and all that it touches and runs on
+    through.
 
     Where they are flush the image does not tell the cuts apart; which solids their contacts can hold does.
     """

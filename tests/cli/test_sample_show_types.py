@@ -128,8 +128,8 @@ def test_a_posterior_adds_its_probabilities():
     assert entry["probability"] == 0.75 and entry["parent_probability"] == {"floor": 0.9, "green": 0.1}
     assert "support_probability" not in entry
     assert scene_json(graph, doubtful)["objects"][3]["support_probability"] == {"green": 0.3}
-    assert "p 0.75 (on floor 0.90, green 0.10, also green 0.30)" in "\n".join(scene_lines(graph, doubtful))
-    assert "p 0.75 (on floor 0.90, green 0.10)" in "\n".join(scene_lines(graph, doubtful))
+    assert "p .75 (on floor .90, green .10, also green .30)" in "\n".join(scene_lines(graph, doubtful))
+    assert "p .75 (on floor .90, green .10)" in "\n".join(scene_lines(graph, doubtful))
 
 
 def test_types_lists_and_explains_what_is_registered(capfd):

@@ -76,7 +76,7 @@ def test_what_bears_another_is_no_cube_that_leaves_it_in_the_air():
     state = State().add(lower, UPRIGHT, False, FLOOR, 0.0).add(middle, UPRIGHT, False, 0, 0.08)
     state = state.add(upper, UPRIGHT, True, 1, 0.152)
     rng = np.random.default_rng(3)
-    hanging = [odds for trial, odds in of_one_solid(rng, weighed(rng, state, state), 1, RULES)
+    hanging = [odds for trial, odds, *_ in of_one_solid(rng, weighed(rng, state, state), 1, RULES)
                if not trial.chart.flags[2, HELD]]  # fmt: skip
     assert hanging and max(hanging) < -8.0
 

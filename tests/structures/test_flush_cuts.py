@@ -87,19 +87,21 @@ def test_a_board_that_only_friction_holds_is_not_held():
 
 def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
     best, found = weighed(hung())
-    right = [odds for trial, odds in found if unheld(trial.state) == 0 and sorted(trial.state.rows[:, 15])[-1] < 0.11]
+    right = [
+        odds for trial, odds, *_ in found if unheld(trial.state) == 0 and sorted(trial.state.rows[:, 15])[-1] < 0.11
+    ]
     assert right and max(right) > 0.5 * np.log(CERTAIN)
 
 
 def test_a_board_on_both_sides_stays_there():
     """The broken twin: without the odds of what holds, the cuts would be as likely as each other."""
     best, found = weighed(shelf())
-    wrong = [odds for trial, odds in found if unheld(trial.state) > 0]
+    wrong = [odds for trial, odds, *_ in found if unheld(trial.state) > 0]
     assert wrong and max(wrong) < -0.5 * np.log(CERTAIN)
-    assert max(odds + np.log(CERTAIN) for trial, odds in found if unheld(trial.state) > 0) > -3.0
+    assert max(odds + np.log(CERTAIN) for trial, odds, *_ in found if unheld(trial.state) > 0) > -3.0
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_two_ways_to_cut_a_corner_are_both_weighed(seed):
     _, found = weighed(corner(), seed)
-    assert any(abs(odds) < 4.0 for _, odds in found)
+    assert any(abs(odds) < 4.0 for _, odds, *_ in found)

@@ -27,6 +27,7 @@ class Loose:
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
     overlap : metres by which solids may enter each other.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
+    missed : probability that a search has not found what is there at all.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     """
@@ -37,6 +38,7 @@ class Loose:
     overlap: float = 3e-4
     hanging: float = 1e-13
     tipping: float = 0.01
+    missed: float = 0.005
     second_support: float = 0.5
     within: float = 0.06
 
@@ -73,7 +75,7 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
-NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": ""}
+NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": "", "missed": ""}
 
 
 def read_loose(section: Section) -> Loose:

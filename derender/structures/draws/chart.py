@@ -25,6 +25,7 @@ FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
 
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
 LEAST_EXTENT = 0.004  # metres: thinner solids are noise, whatever a prior says
+EIGHTH = np.sqrt(0.5) - 1e-9  # cosine of an eighth of a turn, to rounding
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
@@ -232,7 +233,8 @@ def solid_log_prior(chart, rows, k):
 
     Sizes are as chart.sizes has them. Places on the floor are even (how many there are to a square metre is in
     chart.structural), those on another's top even over the places where the two touch. Turns are uniform: a box in
-    (length, width, theta) has two names in each half turn, a cube one in each quarter.
+    (length, width, theta) has two names in each half turn, a cube one in each quarter; one that stands upright is
+    within an eighth of a turn of where it began, so that it has one name.
     """
     row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
     kind = flag[KIND]
@@ -240,6 +242,10 @@ def solid_log_prior(chart, rows, k):
     total = 0.0
     if min(row[13], row[14], row[15]) < LEAST_EXTENT:
         return -np.inf
+    if kind == BOX and flag[VERTICAL]:  # turned by more it is the same box under another name, which counts once
+        base = chart.base[k]
+        if base[1] * row[1] + base[4] * row[4] < EIGHTH:
+            return -np.inf
     if kind == BOX and not cube:
         total += box_log_density(chart.sizes[BOX], row[13:16], flag[VERTICAL])
     else:

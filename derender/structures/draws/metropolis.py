@@ -23,6 +23,7 @@ from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+from derender.sampling.evidence import evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.agreement import agree, far_apart
@@ -135,6 +136,21 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                 kept[taken // thin, i] = values[i]
             densities[taken // thin, 0], densities[taken // thin, 1] = prior, likelihood
     return accepted
+
+
+@njit(cache=True, nogil=True)
+def evaluate(engine, chart, batch, densities):
+    """Write the log prior and the log likelihood of coordinates (m, D) into densities (m, 2)."""
+    count = len(chart.flags)
+    rows, indices = np.empty((count, ROW)), np.arange(count + 1)
+    poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    for n in range(len(batch)):
+        place_rows(chart, batch[n], rows)
+        densities[n, 0], densities[n, 1] = log_prior(chart, rows), 0.0
+        if densities[n, 0] > -np.inf:
+            camera_poses(chart, batch[n], rows, poses, sizes)
+            densities[n, 1] = propose_in(engine, np.int64(count + 1), indices, poses, sizes)
+            settle_in(engine, CURRENT)
 
 
 def load(engine, chart, values):
@@ -284,10 +300,20 @@ def stretch(rng, walkers, steps, temperature, gain, count, thin):
     return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
 
 
-def log_evidence(drawn, members):
-    """Return the log of the integral of the density over coordinates `members`, from the Draws of chains: the normal
-    with their mean and covariance has E[log density] + entropy for it, exact where the posterior is normal."""
-    values = np.concatenate([draws.values[:, members] for draws in drawn])
-    covariance = np.atleast_2d(np.cov(values.T)) + 1e-14 * np.eye(len(members))
-    entropy = 0.5 * np.linalg.slogdet(2.0 * np.pi * np.e * covariance)[1]
-    return float(np.mean([draws.densities.sum(axis=1).mean() for draws in drawn]) + entropy)
+def log_evidence(rng, chart, sensor, values, drawn, members):
+    """Return the Evidence of the density over coordinates `members`, from the Draws of chains: see sampling.evidence.
+
+    values : (D,) where the other coordinates are held.
+    """
+    chosen = np.concatenate([draws.values[:, members] for draws in drawn])
+    densities = np.concatenate([draws.densities.sum(axis=1) for draws in drawn])
+    engine = engine_of(chart, sensor)
+    load(engine, chart, values)
+
+    def target(points):
+        batch, found = np.tile(values, (len(points), 1)), np.empty((len(points), 2))
+        batch[:, members] = points
+        evaluate(engine, chart, batch, found)
+        return found.sum(axis=1)
+
+    return evidence(rng, target, chosen, densities, len(chosen))

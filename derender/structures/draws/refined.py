@@ -11,21 +11,33 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.image import ROW
 from derender.results.posterior import StructurePosterior
+from derender.sampling.evidence import draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import (
     Draws,
     ascend,
     engine_of,
+    evaluate,
     load,
     log_evidence,
     sample,
 )
 from derender.structures.draws.numbers import numbers_of_draws
-from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, model_image
+from derender.structures.draws.sensor import (
+    Sensor,
+    blurs_about,
+    final_sensor,
+    first_sensor,
+    log_prior_of,
+    model_depth,
+    model_image,
+    same_sensor_refitted,
+)
 from derender.structures.draws.steps import own_members
 
 ANNEALING = 100  # steps of each temperature for each solid
@@ -33,6 +45,8 @@ TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on 
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
+BLUR_POINTS, GROUPS = 200, 8  # points at which blurs are summed over, and parts of them that tell the error
+WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any; degrees of freedom of t
 
 
 class Refined(NamedTuple):
@@ -92,7 +106,8 @@ def refine(rng, seen, state, rules):
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, rules)
-    sensor = first_sensor(camera, observed, chart, values)
+    beliefs = bare_image() if rules.beliefs is None else rules.beliefs
+    sensor = first_sensor(camera, observed, chart, values, beliefs.sensor)
     refined = settled(rng, best_climb(rng, state, chart, values, sensor))
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
@@ -195,11 +210,64 @@ def members_of(chart, solids):
 
 
 def local_evidence(rng, refined, solids):
-    """Return the log of the density's integral over the coordinates of some solids, all others held at the mode."""
+    """Return the Evidence of the density over the coordinates of some solids, all others held where they are."""
     members = members_of(refined.chart, solids)
+    if not members:
+        engine = engine_of(refined.chart, refined.sensor)
+        return evidence_of(sum(load(engine, refined.chart, refined.values)), 0.0)
     steps = LOCAL_STEPS * len(solids)
     drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
-    return log_evidence(drawn, members)
+    return log_evidence(rng, refined.chart, refined.sensor, refined.values, drawn, members)
+
+
+def refitted(refined):
+    """Return the Refined with the sensor's numbers that explain it best, of the same likelihood, nothing moved."""
+    clean = model_depth(refined.chart, refined.values, refined.sensor.camera)
+    sensor = same_sensor_refitted(refined.sensor, clean)
+    _, log_likelihood = load(engine_of(refined.chart, sensor), refined.chart, refined.values)
+    found = refined._replace(sensor=sensor, log_likelihood=log_likelihood)
+    return found if height(found) > height(refined) else refined
+
+
+def height(refined):
+    """Return the log density of a Refined, its sensor's numbers counted: what modes are compared by."""
+    return refined.log_prior + refined.log_likelihood + refined.sensor.log_prior()
+
+
+def over_blur(rng, refined, solids):
+    """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
+    over these coordinates alone: what `local_evidence` misses, of a blur that is not known.
+
+    Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a fitted t
+    distribution. How noisy the image is takes about the same from every structure (1 / sqrt(2 pixels) is narrow).
+    """
+    chart, sensor, values = refined.chart, refined.sensor, refined.values
+    members = members_of(chart, solids)
+    nodes = blurs_about(sensor, model_depth(chart, values, sensor.camera))
+    points, proposed = np.tile(values, (1, 1)), np.zeros(1)
+    if members:
+        steps = LOCAL_STEPS * len(solids)
+        (drawn,) = sample(rng, chart, sensor, values, 1, LOCAL_DRAWS, steps, members)
+        mean, factor = fit(drawn.values[:, members], None)
+        points = np.tile(values, (BLUR_POINTS, 1))
+        points[:, members] = draw_t(rng, mean, WIDER * factor, FREEDOM, BLUR_POINTS)
+        proposed = log_t(points[:, members], mean, WIDER * factor, FREEDOM)
+
+    def densities(blurred):
+        own = sensor.changed(blur=float(blurred))
+        engine, found = engine_of(chart, own), np.empty((len(points), 2))
+        load(engine, chart, values)
+        evaluate(engine, chart, points, found)
+        return found.sum(axis=1) - proposed
+
+    held = densities(sensor.values["blur"])
+    step = np.log(nodes[1] - nodes[0])
+    believed = [log_prior_of(sensor.prior, {"blur": float(node)}) + step for node in nodes]
+    open_ = np.logaddexp.reduce([densities(node) + each for node, each in zip(nodes, believed, strict=True)], axis=0)
+    log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
+    groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
+    apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]
+    return evidence_of(log, float(np.std(apart) / np.sqrt(len(groups))))
 
 
 def near_evidence(refined, solids=None):

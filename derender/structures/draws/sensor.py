@@ -1,5 +1,6 @@
 """What the image says about the sensor: noise, its growth with depth, blur, outliers, given a first explanation."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,12 +11,19 @@ from derender.detection.solids.image import ROW
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
+from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import camera_poses, place_rows
 
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
+UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier")  # numbers of a sensor that are fitted
+RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
+STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
+APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
+RULES_OUT = 15.0  # nats by which a blur explains less, solids held: where they give way the blur is more open
+MOST_BLUR = 5.0  # pixels, as a likelihood allows them
 LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
 BACKGROUND = 10.0
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
@@ -30,12 +38,14 @@ class Sensor(NamedTuple):
     ----------
     camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out.
     likelihood : of render.likelihoods; values : all its numbers.
+    prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
     """
 
     camera: Camera
     observed: np.ndarray
     likelihood: Any
     values: dict[str, float]
+    prior: Any = None
 
     def changed(self, name=None, **values):
         """Return the sensor with another likelihood or other numbers."""
@@ -43,6 +53,13 @@ class Sensor(NamedTuple):
         known = {p.name for p in likelihood.parameters}
         kept = {k: v for k, v in {**self.values, **values}.items() if k in known}
         return self._replace(likelihood=likelihood, values=likelihood.complete(kept))
+
+    def log_prior(self, without=()):
+        """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
+
+        without : names of those that do not count.
+        """
+        return log_prior_of(self.prior, {k: v for k, v in self.values.items() if k not in without})
 
     def to_data(self):
         """Return the likelihood's type and its finite numbers: what stands under `likelihood:` in a scene file."""
@@ -71,12 +88,20 @@ def too_far(observed):
     return observed > FAR_AWAY * np.nanmedian(observed)
 
 
-def first_sensor(camera, observed, chart, values):
-    """Return the robust Sensor that explains the image best given a first state."""
+def log_prior_of(prior, numbers):
+    """Return the log density of a sensor's numbers under a LikelihoodPrior; never minus infinity."""
+    if prior is None:
+        return 0.0
+    known = [(value, numbers[name]) for name, value in prior.values.items() if name in UNKNOWN and name in numbers]
+    return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
+
+
+def first_sensor(camera, observed, chart, values, prior=None):
+    """Return the robust Sensor that explains the image best given a first state. prior : see Sensor."""
     observed = np.where(too_far(observed), np.nan, observed)
     clean = model_depth(chart, values, camera)
     best = max((robust_fit(observed, clean, blurred, FIRST_OUTLIERS) for blurred in BLURS), key=density_of)
-    return Sensor(camera, observed, likelihoods["robust"], {}).changed("robust", **best[2])
+    return Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **best[2])
 
 
 def density_of(fit):
@@ -144,6 +169,47 @@ def final_sensor(sensor, chart, values):
     about = np.clip(sensor.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
     _, name, numbers = best_fit(sensor.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125))
     return sensor.changed(name, **numbers)
+
+
+def same_sensor_refitted(sensor, clean):
+    """Return the sensor with the numbers that explain a clean depth (H, W) best, its likelihood of the same type."""
+
+    def fitted(blurred, outliers):
+        if sensor.likelihood.name == "gaussian":
+            fit = gaussian_fit(sensor.observed, clean, blurred)
+        else:
+            fit = robust_fit(sensor.observed, clean, blurred, outliers)
+        return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
+
+    rate = sensor.values.get("outlier", RATES[0])
+    best = fitted(sensor.values["blur"], rate)
+    for step in STEPS:
+        for _ in range(WALKED):
+            at = best[2]["blur"]
+            new = max((fitted(at + way * step, rate) for way in (-1, 1) if at + way * step >= 0.0), key=density_of)
+            if density_of(new) <= density_of(best):
+                break
+            best = new
+    if sensor.likelihood.name != "gaussian":
+        best = max([best, *(fitted(best[2]["blur"], other) for other in RATES)], key=density_of)
+    return sensor.changed(best[1], **best[2])
+
+
+def blurs_about(sensor, clean):
+    """Return (NODES,) blurs in equal steps over which an image of this clean depth (H, W) leaves the blur open."""
+    at = sensor.values["blur"]
+
+    def density(blurred):
+        fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
+        return fit(sensor.observed, clean, blurred)[0]
+
+    ends = []
+    for way in (-1.0, 1.0):  # outwards, ever farther, to where the image rules a blur out
+        away, held = APART, density(at)
+        while 0.0 < at + way * away < MOST_BLUR and density(at + way * away) > held - RULES_OUT:
+            away *= 1.5
+        ends.append(min(max(at + way * away, 0.0), MOST_BLUR))
+    return np.linspace(*ends, NODES)
 
 
 def image_likelihood(camera, observed, solids, effective_pixels=np.inf):

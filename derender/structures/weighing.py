@@ -1,0 +1,145 @@
+"""The odds of two structures, each with its error: the one interface by which structures are weighed.
+
+Two structures A and B that differ in the coordinates a and b of few solids and share all others, r, have the odds
+
+    Z_B / Z_A = E[ Z_B(r) / Z_A(r) ],    r drawn from the posterior under A,
+
+Z(r) being the integral over a (or b) alone with the rest held at r: an identity, not an approximation. A first look
+takes r at the mode; where that leaves the odds open, r is drawn, and what the draws differ by is part of the error.
+Structures that differ in more are weighed by the integral over everything. The sensor's numbers are refitted for each
+structure that comes near; those whose odds are open are integrated over them too (`over_blur`).
+"""
+
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.compilation.threads import in_threads
+from derender.detection.solids.image import ROW
+from derender.structures.draws.chart import make_chart, place_rows
+from derender.structures.draws.metropolis import engine_of, load
+from derender.structures.draws.refined import (
+    Refined,
+    climb,
+    floor_pose_of,
+    height,
+    local_evidence,
+    members_of,
+    near_evidence,
+    over_blur,
+    refitted,
+)
+from derender.structures.standing import log_standing
+
+# Nats below the best at which `near_evidence` has to do, of a change of one solid: a weight of less than a hundredth
+# even if it is as wrong as it ever was, and that is taken as its error.
+IMPROBABLE, NEAR_ERROR = 9.0, 2.0
+CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
+PLACES = 4  # of the rest, drawn for odds that are close
+SETTLING = 30  # steps of each temperature for each solid that changes, where the rest is drawn
+
+
+class Weighed(NamedTuple):
+    """A structure and its odds against the best.
+
+    Attributes
+    ----------
+    trial : Refined. odds : log. error : standard error of the odds.
+    places : indices of the solids whose coordinates are not shared with the best, here and there; None: all are.
+    """
+
+    trial: Any
+    odds: float
+    error: float = NEAR_ERROR
+    places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+
+
+def of_block(rng, trial, places, best, own_places, rules, own=None):
+    """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
+
+    places, own_places : indices of those solids in it and in the best. own : Evidence of the best's, where known.
+    """
+    both = tuple(places), tuple(own_places)
+    stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
+    stands += trial.sensor.log_prior() - best.sensor.log_prior()
+    odds = near_evidence(trial, places) - near_evidence(best, own_places) + stands
+    if odds < -IMPROBABLE:
+        return Weighed(trial, odds, NEAR_ERROR, both)
+    own = local_evidence(rng, best, own_places) if own is None else own
+    found = local_evidence(rng, trial, places)
+    error = math.hypot(found.standard_error, own.standard_error)
+    return Weighed(trial, found.log - own.log + stands, error, both)
+
+
+def made_sure(rng, best, others, drawn, rules):
+    """Return the Weighed of others with those whose odds are close weighed again, the rest drawn from the posterior.
+
+    drawn : function of rng that returns (n, D) draws of the best's coordinates.
+    """
+    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE and each.places is not None]
+    if not close:
+        return others
+    draws = drawn(rng)
+    chosen = draws[np.linspace(0, len(draws) - 1, PLACES + 2).round().astype(int)[1:-1]]
+    tasks = [
+        partial(odds_at, best=best, weighed=others[k], values=values, rules=rules) for k in close for values in chosen
+    ]
+    found = np.array(in_threads(rng, tasks)).reshape(len(close), len(chosen), 2)
+    open_ = in_threads(rng, [partial(blur_odds, best=best, weighed=others[k]) for k in close])
+    others = list(others)
+    for k, each, (more, error) in zip(close, found, open_, strict=True):
+        told = averaged(each[:, 0], each[:, 1])
+        odds, error = told["odds"] + more, math.hypot(told["error"], error)
+        others[k] = others[k]._replace(odds=odds, error=error)
+    return others
+
+
+def blur_odds(rng, best, weighed):
+    """Return (log odds, error) that a blur which is not known adds to those of a structure against the best."""
+    both = [over_blur(rng, each, list(places))
+            for each, places in zip((weighed.trial, best), weighed.places, strict=True)]  # fmt: skip
+    believed = weighed.trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
+    return both[0].log - both[1].log + believed, math.hypot(both[0].standard_error, both[1].standard_error)
+
+
+def averaged(logs, errors):
+    """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,)."""
+    count = len(logs)
+    odds = float(np.logaddexp.reduce(logs) - math.log(count))
+    spread = float(np.var(logs, ddof=1)) if count > 1 else 0.0
+    return {"odds": odds, "error": math.sqrt((float(np.mean(np.square(errors))) + spread) / count)}
+
+
+def odds_at(rng, best, weighed, values, rules):
+    """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best."""
+    trial, (places, own_places) = weighed.trial, weighed.places
+    here = best._replace(values=values.copy())
+    rows = np.empty((len(best.state), ROW))
+    place_rows(best.chart, values, rows)
+    state = trial.state.copy()
+    shared = [k for k in range(len(best.state)) if k not in own_places]
+    for k, row in zip([k for k in range(len(state)) if k not in places], shared, strict=True):
+        state.rows[k] = rows[row]
+    chart, start = make_chart(state, floor_pose_of(here), rules)
+    if places:
+        found = climb(rng, state, chart, start, trial.sensor, SETTLING * len(places), members_of(chart, places), ())
+    else:
+        found = Refined(state, chart, start, trial.sensor, *load(engine_of(chart, trial.sensor), chart, start))
+    stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
+    parts = [local_evidence(rng, found, places), local_evidence(rng, here, own_places)]
+    odds = parts[0].log - parts[1].log + stands
+    return odds, math.hypot(parts[0].standard_error, parts[1].standard_error)
+
+
+def with_own_sensor(rng, trial, places, least):
+    """Return a Refined under the sensor that it suggests itself, where that explains more by at least `least` nats.
+
+    Then the solids that changed are climbed again.
+    """
+    found = refitted(trial)
+    if height(found) < height(trial) + least or not places:
+        return found
+    members = members_of(found.chart, places)
+    return climb(rng, found.state, found.chart, found.values.copy(), found.sensor, SETTLING, members, ())

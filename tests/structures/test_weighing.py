@@ -1,0 +1,127 @@
+"""Odds of structures against a reference that is made here: adaptive importance sampling over a solid's coordinates,
+noise and blur summed over grids. It shares the density with inference and nothing of how that is integrated."""
+
+import math
+
+import numpy as np
+import pytest
+from test_graph_posterior import camera, floor_pose, observe, row
+
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.scene.solids import BOX, CYLINDER
+from derender.structures.draws.metropolis import engine_of, evaluate, load
+from derender.structures.draws.refined import at_mode, members_of, refitted
+from derender.structures.weighing import Weighed, averaged, made_sure, of_block, with_own_sensor
+
+RULES = Rules(0.0015)
+ROUNDS, COUNT, FREEDOM = 7, 2000, 8.0
+BLURS = np.linspace(-0.4, 0.4, 33)  # pixels about the best one
+PRIOR = bare_image().sensor
+
+
+def solid(kind, size, theta=0.5, cube=False):
+    return State().add(row(kind, theta, 0.0, 0.0, 0.0, size), UPRIGHT, cube, FLOOR, 0.0)
+
+
+def reference(rng, refined, members):
+    """Return (log integral over these coordinates, noise and blur; its standard error)."""
+    engines = []
+    for blurred in np.maximum(refined.sensor.values["blur"] + BLURS, 0.0):
+        engine = engine_of(refined.chart, refined.sensor.changed(blur=float(blurred)))
+        load(engine, refined.chart, refined.values)
+        engines.append(engine)
+    count = int(np.isfinite(refined.sensor.observed).sum())
+    sigma = refined.sensor.values["sigma"]
+    sigmas = sigma * np.exp(np.linspace(-0.2, 0.2, 13))
+    beliefs = [PRIOR.values["sigma"].log_density(s) + math.log(s) for s in sigmas]
+    step = (
+        math.log(sigmas[1] / sigmas[0]) * (BLURS[1] - BLURS[0]) / 3.0
+    )  # over the logarithm of sigma, and the blur, uniform up to 3 pixels
+
+    def density(points):
+        batch, found = np.tile(refined.values, (len(points), 1)), np.empty((len(points), 2))
+        batch[:, members] = points
+        terms = []
+        for number, engine in enumerate(engines):
+            evaluate(engine, refined.chart, batch, found)
+            end = math.log(0.5) if number in (0, len(engines) - 1) else 0.0
+            squares = -2.0 * sigma**2 * (found[:, 1] + count * math.log(sigma * math.sqrt(2.0 * math.pi)))
+            for s, belief in zip(sigmas, beliefs, strict=True):
+                like = -0.5 * squares / s**2 - count * math.log(s * math.sqrt(2.0 * math.pi))
+                terms.append(found[:, 0] + like + belief + end)
+        return np.logaddexp.reduce(terms, axis=0) + math.log(step)
+
+    size, mean = len(members), refined.values[members].copy()
+    factor = 0.004 * np.eye(size)
+    for _ in range(ROUNDS):
+        normal = rng.standard_normal((COUNT, size)) * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, COUNT))[:, None]
+        points = mean + normal @ factor.T
+        constant = math.lgamma(0.5 * (FREEDOM + size)) - math.lgamma(0.5 * FREEDOM)
+        constant -= 0.5 * size * math.log(FREEDOM * math.pi) + np.log(np.diag(factor)).sum()
+        proposed = constant - 0.5 * (FREEDOM + size) * np.log1p((normal**2).sum(axis=1) / FREEDOM)
+        logs = density(points) - proposed
+        weights = np.exp(logs - logs.max())
+        flat = weights ** min(
+            1.0, 0.02 * COUNT / (1.0 / ((weights / weights.sum()) ** 2).sum())
+        )  # early rounds: flatter
+        flat = weights if (weights.sum() ** 2 / (weights**2).sum()) > 100 else flat**0.1
+        mean = flat @ points / flat.sum()
+        around = points - mean
+        factor = np.linalg.cholesky(1.2 * (around.T * flat) @ around / flat.sum() + 1e-12 * np.eye(size))
+    error = weights.std() / weights.mean() / math.sqrt(COUNT)
+    return float(logs.max() + math.log(weights.mean())), float(error)
+
+
+@pytest.mark.slow  # half a minute: hundreds of thousands of images
+@pytest.mark.parametrize("others, side, seed", [("box", 0.12, 2), ("can", 0.08, 1)])
+def test_cube_against_box_and_can_is_as_importance_sampling_has_it(others, side, seed):
+    """A cube of forty pixels and one of ninety, noise of a centimetre, noise and blur unknown."""
+    rng = np.random.default_rng(seed)
+    cube = solid(BOX, (side,) * 3, cube=True)
+    sensor, chart, values = observe(rng, cube, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
+    sensor = sensor._replace(prior=PRIOR)
+    other = solid(BOX, (side,) * 3) if others == "box" else solid(CYLINDER, (1.1 * side, 1.1 * side, side))
+    modes = [
+        with_own_sensor(rng, at_mode(rng, state, floor_pose(), sensor, RULES), [0], -1e9) for state in (cube, other)
+    ]
+    (log, error), (own, own_error) = (reference(rng, mode, members_of(mode.chart, [0])) for mode in reversed(modes))
+    (weighed,) = made_sure(
+        rng, modes[0], [Weighed(modes[1], 0.0, 0.0, ((0,), (0,)))], lambda rng: modes[0].values[None], RULES
+    )
+    assert abs(weighed.odds - (log - own)) < 3.0 * math.hypot(weighed.error, error, own_error) + 0.1
+    assert weighed.error < 0.3
+
+
+def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
+    """The error that is stated then holds what the draws differ by; odds that are far are left alone."""
+    found = averaged(np.array([0.0, 0.4, -0.4, 0.2]), np.full(4, 0.1))
+    assert found["odds"] == pytest.approx(math.log(np.mean(np.exp([0.0, 0.4, -0.4, 0.2]))))
+    assert found["error"] == pytest.approx(math.sqrt((0.01 + np.var([0.0, 0.4, -0.4, 0.2], ddof=1)) / 4.0))
+    rng = np.random.default_rng(3)
+    sensor, chart, values = observe(
+        rng, solid(BOX, (0.08,) * 3, cube=True), {"sigma": 0.01, "blur": 0.5}, camera(32, 24)
+    )
+    modes = [at_mode(rng, solid(BOX, (0.08,) * 3, cube=cube), floor_pose(), sensor, RULES) for cube in (True, False)]
+    first = of_block(rng, modes[1], [0], modes[0], [0], RULES)
+    far = first._replace(odds=-20.0)
+    draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
+    again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
+    assert same is far and abs(again.odds - first.odds) < 4.0 * math.hypot(again.error, first.error) + 0.3
+
+
+def test_a_structure_that_others_noise_and_blur_speak_against_is_weighed_by_its_own():
+    """The sensor was fitted to a wrong structure: a can where there is a cube. Refitted, the cube is far ahead."""
+    rng = np.random.default_rng(4)
+    sensor, chart, values = observe(
+        rng, solid(BOX, (0.12,) * 3, cube=True), {"sigma": 0.002, "blur": 0.2}, camera(64, 48)
+    )
+    wrong = sensor.changed(sigma=0.02, blur=1.5)
+    frozen = at_mode(rng, solid(BOX, (0.12,) * 3, cube=True), floor_pose(), wrong, RULES)
+    own = refitted(frozen)
+    assert own.sensor.values["blur"] < 0.6 and own.sensor.values["sigma"] < 0.006
+    assert own.log_likelihood > frozen.log_likelihood + 500.0
+    again = with_own_sensor(rng, own, [0], 0.0)
+    assert again.log_likelihood >= own.log_likelihood - 1.0
