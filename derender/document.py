@@ -24,7 +24,7 @@ from derender.scene.codec.scene_file import KEYS, read_prior
 from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml
 from derender.scene.codec.yaml_writer import to_yaml
 from derender.scene.distributions import Distribution
-from derender.scene.graph import SceneGraph
+from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
 from derender.scene.pose import from_quaternion, quaternion
 from derender.scene.priors.base import Prior
 from derender.scene.priors.reading import read_value
@@ -246,7 +246,10 @@ def write_document(
 
 def graph_data(graph: SceneGraph, folder: Path | None = None) -> dict[str, Any]:
     """Return what stands under `root:` and `objects:`."""
-    data: dict[str, Any] = {"root": root_data(graph.root_pose), "objects": {}}
+    data: dict[str, Any] = {"root": root_data(graph.root_pose)}
+    if tuple(graph.gravity) != (0.0, 0.0, -1.0):
+        data["gravity"] = [STANDARD_GRAVITY * value for value in graph.gravity]
+    data["objects"] = {}
     for vertex in graph.vertices:
         entry: dict[str, Any] = {"shape": _shape_data(vertex, folder)}
         if vertex.parent != "root":

@@ -1,6 +1,6 @@
 """What commands take as SCENE-or-DIR: a scene file, or a folder that `derender infer` wrote."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -69,6 +69,76 @@ def read_scene(path: str) -> Found:
     document = read_scene_document(path)
     graph = document.graph if posterior is None else posterior.best_graph()
     return Found(name, graph, posterior, document.camera, likelihood_numbers(document.likelihood))
+
+
+class Source(NamedTuple):
+    """What `derender simulate` simulates.
+
+    Attributes
+    ----------
+    graph : the scene; of a posterior the most probable one, of a prior the first drawn.
+    camera : or None.
+    uncertain : whether draws differ.
+    draws : draws(rng, count) yields that many scenes.
+    """
+
+    graph: "SceneGraph"
+    camera: "Camera | None"
+    uncertain: bool
+    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"
+
+
+def read_source(path: str, seed: int) -> Source:
+    """Read a scene, a prior (by its file or its name) or a folder written by `derender infer`."""
+    import numpy as np
+
+    from derender.document import built_in_priors, read_document, read_prior_document
+    from derender.scene.priors.physical import is_drawn, with_drawn_matter
+
+    folder = Path(path)
+    if path != "-" and folder.is_dir():
+        found = read_scene(path)
+        posterior = found.posterior
+        if posterior is not None:
+            return Source(found.graph, found.camera, True, lambda rng, count: _chunks(posterior, rng, count))
+        return Source(found.graph, found.camera, False, lambda rng, count: iter([found.graph] * count))
+    named = path in built_in_priors() and not folder.exists()
+    document = read_prior_document(path) if named else read_document(path)
+    prior = document.prior
+    if getattr(prior, "fixed", False):
+        graph = document.graph
+        uncertain = any(is_drawn(vertex.options) for vertex in graph.vertices)
+        return Source(graph, document.camera, uncertain, lambda rng, count: iter([graph] * count))
+
+    def drawn(rng: np.random.Generator, count: int) -> "Iterator[SceneGraph]":
+        for _ in range(count):
+            yield with_drawn_matter(prior.sample(rng), rng)
+
+    return Source(next(drawn(np.random.default_rng(seed), 1)), document.camera, True, drawn)
+
+
+CHUNK = 200  # scenes that are built at a time
+
+
+def _chunks(posterior: "Posterior", rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":
+    for first in range(0, count, CHUNK):
+        yield from posterior.graphs(rng, min(CHUNK, count - first))
+
+
+def scene_paths(paths: "Sequence[str]") -> list[str]:
+    """Return the scenes meant: a folder without a scene of its own stands for the scenes and results in it."""
+    found: list[str] = []
+    for path in paths:
+        folder = Path(path)
+        if path == "-" or not folder.is_dir() or (folder / "scene.yaml").exists():
+            found.append(path)
+            continue
+        inside = [str(each) for each in sorted(folder.glob("*.yaml"))]
+        inside += [str(each.parent) for each in sorted(folder.glob("*/scene.yaml"))]
+        if not inside:
+            raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
+        found += inside
+    return found
 
 
 def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":

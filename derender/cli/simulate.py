@@ -1,7 +1,8 @@
-"""derender simulate: let physics act on a scene, or on the draws of a posterior."""
+"""derender simulate: let physics act on a scene, or on the draws of a posterior or a prior."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -10,131 +11,252 @@ from derender.cli import options
 from derender.cli.options import Talk
 from derender.errors import DerenderError
 
-ANIMATIONS = (".gif", ".webp")
+ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
+TABLES = (".csv", ".jsonl")
+MOST_DRAWS = 100_000
+
+
+class Percent(click.ParamType):
+    """A share such as 1% or 0.01."""
+
+    name = "percent"
+
+    def convert(self, value, param, ctx):
+        try:
+            share = float(value.rstrip("%")) / (100 if value.endswith("%") else 1)
+        except (AttributeError, ValueError):
+            share = 0.0
+        if not 0 < share < 0.5:
+            self.fail(f"{value!r} is no share such as 1%", param, ctx)
+        return share
 
 
 @click.command()
-@click.argument("scene", metavar="SCENE-or-DIR")
+@click.argument("scenes", metavar="SCENE-or-DIR...", nargs=-1, required=True)
 @click.option(
     "--duration", type=click.FloatRange(0, 3600, min_open=True), default=2.0, show_default=True, help="Seconds to run."
 )
 @click.option(
     "--draws",
-    type=click.IntRange(0, 100_000),
+    type=click.IntRange(0, MOST_DRAWS),
     default=50,
     show_default=True,
-    help="Draws of a posterior to simulate for P(stable); a scene file has one, itself.",
+    help="Draws of a posterior, a prior or the jitter to simulate for P(stable).",
 )
-@click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif or .webp).")
-@options.output("Where to write the trajectories of the most probable scene, as .npz.", metavar="FILE.npz")
+@click.option("--until", type=Percent(), metavar="PERCENT", help="Draw until P(stable) is known to this error.")
+@click.option(
+    "--engine",
+    type=click.Choice(["mujoco", "statics", "both"]),
+    default="mujoco",
+    show_default=True,
+    help="Simulation, balance of forces at rest (no pushes), or both.",
+)
+@click.option("--margin", is_flag=True, help="Also the least horizontal acceleration, in g, that topples or slides it.")
+@click.option("--forces", is_flag=True, help="Also contact forces that hold it, newtons, and where they act.")
+@click.option("--push", multiple=True, metavar="NAME:+x:0.5N@0.1s", help="Push an object from the start; repeatable.")
+@click.option("--remove", multiple=True, metavar="NAME", help="Take an object away; repeatable.")
+@click.option("--add", multiple=True, metavar="NEW:box:10x5x5cm@NAME", help="Put an object on another; repeatable.")
+@click.option("--tilt", metavar="10deg[:+x]", help="Lower the floor towards a direction of the root's axes.")
+@click.option("--shake", metavar="2Hz:5mm[:+x]", help="Swing the floor to and fro by twice the length.")
+@click.option("--jitter", metavar="2mm,1deg", help="Displace and turn every object at random, in each draw anew.")
+@click.option("--settle", metavar="FILE.yaml", help="Write the scene as it came to rest, with its new contacts.")
+@click.option("--animate", metavar="FILE.gif", help="Draw the most probable scene as it moves (.gif .webp .mp4 .glb).")
+@options.output("The trajectory of the most probable scene (.npz); of many scenes the table (.csv .jsonl).")
 @options.as_json
 @options.jobs
 @options.seed
 @options.quiet
 def command(
-    scene: str,
+    scenes: tuple[str, ...],
     duration: float,
     draws: int,
+    until: float | None,
+    engine: str,
+    margin: bool,
+    forces: bool,
+    settle: str | None,
     animate: str | None,
     output: str | None,
     as_json: bool,
     jobs: int,
     seed: int,
     talk: Talk,
-) -> None:
-    """Simulate a scene file, or a folder written by `derender infer`, with MuJoCo and say whether it stands.
+    **texts: Any,
+) -> int | None:
+    """Simulate scene files, priors, or folders written by `derender infer`, and say whether they stand.
 
-    Contacts of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start
-    at rest. A scene is stable if no body moves by more than a tenth of its size or turns by more than 10 degrees. Of a
-    folder, the most probable scene is simulated and shown in the table, and draws of the posterior for P(stable) and
-    for each object's P(falls).
+    A scene stands if no body moves by more than a tenth of its size or turns by more than 10 degrees at any time. It
+    settles if something does but all comes to rest on what bore it before, the same side up; else it falls. Contacts
+    of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
+    Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
+    P(stable) and each object's P(falls), with their Monte Carlo errors. Several scenes make a table.
 
-    Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, unless the scene file says otherwise beside
-    `shape`: mass: 0.4 (kg), friction: 0.5, elasticity: 0.6 (share of the speed that a bounce gives back).
+    Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
+    says otherwise beside `shape`: mass (kg) or density, friction, elasticity (share of the speed that a bounce gives
+    back), fixed: true, velocity and angular_velocity ([x, y, z] in the root's axes, per second), each of which may be a
+    distribution; and gravity (m/s^2 down, or [x, y, z]) beside `root`. Friction of a pair is the geometric mean; where
+    only one of them says it, that one's. Of two elasticities the greater counts.
 
     \b
     Examples:
-        derender simulate scene.yaml --animate fall.gif
+        derender simulate scene.yaml --animate fall.gif --settle settled.yaml
         derender simulate results/ --draws 200 --json | jq .p_stable
+        derender simulate results/ --engine both --margin --push red:+x:0.5N@0.1s --until 1%
+        derender sample stack -n 20 -o many && derender simulate many -o table.csv
         derender sample stack -o - | derender simulate -
     """
+    from derender.cli.reading import scene_paths
+    from derender.physics.intervention import intervention
+
+    what = intervention(**texts)
+    paths = scene_paths(scenes)
+    many = len(paths) > 1 or (output is not None and Path(output).suffix.lower() in TABLES)
+    _check_names(animate, settle, output, many)
+    ask = {"duration": duration, "draws": draws, "until": until, "engine": engine, "jobs": jobs, "seed": seed}
+    if many:
+        return _table(paths, what, ask, margin, output, as_json, talk)
+    found, best, source = _one(paths[0], what, ask, margin or as_json, forces, talk)
+    made = {"seed": seed, "version": __version__, "command": options.command_line()}
+    if (output or animate or settle) and best.trajectory is None:
+        raise DerenderError("statics moves nothing", "--engine statics", "use --engine mujoco or both")
+    if output is not None:
+        from derender.physics.trajectory import save_trajectory
+
+        save_trajectory(output, best.trajectory, **made)
+        talk.say(f"wrote {output}")
+    if settle is not None:
+        from derender.document import write_document
+        from derender.physics.settle import settled_graph
+
+        write_document(settle, settled_graph(source.graph, best.trajectory, best.matter), source.camera, None, made)
+        talk.say(f"wrote {settle}")
+    if animate is not None:
+        _animate(animate, source, best, talk)
+    if as_json:
+        click.echo(json.dumps({**found, "duration": duration, **made}))
+    else:
+        for line in _lines(found):
+            click.echo(line)
+    return None
+
+
+def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
+    """Return the summary of a scene, the outcome of the most probable one, and what was read."""
     import numpy as np
 
-    from derender.cli.reading import read_scene
-    from derender.physics.bodies import matter_of_graph
-    from derender.physics.simulate import judge, save_trajectory, simulate, verdicts
+    from derender.cli.reading import read_source
+    from derender.physics.assumptions import assumptions
+    from derender.physics.outcome import chance_of, outcomes, simulate_scene
+    from derender.physics.summary import summary_of
 
-    _check_names(animate, output)
-    found = read_scene(scene)
-    trajectory = simulate(matter_of_graph(found.graph), duration)
-    verdict = judge(trajectory)
-    runs = [verdict]
-    if found.posterior is not None and draws:
-        drawn = found.posterior.graphs(np.random.default_rng(seed), draws)
-        found_so = verdicts(map(matter_of_graph, drawn), duration, jobs)
-        runs = list(talk.counted(found_so, draws, "simulating draw"))
-    share = float(np.mean([run.stable for run in runs]))
-    among = {name: [name in run.fallen for run in runs if name in run.displacement] for name in verdict.displacement}
-    falls = {name: float(np.mean(fell)) if fell else None for name, fell in among.items()}
-    made = {"seed": seed, "version": __version__, "command": options.command_line()}
+    source = read_source(path, ask["seed"])
+    once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}
+    best = simulate_scene(source.graph, margin=margin, forces=forces, early=False, **once)
+    assumed = assumptions(best.matter)
+    for sentence in assumed:
+        talk.warn(sentence)
+    runs = [best]
+    if (source.uncertain or what.jitter) and ask["draws"]:
+        limit = MOST_DRAWS if ask["until"] else ask["draws"]
+        graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
+        drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], 1 if ask["until"] else ask["jobs"])
+        runs = []
+        for run in talk.counted(drawn, limit, "simulating draw"):
+            runs.append(run._replace(trajectory=None))
+            if ask["until"] and len(runs) >= 10 and chance_of([r.stable for r in runs]).error <= ask["until"]:
+                break
+    return summary_of(best, runs, assumed), best, source
+
+
+def _table(paths: list[str], what, ask, margin: bool, output: str | None, as_json: bool, talk: Talk) -> int:
+    """Simulate many scenes, print or write their table, and return 1 where one could not be."""
+    from derender.atomic import write_text
+    from derender.physics.summary import csv_text, failed_row, row_of
+    from derender.report.tables import text_table
+
+    rows = []
+    for path in talk.counted(paths, len(paths), "simulating scene"):
+        try:
+            rows.append(row_of(path, _one(path, what, ask, margin or as_json, False, Talk(-1))[0]))
+        except DerenderError as error:
+            talk.warn(f"{path}: {error}")
+            rows.append(failed_row(path, str(error)))
+    lines = "".join(json.dumps(row) + "\n" for row in rows)
     if output is not None:
-        save_trajectory(output, trajectory, **made)
+        write_text(output, csv_text(rows) if output.lower().endswith(".csv") else lines)
         talk.say(f"wrote {output}")
-    if animate is not None:
-        _animate(animate, found, trajectory, talk)
-    if as_json:
-        result = {
-            "stable": verdict.stable,
-            "p_stable": share,
-            "p_falls": falls,
-            "displacement": verdict.displacement,
-            "rotation": verdict.rotation,
-            "fallen": list(verdict.fallen),
-            "duration": duration,
-            "draws": len(runs),
-            **made,
-        }
-        click.echo(json.dumps(result))
-        return
-    of_many = (share, falls, len(runs)) if found.posterior is not None and draws else None
-    for line in _lines(verdict, of_many):
-        click.echo(line)
+    elif as_json:
+        click.echo(lines, nl=False)
+    else:
+        shown = ("scene", "verdict", "p_stable", "margin", "fallen")
+        cells = [[_cell(row[key]) for key in shown] for row in rows]
+        click.echo(text_table(cells, shown))
+    return 1 if any(row["fault"] for row in rows) else 0
 
 
-def _lines(verdict, of_many):
-    """Yield the verdict and a table for the terminal; of_many : P(stable), P(falls) by name and how many draws."""
+def _lines(found):
+    """Yield the verdict and a table for the terminal."""
     import numpy as np
 
     from derender.report.tables import number_or_dash, text_table
 
-    yield "stable" if verdict.stable else "not stable: " + ", ".join(verdict.fallen) + " fell"
-    if of_many:
-        yield f"P(stable) = {of_many[0]:.2f} over {of_many[2]} draw{'s' if of_many[2] != 1 else ''} of the posterior"
+    others = {name: word for name, word in found["engines"].items() if word != found["verdict"]}
+    yield found["verdict"] + (": " + ", ".join(f"{n} after {t:.2f} s" for n, t in found["first_moved"].items())
+                              if found["fallen"] else "")  # fmt: skip
+    for name, word in others.items():
+        yield f"{name} says otherwise: {word}"
+    if found["margin"] is not None:
+        yield f"margin {found['margin']:.3f} g"
+    if found["draws"] > 1:
+        yield f"P(stable) = {found['p_stable']:.3f} ± {found['p_stable_error']:.3f} over {found['draws']} draws"
+        yield "  ".join(f"P({word}) = {share:.3f}" for word, share in found["p_verdict"].items())
     rows = [
-        [name, f"{1000 * moved:.1f}", f"{np.rad2deg(verdict.rotation[name]):.1f}",
-         *([number_or_dash(of_many[1][name], ".2f")] if of_many else [])]
-        for name, moved in verdict.displacement.items()
+        [name, number_or_dash(_times(found["displacement"].get(name), 1000), ".1f"),
+         number_or_dash(_times(found["rotation"].get(name), 180 / np.pi), ".1f"),
+         *([number_or_dash(share, ".3f"), number_or_dash(found["p_falls_error"][name], ".3f")]
+           if found["draws"] > 1 else [])]
+        for name, share in found["p_falls"].items()
     ]  # fmt: skip
     if rows:
-        header = ("object", "moved, mm", "turned, deg", *(["P(falls)"] if of_many else []))
+        header = ("object", "moved, mm", "turned, deg", *(["P(falls)", "±"] if found["draws"] > 1 else []))
         yield text_table(rows, header)
+    if found.get("forces"):
+        rows = [
+            [f["by"], f["body"], f"{np.linalg.norm(f['force']):.3f}", " ".join(f"{1e3 * x:.0f}" for x in f["point"])]
+            for f in found["forces"]
+        ]
+        yield text_table(rows, ("pushes", "object", "force, N", "at, mm (camera)"))
 
 
-def _check_names(animate: str | None, output: str | None) -> None:
+def _cell(value: object) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else str(value or "")
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _check_names(animate: str | None, settle: str | None, output: str | None, many: bool) -> None:
     """Refuse names of files that could not be written, before anything is computed."""
     if animate is not None and Path(animate).suffix.lower() not in ANIMATIONS:
         raise DerenderError("not the name of an animation", animate, "choose from " + " ".join(ANIMATIONS))
-    if output is not None and Path(output).suffix.lower() != ".npz":
-        raise DerenderError("trajectories are written as .npz", output, "give a name that ends in .npz")
+    if settle is not None and Path(settle).suffix.lower() not in (".yaml", ".yml"):
+        raise DerenderError("a scene is written as .yaml", settle, "give a name that ends in .yaml")
+    if many and (animate or settle):
+        raise DerenderError("many scenes make a table", animate or settle, "give one scene to draw or settle it")
+    wanted = TABLES if many else (".npz",)
+    if output is not None and Path(output).suffix.lower() not in wanted:
+        what = "many scenes make a table" if many else "trajectories are written as .npz"
+        raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 
-def _animate(path: str, found, trajectory, talk: Talk) -> None:
+def _animate(path: str, source, best, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
-    from derender.report.animation import frames, write_animation
+    from derender.report.animation import animate
 
-    camera = found.camera
-    if camera is None:
+    camera = source.camera
+    if camera is None and not path.lower().endswith(".glb"):
         camera = Camera.from_field_of_view(320, 240)
         talk.say("the scene has no camera: 320 x 240 pixels and a field of view of 60 degrees")
-    write_animation(path, frames(found.graph.solids(), found.graph.solid_names, trajectory, camera))
+    animate(path, source.graph, best.trajectory, camera)
     talk.say(f"wrote {path}")

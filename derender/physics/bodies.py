@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.scene import solids as kinds
+from derender.scene.graph import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -16,7 +17,6 @@ DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
 FRICTION = 0.8
 """Coulomb coefficient between two bodies that say none: wood on wood and cardboard on wood lie at 0.4-0.8."""
-STANDARD_GRAVITY = 9.81
 MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")
 
 
@@ -103,15 +103,23 @@ class Matter(NamedTuple):
     supports: tuple[tuple[str, str], ...]
 
 
-def matter_of_graph(graph: "SceneGraph") -> Matter:
+def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None) -> Matter:
     """Return the bodies of a scene graph, in the camera's frame.
 
-    A vertex's options `mass`, `density`, `friction`, `elasticity` and `fixed` are taken over.
+    A vertex's options `mass`, `density`, `friction`, `elasticity`, `fixed`, `velocity` and `angular_velocity` (both in
+    the root's axes) are taken over.
+
+    rng : draws what is a distribution; without it the means are taken.
     """
+    from derender.scene.priors.physical import drawn
+
     solids = graph.solids()
     bodies = []
     for index, name in enumerate(graph.solid_names):
-        options = graph.vertex(name).options
+        options = drawn(graph.vertex(name).options, rng)
+        for key in ("velocity", "angular_velocity"):
+            if key in options:
+                options[key] = tuple(float(x) for x in np.asarray(graph.root_pose)[:3, :3] @ options[key])
         kind = KIND_NAMES.get(int(solids.kind[index]), "mesh")
         vertices = None
         if kind == "mesh":
@@ -126,7 +134,7 @@ def matter_of_graph(graph: "SceneGraph") -> Matter:
         for parent in (vertex.parent, *vertex.supports)
         if vertex.name in names and parent in names and vertex.contact.type != "6dof"
     ]
-    return Matter(tuple(bodies), STANDARD_GRAVITY * graph.down(), tuple(supports))
+    return Matter(tuple(bodies), graph.pull(), tuple(supports))
 
 
 def matter_of_scene(scene: Mapping[str, Any]) -> Matter:

@@ -17,9 +17,11 @@ import mujoco
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.physics.bodies import FRICTION, STANDARD_GRAVITY, Body, Matter
+from derender.physics.bodies import FRICTION, Body, Matter
 from derender.physics.materials import bounce_damping, clamped_masses, pair_frictions
+from derender.physics.mujoco_shapes import shape_of
 from derender.physics.statics import ROLLING, WIDEST_GAP, WIDEST_GAP_METRES, plane_is_below, unit_of_length
+from derender.scene.graph import STANDARD_GRAVITY
 from derender.scene.pose import quaternion, rotation_x
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
@@ -36,6 +38,9 @@ STIFFNESS, BOUNCING_STIFFNESS = 0.2, 0.15
 # At rest a body sinks by (1 - d) / d of g times the contact's time squared, some 1e-5 of its size. A box is pushed into
 # sliding at .98 to 1.02 of friction times weight (friction .3 to .8); with a ratio of 1, or at .99, some slide at .98.
 IMPEDANCE, FRICTION_RATIO = 0.98, 10.0
+# A contact of a light body that bears a heavy one would give way in proportion to what it bears over what it weighs:
+# beyond this ratio it enforces more, as far as MuJoCo goes.
+MOST_BORNE, LEAST_SOFTNESS = 10.0, 1e-4
 # Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). Greater rates lift a
 # sliding box (by friction times rate times speed over the stiffness), smaller ones let it slip on before it stops (by
 # friction times g over twice the rate's square): 10 balances both at .1-.3 mm for 10 cm boxes at 1 m / s.
@@ -45,9 +50,6 @@ GRIP = 10.0
 ENGAGED = 2e-5
 # Resistance to spinning in units of s; that to rolling is ROLLING: enough that a ball on a table stays.
 SPINNING = 0.05
-# MuJoCo now and then reports a cylinder that stands exactly flat on a plane as sunk in by its radius (the direction
-# to its deepest point is then a difference of equal numbers), and throw it into the air. Upright ones are prisms.
-PRISM_SIDES = 32
 # Up to so many bodies every pair has a contact of its own; beyond, those within reach at the start do, and all others
 # meet by MuJoCo's own rules, which are the same where all are made of the same.
 MOST_PAIRED = 16
@@ -74,13 +76,6 @@ class Diverged(DerenderError):
 
     def __init__(self) -> None:
         super().__init__("the simulation diverged", None, "masses or sizes too far apart, or speeds too high")
-
-
-def prism(size: np.ndarray) -> np.ndarray:
-    """Return the corners (2 * PRISM_SIDES, 3) of the prism that stands for an upright cylinder."""
-    angle = 2 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
-    ring = np.column_stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)])
-    return np.vstack([np.column_stack([ring, np.full(PRISM_SIDES, z)]) for z in (-0.5, 0.5)]) * size
 
 
 class World:
@@ -138,6 +133,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._set_materials()
+        self._set_impedance()
         self._keep = keep_contacts
         if keep_contacts:
             self._rest_as_they_are()
@@ -238,6 +234,7 @@ class World:
             self.model.body_mass[number] *= share
             self.model.body_inertia[number] *= share
         mujoco.mj_setConst(self.model, self.data)
+        self._set_impedance()
 
     def set_materials(self, friction: Mapping[str, float | None], elasticity: Mapping[str, float]) -> None:
         """Set the friction and elasticity of some bodies."""
@@ -282,21 +279,7 @@ class World:
         return spec
 
     def _add_geom(self, spec: Any, holder: Any, body: Body, mass: float, place: dict[str, Any]) -> None:
-        half = 0.5 * np.asarray(body.size) / self.units.length
-        if body.kind == "plane":
-            shape = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.01]}
-        elif body.kind == "sphere":
-            shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [half[0], 0, 0]}
-        elif body.kind == "cylinder" and not self._stands(body):
-            shape = {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [half[0], half[2], 0]}
-        elif body.kind in ("cylinder", "mesh"):
-            mesh = spec.add_mesh(name=f"{body.name}_mesh")
-            vertices = body.vertices if body.kind == "mesh" else prism(body.size)
-            mesh.uservert = (np.asarray(vertices, float) / self.units.length).ravel().tolist()
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
-        else:
-            shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}
+        shape = shape_of(spec, body, self.units.length, self._stands(body))
         geom = holder.add_geom(name=body.name, **shape, **place)
         geom.friction = self._friction(FRICTION if body.friction is None else body.friction)[[0, 2, 3]]
         geom.condim = 6 if self._rolls(body) else 3
@@ -344,7 +327,6 @@ class World:
             pair = spec.add_pair(geomname1=a.name, geomname2=b.name)
             # resistance to rolling shares the friction cone with that to sliding: what does not roll is without it
             pair.condim = 6 if self._rolls(a) or self._rolls(b) else 3
-            pair.solimp = [IMPEDANCE, IMPEDANCE, self._long, 0.5, 2]
             pair.solreffriction = [-1.0, -GRIP / self._slow]
 
     def _set_materials(self) -> None:
@@ -356,6 +338,17 @@ class World:
         springs = {value: self._spring(value) for value in set(self._bouncy)}
         for k, (i, j) in enumerate(zip(first, second, strict=True)):
             self.model.pair_solref[k] = springs[max(self._bouncy[i], self._bouncy[j])]
+
+    def _set_impedance(self) -> None:
+        """Make contacts of light bodies among heavy ones as much harder as they may have to bear."""
+        mass = self.model.body_mass[self.model.geom_bodyid]
+        fixed = self.model.geom_bodyid == 0
+        mass = np.where(fixed, np.inf, mass)
+        lighter = np.minimum(mass[self.model.pair_geom1], mass[self.model.pair_geom2])
+        heaviest = float(self.model.body_mass.max())
+        softness = np.clip((1 - IMPEDANCE) * MOST_BORNE * lighter / heaviest, LEAST_SOFTNESS, 1 - IMPEDANCE)
+        self.model.pair_solimp[:] = [0.0, 0.0, self._long, 0.5, 2]
+        self.model.pair_solimp[:, :2] = 1 - softness[:, None]
 
     def _rest_as_they_are(self) -> None:
         """Let each pair that touches by the graph, or overlaps, rest at its present distance."""

@@ -68,6 +68,8 @@ def _run(
     sizes = np.array([matter.bodies[i].size for i in shown], float).reshape(-1, 3)
     frames = max(1, round(duration * frames_per_second))
     steps_done, calm = 0, 0.0
+    # what is pushed or thrown may go far and yet come to rest as it was
+    left_alone = disturbance is None and not any(np.any(body.velocity) for body in matter.bodies)
     poses = np.tile(np.array([matter.bodies[i].pose for i in shown], float).reshape(-1, 4, 4), (frames + 1, 1, 1, 1))
     times = np.zeros(frames + 1)
     gravity = float(np.linalg.norm(matter.gravity))
@@ -90,7 +92,7 @@ def _run(
             resting = world.speed() < CALM * np.sqrt(gravity * world.length) and world.acceleration() < CALM * gravity
             calm = calm + elapsed if resting else 0.0
             moved = np.linalg.norm(poses[frame, place, :3, 3] - poses[0, place, :3, 3], axis=1)
-            if calm >= CALM_SECONDS or np.all(moved > limits):
+            if calm >= CALM_SECONDS or (left_alone and np.all(moved > limits)):
                 last = frame
                 break
     speed = world.speed()

@@ -11,6 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
 from derender.sampling.streams import SCENES, stream
 from derender.scene.graph import SceneGraph
+from derender.scene.priors.physical import with_drawn_matter
 
 WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
 
@@ -57,7 +58,7 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
     camera = document.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     for number in range(count):
         rng = stream(seed, SCENES, number)
-        graph = document.prior.sample(rng)
+        graph = with_drawn_matter(document.prior.sample(rng), rng)
         likelihood = document.likelihood
         if likelihood is not None:
             likelihood = replace(likelihood, values=likelihood.sample(rng))

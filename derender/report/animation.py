@@ -1,13 +1,18 @@
 """A trajectory as a moving picture."""
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
 
+from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
-from derender.physics.simulate import Trajectory
+from derender.errors import DerenderError
+from derender.physics.trajectory import Trajectory
 from derender.report.pictures import colours_of
-from derender.scene.solids import Solids
+from derender.scene.graph import SceneGraph
+from derender.scene.solids import PLANE, Solids
 
 FRAMES_PER_SECOND = 20
 WIDTH = 320
@@ -24,27 +29,66 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     from derender.render.renderers.preview import draw_preview, enlarged
 
     eye = enlarged(camera, max(1, round(WIDTH / camera.width))) if camera.width < WIDTH else _reduced(camera)
-    index = [names.index(name) for name in trajectory.names]
+    moving = [k for k, name in enumerate(trajectory.names) if name in names]
+    index = [names.index(trajectory.names[k]) for k in moving]
     duration = float(trajectory.times[-1])
     wanted = np.arange(0, duration + 0.5 / FRAMES_PER_SECOND, 1 / FRAMES_PER_SECOND)
     colours = colours_of(solids, names)
     pictures = []
     for step in np.searchsorted(trajectory.times, wanted).clip(max=len(trajectory.times) - 1):
         pose = solids.pose.copy()
-        pose[index] = trajectory.poses[step]
+        pose[index] = trajectory.poses[step, moving]
         pictures.append(draw_preview(render_depth, solids._replace(pose=pose), eye, colours))
     return pictures
 
 
+def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera: Camera | None) -> None:
+    """Write how a scene moves, by the suffix: a picture seen by its camera (.gif, .webp, .mp4), or .glb in 3-D.
+
+    Raises
+    ------
+    DerenderError : .mp4 where there is no ffmpeg.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".glb":
+        from derender.report.export.glb import export
+
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(export(graph, path, camera, trajectory)[path.name])
+        return
+    assert camera is not None
+    names = graph.solid_names
+    solids = graph.solids()
+    shown = [k for k, name in enumerate(names) if name in trajectory.names or solids.kind[k] == PLANE]
+    kept = solids._replace(
+        kind=solids.kind[shown], pose=solids.pose[shown], size=solids.size[shown], mesh=solids.mesh[shown]
+    )
+    write_animation(path, frames(kept, tuple(names[k] for k in shown), trajectory, camera))
+
+
 def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
-    """Write a GIF, or WebP by the suffix, that repeats after a pause at its end."""
+    """Write a GIF, or WebP or MP4 by the suffix; the first two repeat after a pause at their end."""
     import imageio.v3 as imageio
 
-    from derender.atomic import atomic_path
-
+    if Path(path).suffix.lower() == ".mp4":
+        _write_film(Path(path), np.stack(pictures))
+        return
     pause = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
     with atomic_path(path) as temporary:
         imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
+
+
+def _write_film(path: Path, pictures: np.ndarray) -> None:
+    """Write pictures (T, height, width, 3) uint8 as H.264, by ffmpeg."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise DerenderError("films need ffmpeg, which is not here", path, "install ffmpeg, or write .gif or .webp")
+    pictures = pictures[:, : pictures.shape[1] // 2 * 2, : pictures.shape[2] // 2 * 2]
+    size = f"{pictures.shape[2]}x{pictures.shape[1]}"
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
+    with atomic_path(path) as temporary:
+        wanted = ["-pix_fmt", "yuv420p", "-f", "mp4", str(temporary)]
+        subprocess.run([program, "-v", "error", "-y", *given, *wanted], input=pictures.tobytes(), check=True)
 
 
 def _reduced(camera: Camera) -> Camera:

@@ -7,8 +7,6 @@ import numpy as np
 from derender.results.objects import size_intervals
 from derender.scene.graph import SceneGraph
 
-GRAVITY = 9.81  # metres a second squared
-
 
 def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     """Return the scene in camera axes: objects with type, full extents, pose, parent, contact.
@@ -58,4 +56,4 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
         objects.append(entry)
     meta = {} if posterior is None else posterior.meta
     judged = {key: meta[key] for key in ("explained", "trusted", "doubts") if key in meta}
-    return {"frame": "camera", "gravity": (GRAVITY * graph.down()).tolist(), "objects": objects, **judged}
+    return {"frame": "camera", "gravity": graph.pull().tolist(), "objects": objects, **judged}

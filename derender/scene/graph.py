@@ -19,6 +19,8 @@ from derender.scene.vertex import ROOT, Contact, Vertex, nearest_contact, relati
 
 __all__ = ["ROOT", "Constraint", "Contact", "SceneGraph", "Vertex"]
 
+STANDARD_GRAVITY = 9.81
+"""m / s^2"""
 ROOT_BODY = Body(shapes["frame"])
 
 
@@ -30,7 +32,7 @@ class SceneGraph:
     ----------
     root_pose : (4, 4) float64, root to camera.
     vertices : the objects, in order.
-    gravity : (3,) unit vector of the pull of gravity, in root axes.
+    gravity : (3,) the pull of gravity in root axes, in units of STANDARD_GRAVITY.
     constraints : undirected relations between objects ("does not touch").
     """
 
@@ -141,9 +143,14 @@ class SceneGraph:
         """Return all that has a surface as flat arrays in the camera's frame (Eq. 5)."""
         return solids_of([self.vertex(name) for name in self.solid_names], self._poses)
 
+    def pull(self) -> np.ndarray:
+        """Return the (3,) acceleration of gravity in camera axes, m / s^2."""
+        return STANDARD_GRAVITY * float(np.linalg.norm(self.gravity)) * self.down()
+
     def down(self) -> np.ndarray:
         """Return the (3,) unit direction of gravity in camera axes."""
-        down = np.asarray(self.root_pose)[:3, :3] @ np.asarray(self.gravity, dtype=float)
+        gravity = np.asarray(self.gravity, dtype=float)
+        down = np.asarray(self.root_pose)[:3, :3] @ (gravity if np.any(gravity) else (0.0, 0.0, -1.0))
         return down / np.linalg.norm(down)
 
     # ---- numbers --------------------------------------------------------------------------------------------------

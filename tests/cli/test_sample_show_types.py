@@ -157,7 +157,7 @@ def test_types_lists_and_explains_what_is_registered(capfd):
         (("show", "missing.yaml"), "there is no such file"),
         (("show", "tabletop", "--json"), "this is a prior, not a scene"),
         (("show", "empty"), "there is no scene in this folder"),
-        (("simulate", "tabletop"), "this is a prior, not a scene; draw a scene: derender sample tabletop"),
+        (("export", "tabletop", "-o", "x.glb"), "this is a prior, not a scene; draw a scene: derender sample tabletop"),
         (("types", "cubus"), "did you mean 'cube'?"),
     ],
 )

@@ -54,7 +54,7 @@ def run(capsys, *arguments):
 
 def test_simulate_a_scene(capsys, folder):
     status, out, _ = run(capsys, "simulate", "stands.yaml")
-    assert status == 0 and out.splitlines()[0] == "stable"
+    assert status == 0 and out.splitlines()[0] == "stands"
     status, out, _ = run(capsys, "simulate", "falls.yaml", "--json", "-o", "t.npz", "--duration", "1")
     found = json.loads(out)
     assert status == 0 and found["stable"] is False and found["p_stable"] == 0 and found["fallen"] == ["top"]
@@ -62,6 +62,29 @@ def test_simulate_a_scene(capsys, folder):
     with np.load("t.npz", allow_pickle=False) as file:
         assert file["times"][-1] == pytest.approx(1, abs=0.01) and file["poses"].shape[1:] == (2, 4, 4)
         assert str(file["version"]) == found["version"]
+
+
+def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
+    scene = ("simulate", "falls.yaml", "--engine", "both", "--margin", "--forces", "--settle", "settled.yaml")
+    status, out, _ = run(capsys, *scene, "--json")
+    found = json.loads(out)
+    assert status == 0 and found["engines"] == {"statics": "falls", "mujoco": "falls"} and found["margin"] == 0
+    assert list(found["first_moved"]) == ["top"] and found["p_verdict"]["falls"] == 1
+    assert json.loads(run(capsys, "simulate", "settled.yaml", "--engine", "both", "--json")[1])["verdict"] == "stands"
+    standing = json.loads(run(capsys, "simulate", "stands.yaml", "--engine", "statics", "--forces", "--json")[1])
+    assert standing["verdict"] == "stands" and standing["margin"] > 0.1 and len(standing["forces"]) == 2
+    shaken = json.loads(run(capsys, "simulate", "stands.yaml", "--jitter", "2mm,1deg", "--until", "10%", "--json")[1])
+    assert shaken["draws"] >= 10 and shaken["p_stable_error"] <= 0.1
+    status, out, _ = run(capsys, "simulate", "stands.yaml", "falls.yaml", "--json")
+    assert [json.loads(line)["verdict"] for line in out.splitlines()] == ["stands", "falls"]
+    status, _, talk = run(capsys, "simulate", "stands.yaml", "missing.yaml", "-o", "t.csv")
+    rows = (folder / "t.csv").read_text().splitlines()
+    assert status == 1 and rows[0].startswith("scene,verdict") and len(rows) == 3 and "no such file" in rows[2]
+    assert run(capsys, "simulate", "falls.yaml", "--animate", "fall.glb", "--duration", "0.3")[0] == 0
+    assert b'"animations"' in (folder / "fall.glb").read_bytes()
+    assert "over 3 draws" in run(capsys, "simulate", "stack", "--draws", "3")[1]
+    for name in ("settled.yaml", "t.csv", "fall.glb"):
+        (folder / name).unlink()
 
 
 def test_simulate_a_posterior(capsys):
@@ -90,8 +113,13 @@ def test_simulate_draws_an_animation(capsys, folder):
     [
         ("simulate", "missing.yaml"),
         ("simulate", "stands.yaml", "--animate", "x.txt"),
-        ("simulate", "stands.yaml", "-o", "x.csv"),
-        ("simulate", "."),
+        ("simulate", "stands.yaml", "-o", "x.txt"),
+        ("simulate", "empty"),
+        ("simulate", "stands.yaml", "--push", "top:+x"),
+        ("simulate", "stands.yaml", "--remove", "nobody"),
+        ("simulate", "stands.yaml", "--engine", "statics", "--settle", "x.yaml"),
+        ("simulate", "stands.yaml", "falls.yaml", "--animate", "x.gif"),
+        ("simulate", "stands.yaml", "--animate", "x.mp4"),
         ("export", "stands.yaml", "-o", "x.fbx"),
         ("report", "missing"),
         ("report", "stands.yaml", "-o", "page.txt"),
@@ -103,7 +131,9 @@ def test_simulate_draws_an_animation(capsys, folder):
         ("export", "stands.yaml", "-o", "stands.yaml/scene.glb"),
     ],
 )
-def test_faults_are_one_line_and_leave_nothing(arguments, capsys, folder):
+def test_faults_are_one_line_and_leave_nothing(arguments, capsys, folder, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)  # no ffmpeg
+    (folder / "empty").mkdir(exist_ok=True)
     before = sorted(folder.rglob("*"))
     status, out, talk = run(capsys, *arguments)
     assert status == 1 and out == "" and len(talk.strip().splitlines()) == 1 and "Traceback" not in talk

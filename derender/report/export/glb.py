@@ -15,18 +15,24 @@ from derender.report.export.upright import upright_pose
 from derender.report.geometry import plane_patch, solid_mesh
 from derender.report.pictures import colours_of
 from derender.scene import solids as kinds
-from derender.scene.pose import rotation_x
+from derender.scene.pose import quaternion, rotation_x
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
+    from derender.physics.trajectory import Trajectory
     from derender.scene.graph import SceneGraph
 
 FLOAT, UNSIGNED = 5126, 5125
 VERTICES, TRIANGLES = 34962, 34963
 
 
-def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> dict[str, bytes]:
-    """Return the file's bytes by its name."""
+def export(
+    graph: "SceneGraph", path: Path, camera: "Camera | None" = None, trajectory: "Trajectory | None" = None
+) -> dict[str, bytes]:
+    """Return the file's bytes by its name.
+
+    trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
+    """
     solids, names = graph.solids(), graph.solid_names
     colours = colours_of(solids, graph.solid_names) / 255
     tree: dict[str, Any] = {
@@ -50,11 +56,14 @@ def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> d
         node: dict[str, Any] = {"name": vertex.name, "matrix": _column_major(relative)}
         tree["nodes"].append(node)
         tree["nodes"][numbers[vertex.parent]].setdefault("children", []).append(number)
-        if vertex.name in names:
+        gone = trajectory is not None and vertex.shape != "plane" and vertex.name not in trajectory.names
+        if vertex.name in names and not gone:
             index = names.index(vertex.name)
             vertices, triangles = _mesh_in_object(solids, index)
             node["mesh"] = len(tree["meshes"])
             _add_mesh(tree, data, vertex.name, vertices, triangles, colours[index])
+    if trajectory is not None:
+        _add_animation(tree, data, graph, trajectory, numbers)
     tree["buffers"] = [{"byteLength": len(data)}]
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
@@ -98,6 +107,42 @@ def _add_mesh(tree: dict, data: bytearray, name: str, vertices: np.ndarray, tria
         "material": len(tree["materials"]) - 1,
     }
     tree["meshes"].append({"name": name, "primitives": [primitive]})
+
+
+def _add_animation(tree: dict, data: bytearray, graph: "SceneGraph", trajectory: "Trajectory", numbers: dict) -> None:
+    """Move each body's node: its pose in its parent's axes at each time, as a translation and a quaternion."""
+    poses = {name: np.tile(pose, (len(trajectory.times), 1, 1)) for name, pose in graph.poses().items()}
+    poses |= {name: trajectory.poses[:, k] for k, name in enumerate(trajectory.names)}
+    times = _add_values(tree, data, trajectory.times.astype("<f4"), "SCALAR")
+    channels: list[dict] = []
+    samplers: list[dict] = []
+    for vertex in graph.vertices:
+        if vertex.name not in trajectory.names and vertex.parent not in trajectory.names:
+            continue
+        relative = np.linalg.inv(poses[vertex.parent]) @ poses[vertex.name]
+        turns = np.array([quaternion(pose) for pose in relative])[:, [1, 2, 3, 0]]
+        for k in range(1, len(turns)):  # the shorter way round from each frame to the next
+            if turns[k] @ turns[k - 1] < 0:
+                turns[k] *= -1.0
+        node = tree["nodes"][numbers[vertex.name]]
+        del node["matrix"]
+        node |= {"translation": relative[0, :3, 3].tolist(), "rotation": turns[0].tolist()}
+        for key, values, kind in (("translation", relative[:, :3, 3], "VEC3"), ("rotation", turns, "VEC4")):
+            channels.append({"sampler": len(samplers), "target": {"node": numbers[vertex.name], "path": key}})
+            output = _add_values(tree, data, np.ascontiguousarray(values, dtype="<f4"), kind)
+            samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+    tree["animations"] = [{"name": "physics", "channels": channels, "samplers": samplers}]
+
+
+def _add_values(tree: dict, data: bytearray, values: np.ndarray, kind: str) -> int:
+    """Append numbers of an animation and return the number of their accessor."""
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes})
+    entry = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": FLOAT, "count": len(values), "type": kind}
+    if kind == "SCALAR":
+        entry |= {"min": [float(values.min())], "max": [float(values.max())]}
+    tree["accessors"].append(entry)
+    data += values.tobytes()
+    return len(tree["accessors"]) - 1
 
 
 def _linear(colour: np.ndarray) -> list[float]:

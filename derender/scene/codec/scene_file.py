@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene.codec.yaml_tree import Node, Section
+from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
+from derender.scene.graph import STANDARD_GRAVITY
 from derender.scene.names import is_name
 from derender.scene.pose import from_quaternion
 from derender.scene.priors.base import Prior
 from derender.scene.priors.contacts import ON, TOP, ContactPrior, ContactRule
 from derender.scene.priors.open_structure import structures
+from derender.scene.priors.physical import PHYSICAL, read_physical
 from derender.scene.priors.reading import (
-    PHYSICAL,
     read_categorical,
     read_contact_values,
     read_face,
@@ -35,7 +36,7 @@ from derender.scene.priors.tree import ROOT, TreeObject, TreePrior
 from derender.scene.priors.values import QUATERNION
 from derender.scene.shapes import shapes
 
-KEYS = ("root", "objects", "structure", "shapes", "contacts", "constraints")
+KEYS = ("root", "gravity", "objects", "structure", "shapes", "contacts", "constraints")
 MOST_OBJECTS = 2000
 
 
@@ -57,7 +58,9 @@ def read_prior(top: Section, folder: Path) -> Prior:
                 raise top[key].fault(f"{key} belongs to a file with structure:", "add structure: {type: grammar, ...}")
         if "objects" not in top:
             raise top.fault("neither objects nor structure is given", "add objects: or structure:")
-        return with_supports(TreePrior(root, objects, terms))
+        return with_supports(TreePrior(root, objects, terms, read_gravity(top.get("gravity"))))
+    if "gravity" in top:
+        raise top["gravity"].fault("gravity belongs to a file with objects", "leave it out: 9.81 m/s^2 onto the floor")
     section = top["structure"].section()
     kind = section["type"].text(structures)
     kinds = {}
@@ -76,6 +79,16 @@ def read_prior(top: Section, folder: Path) -> Prior:
         if error.where is not None:
             raise
         raise section.fault(error.what, error.remedy) from None
+
+
+def read_gravity(node: Node | None) -> tuple[float, float, float]:
+    """Read the pull of gravity: m / s^2 along the root's -z, or a vector in the root's axes; in units of 9.81."""
+    if node is None:
+        return (0.0, 0.0, -1.0)
+    if isinstance(node, List):
+        x, y, z = (item.number(lower=-1e3, upper=1e3) / STANDARD_GRAVITY for item in node.sequence(3))
+        return (x, y, z)
+    return (0.0, 0.0, -node.number(lower=0.0, upper=1e3) / STANDARD_GRAVITY)
 
 
 def with_supports(prior: TreePrior) -> TreePrior:
@@ -169,13 +182,6 @@ def _read_object(name: str, node: Section, kinds: dict[str, str], folder: Path) 
     contact = _read_contact(node.get("contact"), [kinds[each] for each in parents], shape.type, node)
     supports = tuple(item.text(others) for item in node["supports"].sequence()) if "supports" in node else ()
     return TreeObject(name, type(shape)(shape.type, shape.values, options), contact, parent, supports, node)
-
-
-def read_physical(node: Node) -> dict[str, float]:
-    """Read mass, friction and elasticity where they are given."""
-    if not isinstance(node, Section):
-        return {}
-    return {key: node[key].number(*limits) for key, limits in PHYSICAL.items() if key in node}
 
 
 def _read_contact(node: Node | None, parents: list[str], child: str, place: Section) -> ContactPrior:

@@ -16,9 +16,6 @@ from derender.scene.priors.shapes import ShapePrior, check_places
 from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quaternion
 from derender.scene.shapes import shapes
 
-# What an object may say besides its geometry, with the unit and the range of each.
-PHYSICAL = {"mass": ("kg", 1e-9, 1e9), "friction": ("", 0.0, 1e3), "elasticity": ("", 0.0, 0.99)}
-
 
 def read_value(node: Node, unit: str = "") -> Value:
     """Read a number in `unit`, or a distribution over it such as {uniform: [0, 90 deg]}."""

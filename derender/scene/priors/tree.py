@@ -81,11 +81,13 @@ class TreePrior(Prior):
     root : prior on the root's pose.
     objects : sorted so that parents come first.
     constraints : terms that multiply the density; with them it is known up to a constant.
+    gravity : of the scenes, see `SceneGraph`.
     """
 
     root: RootPrior
     objects: tuple[TreeObject, ...]
     constraints: tuple[Term, ...] = ()
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
     by_name: Mapping[str, TreeObject] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -128,7 +130,8 @@ class TreePrior(Prior):
     def sample_unconstrained(self, rng) -> SceneGraph:
         """Draw a scene by what its objects say alone, whatever the terms say of it."""
         root_pose = self.root.sample(rng)
-        return SceneGraph(root_pose=root_pose, vertices=tuple(self.sample_vertices(rng).values()))
+        vertices = tuple(self.sample_vertices(rng).values())
+        return SceneGraph(root_pose=root_pose, vertices=vertices, gravity=self.gravity)
 
     def sample_vertices(self, rng) -> dict[str, Vertex]:
         """Return the objects' vertices by name, drawn in order."""

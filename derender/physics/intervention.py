@@ -1,0 +1,191 @@
+"""Interventions as a person writes them (`red:+x:0.5N@0.1s`), and what they do to a scene."""
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.physics.bodies import Body, Matter
+from derender.physics.disturbance import Disturbance, Push, Shake, tilted
+from derender.registry import suggest
+from derender.scene.pose import from_rotation_vector
+
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "": 1.0}
+TIMES = {"ms": 1e-3, "s": 1.0, "": 1.0}
+FORCES = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "": 1.0}
+ANGLES = {"deg": np.pi / 180, "rad": 1.0, "": 1.0}
+FREQUENCIES = {"Hz": 1.0, "": 1.0}
+AXES = ("x", "y", "z")
+
+
+class Intervention(NamedTuple):
+    """What is done to a scene before and while it is simulated; directions are in the root's axes.
+
+    Attributes
+    ----------
+    pushes : (body, direction (3,), newtons, seconds) each, from the start.
+    remove : names of bodies taken away. add : bodies (name, kind, size (3,), what they stand on, (x, y) metres off its
+        middle) each.
+    tilt : (radians, direction (3,)) by which the floor is lowered, or None.
+    shake : (1 / s, metres, direction (3,)) of the floor, or None.
+    jitter : (metres, radians), standard deviations by which every body's place and turn is uncertain.
+    """
+
+    pushes: tuple[tuple[str, np.ndarray, float, float], ...] = ()
+    remove: tuple[str, ...] = ()
+    add: tuple[tuple[str, str, np.ndarray, str, tuple[float, float]], ...] = ()
+    tilt: tuple[float, np.ndarray] | None = None
+    shake: tuple[float, float, np.ndarray] | None = None
+    jitter: tuple[float, float] | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether something acts on the scene while it is simulated."""
+        return bool(self.pushes) or self.shake is not None
+
+    def apply(self, matter: Matter, axes: np.ndarray, rng: np.random.Generator) -> Matter:
+        """Return the scene with bodies removed, added, displaced at random, and the floor tilted.
+
+        axes : (3, 3), whose columns are the root's axes in the frame of the scene.
+        """
+        names = [body.name for body in matter.bodies]
+        for name in (*self.remove, *(push[0] for push in self.pushes)):
+            if name not in names:
+                raise DerenderError(f"no object is called {name!r}", None, suggest(name, names))
+        bodies = [body for body in matter.bodies if body.name not in self.remove]
+        supports = [pair for pair in matter.supports if not set(pair) & set(self.remove)]
+        for name, kind, size, parent, place in self.add:
+            if any(body.name == name for body in bodies):
+                raise DerenderError(f"an object is called {name!r} already", "--add", "choose another name")
+            under = next((body for body in bodies if body.name == parent), None)
+            if under is None:
+                raise DerenderError(f"no object is called {parent!r}", "--add", suggest(parent, names))
+            bodies.append(_put_on(under, name, kind, size, place, axes))
+            supports.append((name, parent))
+        if self.jitter is not None:
+            bodies = [_displaced(body, *self.jitter, rng) if body.moves else body for body in bodies]
+        found = Matter(tuple(bodies), matter.gravity, tuple(supports))
+        return found if self.tilt is None else tilted(found, self.tilt[0], axes @ self.tilt[1])
+
+    def disturbance(self, axes: np.ndarray) -> Disturbance | None:
+        """Return what acts on the scene while it is simulated; None where nothing does."""
+        if not self.active:
+            return None
+        pushes = tuple(Push(name, newtons * (axes @ way), 0.0, time) for name, way, newtons, time in self.pushes)
+        shake = None if self.shake is None else Shake(self.shake[0], self.shake[1], axes @ self.shake[2])
+        return Disturbance(pushes, shake)
+
+
+def read_push(text: str) -> tuple[str, np.ndarray, float, float]:
+    """Read NAME:DIRECTION:FORCE@TIME, such as red:+x:0.5N@0.1s."""
+    parts = text.split(":")
+    if len(parts) != 3 or "@" not in parts[2]:
+        raise DerenderError("not a push", f"--push {text}", "write NAME:+x:0.5N@0.1s")
+    force, time = parts[2].split("@", 1)
+    where = f"--push {text}"
+    return parts[0], _direction(parts[1], where), _quantity(force, FORCES, where), _quantity(time, TIMES, where, True)
+
+
+def read_tilt(text: str) -> tuple[float, np.ndarray]:
+    """Read ANGLE or ANGLE:DIRECTION, such as 10deg:+y; the floor sinks towards the direction, +x where none is said."""
+    angle, _, way = text.partition(":")
+    value = _quantity(angle, ANGLES, f"--tilt {text}")
+    if not 0 <= value <= np.pi / 2:
+        raise DerenderError("the tilt is not between 0 and 90 degrees", f"--tilt {text}", "write 10deg or 10deg:-y")
+    return value, _direction(way or "+x", f"--tilt {text}")
+
+
+def read_shake(text: str) -> tuple[float, float, np.ndarray]:
+    """Read FREQUENCY:AMPLITUDE or with :DIRECTION, such as 2Hz:5mm:+y."""
+    parts = text.split(":")
+    where = f"--shake {text}"
+    if len(parts) not in (2, 3):
+        raise DerenderError("not a way to shake", where, "write 2Hz:5mm or 2Hz:5mm:+y")
+    way = _direction(parts[2] if len(parts) == 3 else "+x", where)
+    return _quantity(parts[0], FREQUENCIES, where, True), _quantity(parts[1], LENGTHS, where), way
+
+
+def read_jitter(text: str) -> tuple[float, float]:
+    """Read LENGTH or LENGTH,ANGLE, such as 2mm,1deg."""
+    length, _, angle = text.partition(",")
+    where = f"--jitter {text}"
+    return _quantity(length, LENGTHS, where), _quantity(angle or "0", ANGLES, where)
+
+
+def read_add(text: str) -> tuple[str, str, np.ndarray, str, tuple[float, float]]:
+    """Read NAME:SHAPE:SIZE@PARENT or with :X,Y, such as new:box:10x5x5cm@red:2cm,0."""
+    where = f"--add {text}"
+    remedy = "write NAME:box:10x5x5cm@PARENT, NAME:sphere:8cm@PARENT or NAME:cylinder:6x12cm@PARENT"
+    head, _, tail = text.partition("@")
+    parts, (parent, _, place) = head.split(":"), tail.partition(":")
+    if len(parts) != 3 or not parent or parts[1] not in ("box", "cube", "sphere", "cylinder"):
+        raise DerenderError("not an object to add", where, remedy)
+    numbers = re.fullmatch(r"([0-9.x]+)(mm|cm|m|)", parts[2])
+    try:
+        sizes = [LENGTHS[numbers.group(2)] * float(each) for each in numbers.group(1).split("x")]  # type: ignore[union-attr]
+    except (AttributeError, ValueError):
+        raise DerenderError("not a size", where, remedy) from None
+    wanted = {"box": 3, "cube": 1, "sphere": 1, "cylinder": 2}[parts[1]]
+    if len(sizes) != wanted or min(sizes) <= 0:
+        raise DerenderError(f"a {parts[1]} has {wanted} positive size(s)", where, remedy)
+    size = sizes if wanted == 3 else [sizes[0], sizes[0], sizes[-1]]
+    x, _, y = place.partition(",")
+    offset = (_quantity(x or "0", LENGTHS, where), _quantity(y or "0", LENGTHS, where))
+    return parts[0], "box" if parts[1] == "cube" else parts[1], np.array(size), parent, offset
+
+
+def _direction(text: str, where: str) -> np.ndarray:
+    """Read +x, -y ... or an angle in the floor's plane, such as 30deg from +x towards +y."""
+    if re.fullmatch(r"[+-]?[xyz]", text):
+        way = np.zeros(3)
+        way[AXES.index(text[-1])] = -1.0 if text[0] == "-" else 1.0
+        return way
+    angle = _quantity(text, ANGLES, where)
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def _quantity(text: str, units: dict[str, float], where: str, positive: bool = False) -> float:
+    """Read a number with one of the units by name."""
+    found = re.fullmatch(r"\s*([-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?)\s*([A-Za-z]*)\s*", text)
+    if found is None or found.group(2) not in units or not np.isfinite(float(found.group(1))):
+        raise DerenderError(f"{text!r} is no number in {' or '.join(u for u in units if u)}", where, "such as 5 or 0.5")
+    value = float(found.group(1)) * units[found.group(2)]
+    if value < 0 or (positive and value == 0):
+        raise DerenderError(f"{text!r} is not positive", where, "give a number above 0")
+    return value
+
+
+def _put_on(under: Body, name: str, kind: str, size: np.ndarray, place: tuple[float, float], axes: np.ndarray) -> Body:
+    """Return a body that stands upright on the highest point of another, along the root's axes."""
+    height = 0.0
+    if under.kind == "mesh" and under.vertices is not None:
+        height = float((under.vertices @ under.pose[:3, :3].T @ axes[:, 2]).max())
+    elif under.kind == "sphere":
+        height = 0.5 * float(under.size[0])
+    elif under.kind != "plane":
+        height = 0.5 * float(np.abs(axes[:, 2] @ under.pose[:3, :3]) @ under.size)
+    pose = np.eye(4)
+    pose[:3, :3] = axes
+    pose[:3, 3] = under.pose[:3, 3] + axes @ np.array([*place, height + 0.5 * size[2]])
+    return Body(name, kind, size, pose)
+
+
+def _displaced(body: Body, length: float, angle: float, rng: np.random.Generator) -> Body:
+    pose = np.array(body.pose)
+    pose[:3, :3] = from_rotation_vector(angle * rng.normal(size=3))[:3, :3] @ pose[:3, :3]
+    pose[:3, 3] += length * rng.normal(size=3)
+    return body._replace(pose=pose)
+
+
+def intervention(**texts: Any) -> Intervention:
+    """Return an intervention from texts: push, remove and add as sequences, tilt, shake and jitter as one or None."""
+    tilt, shake, jitter = texts.get("tilt"), texts.get("shake"), texts.get("jitter")
+    return Intervention(
+        tuple(read_push(text) for text in texts.get("push") or ()),
+        tuple(texts.get("remove") or ()),
+        tuple(read_add(text) for text in texts.get("add") or ()),
+        None if tilt is None else read_tilt(tilt),
+        None if shake is None else read_shake(shake),
+        None if jitter is None else read_jitter(jitter),
+    )

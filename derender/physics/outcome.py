@@ -1,0 +1,232 @@
+"""What will happen to a scene, and with which probability to an uncertain one: the functions for programs and planners.
+
+    outcome = simulate_scene(graph, push=["red:+x:0.5N@0.1s"])
+    chance = probability(posterior.graphs(rng, 200), lambda outcome: "red" in outcome.fallen, push=[...])
+
+No files are touched; ten thousand calls cost ten thousand simulations.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.physics.bodies import Matter, matter_of_graph
+from derender.physics.intervention import Intervention, intervention
+from derender.physics.statics import ContactForce, Equilibrium
+from derender.physics.trajectory import Trajectory
+from derender.physics.verdict import FALLS, STANDS
+
+if TYPE_CHECKING:
+    from derender.scene.graph import SceneGraph
+
+ENGINES = ("mujoco", "statics", "both")
+# A scene whose bodies still move after the time asked for is followed this many times longer before it is judged.
+PATIENCE = 3.0
+# One that has gone further than this share of its mean extent is not waited for.
+FAR = 0.4
+
+
+class Outcome(NamedTuple):
+    """What happens to a scene.
+
+    Attributes
+    ----------
+    verdict : "stands", "settles" or "falls", by the simulation where there is one, else by statics.
+    stable : whether it stands.
+    fallen : who moved, the first first. first_moved : when, seconds by name.
+    displacement, rotation : the greatest distance and angle from where it began, metres and radians by name.
+    by_engine : the verdict of each engine asked.
+    margin : the least horizontal acceleration that topples or slides something, g; None where it was not asked for.
+    forces : contact forces that hold the scene, where asked for and where it can be held.
+    trajectory : of the simulation, or None.
+    matter : what was simulated.
+    """
+
+    verdict: str
+    stable: bool
+    fallen: tuple[str, ...]
+    first_moved: dict[str, float]
+    displacement: dict[str, float]
+    rotation: dict[str, float]
+    by_engine: dict[str, str]
+    margin: float | None
+    forces: tuple[ContactForce, ...]
+    trajectory: Trajectory | None
+    matter: Matter
+
+
+class Chance(NamedTuple):
+    """A probability known from draws.
+
+    Attributes
+    ----------
+    probability : share of the draws. error : its Monte Carlo standard error. draws : how many.
+    """
+
+    probability: float
+    error: float
+    draws: int
+
+
+def simulate_scene(
+    scene: "SceneGraph | Matter",
+    *,
+    engine: str = "mujoco",
+    duration: float = 2.0,
+    push: Sequence[str] = (),
+    remove: Sequence[str] = (),
+    add: Sequence[str] = (),
+    tilt: str | None = None,
+    shake: str | None = None,
+    jitter: str | None = None,
+    what: Intervention | None = None,
+    margin: bool = False,
+    forces: bool = False,
+    early: bool = True,
+    rng: np.random.Generator | None = None,
+) -> Outcome:
+    """Return what happens to a scene.
+
+    Parameters
+    ----------
+    scene : a graph, its distributions drawn by `rng`, or bodies.
+    engine : "mujoco", "statics" (which knows no pushes: it judges the scene at rest) or "both".
+    duration : seconds. early : stop as soon as the verdict is known; the trajectory is then short.
+    push, remove, add, tilt, shake, jitter : as the options of `derender simulate`; `what` says the same, read already.
+    margin, forces : whether these are wanted.
+    rng : of jitter and of what is a distribution; None: seed 0, and means.
+
+    Raises
+    ------
+    DerenderError : an unknown object or engine, a text that cannot be read, numbers that diverge.
+    """
+    from derender.physics.simulate import simulate
+    from derender.physics.verdict import judge
+
+    if engine not in ENGINES:
+        raise DerenderError(f"no engine is called {engine!r}", None, "choose from " + " ".join(ENGINES))
+    if what is None:
+        what = intervention(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
+    matter, axes = (scene, upright_axes(scene)) if isinstance(scene, Matter) else _of_graph(scene, rng)
+    matter = what.apply(matter, axes, np.random.default_rng(0) if rng is None else rng)
+    found = Equilibrium(matter) if engine != "mujoco" or margin or forces else None
+    by_engine: dict[str, str] = {}
+    if engine != "mujoco":
+        assert found is not None
+        by_engine["statics"] = STANDS if found.stands else FALLS
+    trajectory = None
+    moved = found.unbalanced() if found is not None else {}
+    first_moved = dict.fromkeys(moved, 0.0)
+    displacement: dict[str, float] = {}
+    rotation: dict[str, float] = {}
+    if engine != "statics":
+        disturbance = what.disturbance(axes)
+        trajectory = simulate(matter, duration, early=early, disturbance=disturbance)
+        verdict = judge(trajectory, matter)
+        shaken = disturbance is not None and disturbance.shake is not None
+        if verdict.word == FALLS and not trajectory.resting and not shaken and _may_yet_rest(trajectory):
+            verdict = judge(simulate(matter, PATIENCE * duration, early=True, disturbance=disturbance), matter)
+        by_engine["mujoco"] = verdict.word
+        first_moved, displacement, rotation = verdict.first_moved, verdict.displacement, verdict.rotation
+    word = by_engine["statics" if engine == "statics" else "mujoco"]
+    return Outcome(
+        word, word == STANDS, tuple(first_moved), first_moved, displacement, rotation, by_engine,
+        found.margin()[0] if found is not None and margin else None,
+        tuple(found.forces()) if found is not None and forces else (), trajectory, matter,
+    )  # fmt: skip
+
+
+def outcomes(
+    scenes: Iterable["SceneGraph | Matter"],
+    what: Intervention,
+    seed: int = 0,
+    engine: str = "mujoco",
+    duration: float = 2.0,
+    jobs: int = 1,
+) -> Iterator[Outcome]:
+    """Yield what happens to each of many scenes; scene k depends on the seed and on k alone.
+
+    jobs : threads; the result does not depend on it.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    def run(item: "tuple[int, SceneGraph | Matter]") -> Outcome:
+        rng = np.random.default_rng([seed, item[0]])
+        return simulate_scene(item[1], engine=engine, duration=duration, what=what, rng=rng)
+
+    if jobs == 1:
+        yield from map(run, enumerate(scenes))
+        return
+    with ThreadPoolExecutor(jobs) as pool:
+        yield from pool.map(run, enumerate(scenes))
+
+
+def chance_of(happened: Sequence[bool]) -> Chance:
+    """Return the share of draws in which something happened and its standard error.
+
+    The error is that of Jeffreys' estimate, so that it is not zero where all draws agree.
+    """
+    count = len(happened)
+    if count == 0:
+        return Chance(float("nan"), float("nan"), 0)
+    centred = (sum(happened) + 0.5) / (count + 1)
+    return Chance(sum(happened) / count, float(np.sqrt(centred * (1 - centred) / (count + 2))), count)
+
+
+def probability(
+    scenes: Iterable["SceneGraph | Matter"],
+    event: Callable[[Outcome], bool] | str,
+    *,
+    until: float | None = None,
+    seed: int = 0,
+    engine: str = "mujoco",
+    duration: float = 2.0,
+    jobs: int = 1,
+    **interventions: str | Sequence[str] | None,
+) -> Chance:
+    """Return how probable an event is over scenes, such as the draws of a posterior.
+
+    Parameters
+    ----------
+    event : what an `Outcome` must be like; or a verdict ("stands", "settles", "falls"), or the name of an object that
+        moves.
+    until : stop as soon as the standard error is no greater, after 10 draws at least.
+    interventions : push, remove, add, tilt, shake, jitter, as `simulate_scene` takes them.
+    """
+    what = intervention(**interventions)
+    if isinstance(event, str):
+        word = event
+
+        def event(outcome: Outcome) -> bool:
+            return outcome.verdict == word if word in ("stands", "settles", "falls") else word in outcome.fallen
+
+    happened: list[bool] = []
+    for outcome in outcomes(scenes, what, seed, engine, duration, jobs):
+        happened.append(bool(event(outcome)))
+        if until is not None and len(happened) >= 10 and chance_of(happened).error <= until:
+            break
+    return chance_of(happened)
+
+
+def upright_axes(matter: Matter) -> np.ndarray:
+    """Return axes (3, 3), as columns, whose z points up: the floor's where there is one."""
+    up = -matter.gravity / (float(np.linalg.norm(matter.gravity)) or 1.0)
+    floor = next((body for body in matter.bodies if body.kind == "plane"), None)
+    along = np.array([1.0, 0.0, 0.0]) if floor is None else floor.pose[:3, 0]
+    if abs(along @ up) > 0.9:
+        along = np.array([0.0, 1.0, 0.0])
+    along = along - (along @ up) * up
+    along /= np.linalg.norm(along)
+    return np.column_stack([along, np.cross(up, along), up])
+
+
+def _may_yet_rest(trajectory: Trajectory) -> bool:
+    """Return whether no body has gone so far that it cannot come to rest as the same structure."""
+    moved = np.array(list(trajectory.greatest_displacement().values()))
+    return bool(np.all(moved < FAR * np.cbrt(np.prod(trajectory.sizes, axis=1))))
+
+
+def _of_graph(graph: "SceneGraph", rng: np.random.Generator | None) -> tuple[Matter, np.ndarray]:
+    return matter_of_graph(graph, rng), np.asarray(graph.root_pose, dtype=float)[:3, :3]

@@ -1,0 +1,87 @@
+"""What is told of an outcome, and of many: plain data for JSON, CSV and the terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from derender.physics.outcome import Outcome, chance_of
+from derender.physics.verdict import FALLS, SETTLES, STANDS
+
+WORDS = (STANDS, SETTLES, FALLS)
+COLUMNS = (
+    "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "fault",
+)  # fmt: skip
+
+
+def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -> dict[str, Any]:
+    """Return what `derender simulate --json` prints of a scene.
+
+    Parameters
+    ----------
+    best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
+    assumed : sentences.
+    """
+    stable = chance_of([run.stable for run in runs])
+    found: dict[str, Any] = {
+        "verdict": best.verdict,
+        "margin": best.margin,
+        "stable": best.stable,
+        "p_stable": stable.probability,
+        "p_stable_error": stable.error if len(runs) > 1 else 0.0,
+        "p_verdict": {word: sum(run.verdict == word for run in runs) / len(runs) for word in WORDS},
+        "p_falls": {},
+        "p_falls_error": {},
+        "engines": best.by_engine,
+        "displacement": best.displacement,
+        "rotation": best.rotation,
+        "fallen": list(best.fallen),
+        "first_moved": best.first_moved,
+        "assumed": list(assumed),
+        "draws": len(runs),
+    }
+    for body in best.matter.bodies:
+        if body.kind == "plane":
+            continue
+        there = [run for run in runs if any(other.name == body.name for other in run.matter.bodies)]
+        chance = chance_of([run.verdict == FALLS and body.name in run.fallen for run in there])
+        found["p_falls"][body.name] = chance.probability if there else None
+        found["p_falls_error"][body.name] = (chance.error if len(runs) > 1 else 0.0) if there else None
+    if all(len(run.by_engine) > 1 for run in runs):
+        found["p_engines_agree"] = float(np.mean([_agree(run) for run in runs]))
+    if best.trajectory is not None:
+        last = best.trajectory.poses[-1]
+        found["resting"] = best.trajectory.resting
+        found["final_pose"] = {name: last[k].tolist() for k, name in enumerate(best.trajectory.names)}
+    if best.forces:
+        found["forces"] = [force._asdict() for force in best.forces]
+    return found
+
+
+def row_of(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the row of a scene in a table of many."""
+    row = dict.fromkeys(COLUMNS) | {"scene": name}
+    row |= {key: found[key] for key in ("verdict", "stable", "p_stable", "p_stable_error", "margin")}
+    return row | {"fallen": " ".join(found["fallen"])} | dict(found["engines"])
+
+
+def failed_row(name: str, fault: str) -> dict[str, Any]:
+    """Return the row of a scene that could not be simulated."""
+    return dict.fromkeys(COLUMNS) | {"scene": name, "fault": fault}
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table as CSV with a header."""
+    import csv
+    import io
+
+    out = io.StringIO()
+    writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def _agree(run: Outcome) -> bool:
+    """Return whether both engines say that it stands, or both that it does not."""
+    return (run.by_engine["mujoco"] == STANDS) == (run.by_engine["statics"] == STANDS)

@@ -1,0 +1,182 @@
+"""Verdicts in three words, interventions, probabilities, faulty scenes and settled ones."""
+
+import numpy as np
+import pytest
+from test_simulate import FLOOR, GRAVITY, cube, matter
+
+from derender.document import document_text, read_document
+from derender.errors import DerenderError
+from derender.physics.assumptions import assumptions
+from derender.physics.bodies import Body, matter_of_graph
+from derender.physics.disturbance import Disturbance, Push
+from derender.physics.intervention import intervention, read_add, read_push, read_shake, read_tilt
+from derender.physics.outcome import chance_of, probability, simulate_scene
+from derender.physics.settle import settled_graph
+from derender.physics.simulate import judge, simulate
+from derender.scene.pose import translation
+
+TEXT = """
+derender: 1
+root: {distance: 0.9, elevation: 35 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+  red: {shape: {type: cube, side: 0.10}, parent: floor, friction: 0.4,
+        contact: {type: face-to-face, x: 0.02, y: 0.0, theta: 20 deg}}
+  green: {shape: {type: cube, side: 0.06}, parent: red, density: 300, friction: {uniform: [0.3, 0.6]},
+          contact: {type: face-to-face, theta: 0, u: 0.65, v: 0.5}}
+"""
+
+
+@pytest.fixture
+def graph(tmp_path):
+    (tmp_path / "scene.yaml").write_text(TEXT)
+    return read_document(tmp_path / "scene.yaml").graph
+
+
+def leaning(gap):
+    """Return a plate on two posts, of which one is shorter by `gap`."""
+    posts = [
+        Body(f"post_{k}", "box", np.array([0.02, 0.06, 0.06 - k * gap]), translation(0.1 * k, 0, 0.03 - k * gap / 2))
+        for k in (0, 1)
+    ]
+    plate = Body("plate", "box", np.array([0.14, 0.06, 0.02]), translation(0.055, 0, 0.07))
+    return matter(FLOOR, *posts, plate)
+
+
+def test_three_verdicts():
+    assert simulate_scene(leaning(0.0)).verdict == "stands"
+    tilted = simulate_scene(leaning(0.012), engine="both")
+    assert tilted.verdict == "settles" and tilted.fallen == ("plate",) and tilted.by_engine["statics"] == "falls"
+    assert simulate_scene(matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.06, 0.15))).verdict == "falls"
+    pushed = simulate_scene(matter(FLOOR, cube("a", 0, 0.05)), push=["a:+x:8N@0.1s"])
+    assert pushed.verdict == "settles" and not pushed.stable
+
+
+def test_a_body_that_comes_back_has_moved_all_the_same():
+    ball = Body("ball", "sphere", np.full(3, 0.1), translation(0, 0, 0.05), velocity=(0, 0, 1.0))
+    trajectory = simulate(matter(FLOOR, ball), duration=1.5)
+    assert trajectory.displacement()["ball"] < 0.005
+    assert judge(trajectory).fallen == ("ball",) and judge(trajectory).displacement["ball"] > 0.04
+
+
+def test_what_falls_first_is_named_first():
+    scene = matter(FLOOR, cube("late", 0, 0.05), cube("early", 0.5, 0.3))
+    done = Disturbance((Push("late", np.array([30.0, 0, 0]), 0.5, 0.2),))
+    verdict = judge(simulate(scene, 1.5, disturbance=done))
+    assert verdict.fallen == ("early", "late")
+    assert verdict.first_moved["early"] < 0.15 and 0.5 < verdict.first_moved["late"] < 0.7
+
+
+@pytest.mark.parametrize("side", [1e-4, 1e-6])
+def test_tiny_bodies_get_the_verdict_of_great_ones(side):
+    for shift, verdict in ((0.3, "stands"), (0.7, "falls")):
+        tower = [cube("a", 0, side / 2, side), cube("b", shift * side, 1.5 * side, side)]
+        assert simulate_scene(matter(FLOOR, *tower), duration=0.05).verdict == verdict
+
+
+def test_a_feather_bears_a_box_and_what_is_assumed_is_said():
+    low, high = cube("low", 0, 0.05, mass=1e-9), cube("high", 0, 0.15)
+    outcome = simulate_scene(matter(FLOOR, low, high))
+    assert outcome.stable and outcome.displacement["low"] < 1e-3
+    assert "1e-09 kg" in assumptions(outcome.matter)[0]
+    deep = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.01, 0.05))
+    assert "overlap by 90.0 mm" in assumptions(deep)[0]
+    assert "no floor" in assumptions(matter(cube("a", 0, 0.05)))[0]
+    assert assumptions(matter(FLOOR, cube("a", 0, 0.05))) == []
+    with pytest.raises(DerenderError, match="finite"):
+        assumptions(matter(FLOOR, cube("a", 0, np.nan)))
+
+
+def test_a_divergence_is_one_line_and_never_a_verdict():
+    mad = cube("a", 0, 0.05, velocity=(1e9, 1e9, 1e9), angular_velocity=(1e12, 0, 0))
+    with pytest.raises(DerenderError, match="diverged"):
+        simulate(matter(FLOOR, mad, cube("b", 0.05, 0.06)))
+
+
+def test_friction_zero_slides_on_a_floor_that_says_nothing():
+    down = 9.81 * np.array([np.sin(0.35), 0, -np.cos(0.35)])
+    assert simulate_scene(matter(FLOOR, cube("a", 0, 0.05, friction=0.0), gravity=down), engine="both").by_engine == {
+        "statics": "falls", "mujoco": "falls"}  # fmt: skip
+    assert simulate_scene(matter(FLOOR, cube("a", 0, 0.05), gravity=down)).stable
+
+
+def test_interventions_are_read_and_faults_are_one_line(graph):
+    name, way, newtons, seconds = read_push("red:-y:500mN@20ms")
+    assert (name, newtons, seconds) == ("red", 0.5, 0.02) and list(way) == [0, -1, 0]
+    assert read_tilt("10deg")[0] == pytest.approx(np.deg2rad(10)) and read_shake("2Hz:5mm:90deg")[1] == 0.005
+    assert read_add("new:cylinder:6x12cm@red:2cm,0")[2].tolist() == [0.06, 0.06, 0.12]
+    for texts in ({"push": ["red:+x"]}, {"push": ["red:+q:1N@1s"]}, {"tilt": "100deg"}, {"shake": "2Hz"},
+                  {"jitter": "2kg"}, {"add": ["a:cone:1cm@red"]}, {"push": ["red:+x:nanN@1s"]}):  # fmt: skip
+        with pytest.raises(DerenderError):
+            intervention(**texts)
+    for texts in ({"remove": ["blue"]}, {"push": ["blue:+x:1N@1s"]}, {"add": ["red:cube:5cm@floor"]}):
+        with pytest.raises(DerenderError, match="called"):
+            simulate_scene(graph, **texts)
+
+
+def test_interventions_do_what_they_say(graph):
+    assert simulate_scene(graph).stable
+    assert simulate_scene(graph, remove=["red"]).fallen == ("green",)
+    assert simulate_scene(graph, tilt="15deg").stable and not simulate_scene(graph, tilt="30deg").stable
+    assert not simulate_scene(graph, tilt="30deg", engine="statics").stable
+    # a floor that swings harder than friction times g shakes a box off its place
+    assert simulate_scene(graph, shake="2Hz:5mm").stable and not simulate_scene(graph, shake="3Hz:40mm").stable
+    pushed = simulate_scene(graph, push=["red:+x:6N@0.2s"], early=False)
+    moved = pushed.trajectory.poses[-1, 0, :3, 3] - pushed.trajectory.poses[0, 0, :3, 3]
+    along = np.asarray(graph.root_pose)[:3, 0]
+    assert moved @ along > 0.9 * np.linalg.norm(moved) > 0.01
+    added = simulate_scene(graph, add=["new:box:10x5x5cm@green"])
+    assert added.stable and added.matter.bodies[-1].name == "new" and ("new", "green") in added.matter.supports
+
+
+def test_probabilities_have_errors_and_stop_when_known(graph):
+    chance = probability([graph] * 400, "falls", until=0.08, tilt="21deg", seed=3, duration=1.0)
+    assert 10 <= chance.draws < 60 and 0 < chance.probability < 1 and chance.error <= 0.08
+    again = probability([graph] * 400, "falls", until=0.08, tilt="21deg", seed=3, duration=1.0)
+    assert again == chance
+    certain = probability([graph] * 12, lambda outcome: "green" in outcome.fallen, remove=["red"])
+    assert certain.probability == 1.0 and certain.error > 0
+    spread = [chance_of(draws).error for draws in (np.random.default_rng(0).random((200, 100)) < 0.3)]
+    shares = (np.random.default_rng(0).random((200, 100)) < 0.3).mean(axis=1)
+    assert np.mean(spread) == pytest.approx(np.std(shares), rel=0.15)
+
+
+def test_a_settled_scene_is_a_scene_that_stands(graph, tmp_path):
+    for texts in ({"push": ["red:+x:4N@0.2s"]}, {"remove": ["red"]}):
+        outcome = simulate_scene(graph, early=False, **texts)
+        settled = settled_graph(graph, outcome.trajectory, outcome.matter)
+        (tmp_path / "settled.yaml").write_text(document_text(settled))
+        found = read_document(tmp_path / "settled.yaml").graph
+        for k, name in enumerate(outcome.trajectory.names):
+            np.testing.assert_allclose(found.poses()[name], outcome.trajectory.poses[-1, k], atol=2e-4)
+            assert found.vertex(name).contact.type == "face-to-face"
+        assert found.vertex("green").parent == ("floor" if "remove" in texts else "red")
+        assert simulate_scene(found).stable
+
+
+def test_yaml_says_matter_and_gravity(tmp_path):
+    text = TEXT.replace("root:", "gravity: 1.62\nroot:").replace(
+        "density: 300", "mass: 200 g, velocity: [0.5, 0, {uniform: [0, 1]}], fixed: false, elasticity: 0.3"
+    )
+    (tmp_path / "moon.yaml").write_text(text)
+    graph = read_document(tmp_path / "moon.yaml").graph
+    found = matter_of_graph(graph, np.random.default_rng(0))
+    green = found.bodies[2]
+    assert np.linalg.norm(found.gravity) == pytest.approx(1.62) and green.mass == 0.2 and green.elasticity == 0.3
+    local = np.asarray(graph.root_pose)[:3, :3].T @ green.velocity
+    assert local[0] == pytest.approx(0.5) and 0 < local[2] < 1 and 0.3 < green.friction < 0.6
+    assert matter_of_graph(graph).bodies[2].friction == pytest.approx(0.45)
+    (tmp_path / "again.yaml").write_text(document_text(graph))
+    again = read_document(tmp_path / "again.yaml").graph
+    assert again.vertex("green").options == graph.vertex("green").options
+    np.testing.assert_allclose(again.gravity, graph.gravity)
+    for wrong in ("mass: 0.1, density: 300", "friction: {normal: [0, 1]}", "velocity: 3", "elasticity: 1.0", "mass: 0"):
+        (tmp_path / "wrong.yaml").write_text(TEXT.replace("density: 300", wrong).replace(
+            "friction: {uniform: [0.3, 0.6]},", "" if "friction" in wrong else "friction: 0.3,"))  # fmt: skip
+        with pytest.raises(DerenderError, match=r"wrong\.yaml"):
+            read_document(tmp_path / "wrong.yaml")
+
+
+def test_gravity_of_zero_and_upside_down():
+    assert simulate_scene(matter(FLOOR, cube("a", 0, 0.3), gravity=0 * GRAVITY), engine="both").by_engine == {
+        "statics": "stands", "mujoco": "stands"}  # fmt: skip
