@@ -1,0 +1,310 @@
+"""The posterior over the material: modes from several starts, then importance sampling about them."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
+
+from derender.dynamics.engine import Engine
+from derender.dynamics.errors import LOG_SPREAD, MEDIAN, Scales, log_prior
+from derender.dynamics.motion import Motion
+from derender.dynamics.parameters import Parameters
+from derender.dynamics.shooting import Errors, Path, Shooting
+from derender.physics.mujoco_model import Diverged
+
+# Where Levenberg-Marquardt may start: friction and restitution; masses as densities say. Films from all of them are
+# held against the tracked poses, and it starts from the nearest few that are.
+FRICTIONS, RESTITUTIONS, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (0.1, 0.4, 0.7), 2
+# Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
+NEAR, NEAR_SPEED = 0.02, 0.2
+# A start's first steps, after which the worse ones are given up, and the best one's further steps.
+SHORT, LONG = 3, 8
+# How far below the best, in nats, a start may lie and still be followed.
+CLOSE = 10.0
+# Before the scales are learnt, engine and tracking are given much room: first velocities are poor.
+FIRST = Scales(0.3, 0.05, 4.0)
+# No step improves the cost by this many nats: done.
+DONE = 0.05
+LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
+# Importance sampling: the least and the most rounds, draws of each, how many equally weighted draws are enough, the
+# share of draws from the prior (where the motion tells nothing), and the proposal's degrees of freedom and widening.
+ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 100, 60.0, 0.15, 5.0, 1.2
+KEPT = 1000
+
+
+class Mode(NamedTuple):
+    """A local maximum.
+
+    Attributes
+    ----------
+    path : states, offsets and coordinates there.
+    by_pose, by_defect : derivatives about it, as `Shooting.derivatives` gives them.
+    robust : (T, N), by how much each tracked pose counts.
+    scales : learnt there.
+    log_marginal : with all unknowns integrated out, linear about this mode.
+    covariance : (P, P) of the coordinates.
+    """
+
+    path: Path
+    by_pose: np.ndarray
+    by_defect: np.ndarray
+    robust: np.ndarray
+    scales: Scales
+    log_marginal: float
+    covariance: np.ndarray
+
+
+class Draws(NamedTuple):
+    """Weighted draws of coordinates and scales.
+
+    Attributes
+    ----------
+    coordinates : (K, P). logarithms : (K, 3), of the scales. log_weights : (K,), normalised.
+    """
+
+    coordinates: np.ndarray
+    logarithms: np.ndarray
+    log_weights: np.ndarray
+
+    @property
+    def effective(self) -> float:
+        """How many equally weighted draws these are worth."""
+        return float(np.exp(-logsumexp(2 * self.log_weights)))
+
+    def resampled(self, rng: np.random.Generator, count: int = KEPT) -> tuple[np.ndarray, np.ndarray]:
+        """Return coordinates (count, P) and scales' logarithms (count, 3), by systematic resampling in random order."""
+        edges = np.cumsum(np.exp(self.log_weights))
+        at = np.searchsorted(edges / edges[-1], (np.arange(count) + rng.uniform()) / count)
+        at = rng.permutation(np.minimum(at, len(edges) - 1))
+        return self.coordinates[at], self.logarithms[at]
+
+
+def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np.ndarray | None = None) -> Path:
+    """Return a path nearer to the least squares: Levenberg-Marquardt, with the errors of each step's path."""
+    damping = FIRST_DAMPING
+    for _ in range(steps):
+        errors = shooting.errors(path, scales, robust)
+        jacobian = shooting.whitened(errors, *shooting.derivatives(path, 1))
+        residual = shooting.residuals(path, errors)
+        own, roots = shooting.prior_rows(path)
+        hessian = jacobian.T @ jacobian + np.diag(roots**2)
+        gradient = jacobian.T @ residual + roots * own
+        before = 0.5 * float(residual @ residual + own @ own)
+        improved = 0.0
+        while damping < MOST_DAMPING:
+            change = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+            trial = shooting.stepped(path, change)
+            found, prior = shooting.residuals(trial, errors), shooting.prior_rows(trial)[0]
+            improved = before - 0.5 * float(found @ found + prior @ prior)
+            if improved > 0:
+                break
+            damping = max(10 * damping, FIRST_DAMPING)
+        if improved <= 0:
+            break
+        path = trial
+        damping = max(damping / 10, LEAST_DAMPING)
+        if improved < DONE:
+            break
+    return path
+
+
+def log_marginal(
+    shooting: Shooting, path: Path, derivatives: tuple, errors: Errors, held: bool
+) -> tuple[float, np.ndarray]:
+    """Return the log likelihood with the unknowns integrated out, linear about a path, and their precision.
+
+    Parameters
+    ----------
+    derivatives : of the residuals, about this path or one near by.
+    held : whether the material's coordinates are held where they are; otherwise they are integrated out too.
+    """
+    jacobian = shooting.whitened(errors, *derivatives)
+    residual = shooting.residuals(path, errors)
+    own, roots = shooting.prior_rows(path)
+    if held:
+        jacobian, own, roots = jacobian[:, : shooting.size], own[: shooting.size], roots[: shooting.size]
+    precision = jacobian.T @ jacobian + np.diag(roots**2)
+    lower = np.linalg.cholesky(precision)
+    gained = solve_triangular(lower, jacobian.T @ residual + roots * own, lower=True)
+    cost = 0.5 * float(residual @ residual + own @ own - gained @ gained)
+    return -cost - errors.log_determinant - float(np.sum(np.log(np.diag(lower)))), precision
+
+
+def learn_scales(
+    shooting: Shooting, path: Path, derivatives: tuple, scales: Scales, robust: np.ndarray | None
+) -> tuple[Scales, float]:
+    """Return the scales of highest marginal density about a path, and it: a search along each in turn."""
+
+    def density(logarithms: np.ndarray) -> float:
+        errors = shooting.errors(path, Scales(*np.exp(logarithms)), robust)
+        return log_marginal(shooting, path, derivatives, errors, False)[0] + log_prior(logarithms)
+
+    best = np.log(scales)
+    value, step = density(best), np.full(3, 0.7)
+    while step.max() > 0.1:
+        for number in range(3):
+            for sign in (1, -1):
+                tried = best.copy()
+                tried[number] += sign * step[number]
+                found = density(tried)
+                if found > value:
+                    best, value = tried, found
+                    break
+            else:
+                step[number] /= 2
+    return Scales(*np.exp(best)), value
+
+
+def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np.ndarray | None = None) -> Mode:
+    """Climb, then learn the scales, and how much each tracked pose counts."""
+    path = climb(shooting, path, scales, steps, robust)
+    derivatives = shooting.derivatives(path)
+    scales, value = learn_scales(shooting, path, derivatives, scales, robust)
+    errors = shooting.errors(path, scales, robust)
+    precision = log_marginal(shooting, path, derivatives, errors, False)[1]
+    covariance = np.linalg.inv(precision)[shooting.size :, shooting.size :]
+    weights = shooting.robust(path, errors, scales)
+    return Mode(path, *derivatives, weights, scales, value, covariance)
+
+
+def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
+    """Return coordinates to start from, the nearest first: those whose films lie nearest to the tracked centres."""
+    middle = shooting.parameters.middle()
+    found = []
+    for friction in FRICTIONS:
+        for restitution in RESTITUTIONS:
+            coordinates = np.array([math.log(friction), restitution, *middle[2:]])
+            path = shooting.first_path(coordinates)
+            residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
+            far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
+            found.append((float(np.sum(np.log1p(far))), coordinates))
+    found.sort(key=lambda pair: pair[0])
+    return [coordinates for _, coordinates in found[:STARTS]]
+
+
+def find_modes(shooting: Shooting) -> list[Mode]:
+    """Return modes from several starts, the best first; those far below it are left out."""
+    found = [find_mode(shooting, shooting.first_path(start), FIRST, SHORT) for start in first_coordinates(shooting)]
+    found.sort(key=lambda mode: -mode.log_marginal)
+    best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
+    return [best, *(mode for mode in found[1:] if mode.log_marginal > best.log_marginal - CLOSE)]
+
+
+def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarray], float]:
+    """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about a mode."""
+    parameters = shooting.parameters
+    bounces = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates).restitution
+
+    def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
+        prior = parameters.log_prior(coordinates) + log_prior(logarithms)
+        if not np.isfinite(prior) or not np.array_equal(parameters.inside(coordinates)[::2], coordinates[::2]):
+            return -np.inf
+        try:
+            path = shooting.rolled(mode.path._replace(coordinates=coordinates), bounces=bounces)
+        except Diverged:
+            return -np.inf
+        errors = shooting.errors(mode.path, Scales(*np.exp(logarithms)), mode.robust)
+        return log_marginal(shooting, path, (mode.by_pose, mode.by_defect), errors, True)[0] + prior
+
+    return density
+
+
+def sample(
+    density: Callable[[np.ndarray, np.ndarray], float],
+    parameters: Parameters,
+    modes: Sequence[Mode],
+    rng: np.random.Generator,
+    draws: int = DRAWS,
+) -> Draws:
+    """Return weighted draws by adaptive importance sampling.
+
+    Each round proposes from a mixture of t distributions and the prior; the first round's t are about the modes, later
+    ones have the mean and covariance of the weighted draws so far. A draw's weight is the target's density over that of
+    all rounds' proposals, mixed by their numbers of draws (Cornuet, Marin, Mira and Robert 2012).
+    """
+    size = parameters.size
+    floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), LOG_SPREAD]) ** 2)
+    first = np.zeros((size + 3, size + 3))
+    first[size:, size:] = np.diag((0.5 * np.array(LOG_SPREAD)) ** 2)
+    rounds: list[list[tuple[np.ndarray, np.ndarray]]] = []
+    points, target, log_weights = np.empty((0, size + 3)), np.empty(0), np.empty(0)
+    for number in range(MOST_ROUNDS):
+        if number >= ROUNDS and Draws(points, points, log_weights - logsumexp(log_weights)).effective > ENOUGH:
+            break
+        if number:
+            weights = np.exp(log_weights - logsumexp(log_weights))
+            centre = weights @ points
+            away = points - centre
+            fitted = (weights[:, None] * away).T @ away
+            components = [(centre, (fitted + floor) * WIDER**2)]
+        else:
+            components = []
+            for mode in modes:
+                first[:size, :size] = mode.covariance
+                components.append(
+                    (np.concatenate([mode.path.coordinates, np.log(mode.scales)]), (first + floor) * WIDER**2)
+                )
+        rounds.append(components)
+        fresh = np.array([_proposal(rng, components, parameters) for _ in range(draws)])
+        points = np.vstack([points, fresh])
+        target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
+        log_weights = target - _mixture(points, rounds, parameters)
+    return Draws(points[:, :size], points[:, size:], log_weights - logsumexp(log_weights))
+
+
+def _proposal(rng: np.random.Generator, components: list, parameters: Parameters) -> np.ndarray:
+    """Return one point from a mixture of t distributions, or from the prior."""
+    if rng.uniform() < FROM_PRIOR:
+        scales = np.log(MEDIAN) + np.array(LOG_SPREAD) * rng.standard_normal(3)
+        return np.concatenate([parameters.sample_prior(rng), scales])
+    centre, covariance = components[rng.integers(len(components))]
+    width = math.sqrt(FREEDOM / rng.chisquare(FREEDOM))
+    return centre + width * (np.linalg.cholesky(covariance) @ rng.standard_normal(len(centre)))
+
+
+def _mixture(points: np.ndarray, rounds: list, parameters: Parameters) -> np.ndarray:
+    """Return the log density (K,) of what all rounds proposed."""
+    size, dimension = parameters.size, points.shape[1]
+    logs = []
+    for components in rounds:
+        for centre, covariance in components:
+            lower = np.linalg.cholesky(covariance)
+            square = np.sum(np.linalg.solve(lower, (points - centre).T) ** 2, axis=0)
+            constant = math.lgamma((FREEDOM + dimension) / 2) - math.lgamma(FREEDOM / 2)
+            constant -= 0.5 * dimension * math.log(FREEDOM * math.pi) + float(np.log(np.diag(lower)).sum())
+            constant -= math.log(len(components) * len(rounds))
+            logs.append(constant - 0.5 * (FREEDOM + dimension) * np.log1p(square / FREEDOM))
+    student = logsumexp(logs, axis=0)
+    constant = -float(np.sum(np.log(LOG_SPREAD))) - 1.5 * math.log(2 * math.pi)
+    prior = np.array([parameters.log_prior(point[:size]) + log_prior(point[size:]) for point in points])
+    return np.logaddexp(math.log1p(-FROM_PRIOR) + student, math.log(FROM_PRIOR) + prior + constant)
+
+
+class Identified(NamedTuple):
+    """What the motion tells.
+
+    Attributes
+    ----------
+    parameters : what the coordinates mean.
+    modes : found, the best first.
+    draws : weighted, of coordinates and scales.
+    """
+
+    parameters: Parameters
+    modes: list[Mode]
+    draws: Draws
+
+
+def identify(
+    motion: Motion, rng: np.random.Generator, parameters: Parameters | None = None, draws: int = DRAWS
+) -> Identified:
+    """Return the posterior over friction, restitution and mass ratios, given tracked poses."""
+    engine = Engine(motion.matter, motion.names, motion.step)
+    if parameters is None:
+        parameters = Parameters(motion.names, engine.masses)
+    shooting = Shooting(motion, parameters, engine)
+    modes = find_modes(shooting)
+    return Identified(parameters, modes, sample(target_of(shooting, modes[0]), parameters, modes, rng, draws))

@@ -1,0 +1,108 @@
+"""What was seen of moving bodies: poses over time with their errors, and the bodies themselves."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.dynamics.states import from_poses, turned_by
+from derender.errors import DerenderError
+from derender.physics.bodies import Body, Matter
+
+# A body has moved where its centre left the first pose by this many of its own standard errors and metres, or it turned
+# by this many radians: tracking wanders by a few millimetres and a degree or two about a body at rest.
+MOVED_ERRORS = 6.0
+MOVED_METRES = 0.01
+MOVED_RADIANS = 0.12
+
+
+class Motion(NamedTuple):
+    """Tracked bodies of one film.
+
+    Attributes
+    ----------
+    matter : bodies (the moving ones with whatever pose; planes and fixed ones where they are), gravity in m / s^2 in
+        the frame of the poses, and which bodies are joined at the start.
+    names : N names of the bodies that moved, each one in `matter`.
+    times : (T,) float64, seconds, evenly spaced and rising.
+    poses : (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen.
+    covariances : (T, N, 6, 6) float64 of the centre (metres, in the frame of the poses) and of a rotation vector
+        (radians, in the body's axes: R_true = R exp(phi)).
+    """
+
+    matter: Matter
+    names: tuple[str, ...]
+    times: np.ndarray
+    poses: np.ndarray
+    covariances: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(T, N) bool, where there is a pose."""
+        return np.isfinite(self.poses).all(axis=(2, 3))
+
+    @property
+    def step(self) -> float:
+        """Seconds between two frames."""
+        return float(self.times[1] - self.times[0])
+
+    def cut(self, first: int, last: int) -> "Motion":
+        """Return the frames from `first` up to, not including, `last`."""
+        part = slice(first, last)
+        return self._replace(times=self.times[part], poses=self.poses[part], covariances=self.covariances[part])
+
+    def body(self, name: str) -> Body:
+        """Return a body by name."""
+        return next(body for body in self.matter.bodies if body.name == name)
+
+
+def motion_of(
+    matter: Matter, names: tuple[str, ...], times: np.ndarray, poses: np.ndarray, covariances: np.ndarray
+) -> Motion:
+    """Check tracked poses, and return those of the bodies that moved; all others stand fixed at their mean pose.
+
+    Parameters
+    ----------
+    matter, names, times, poses, covariances : as in `Motion`, of all tracked bodies.
+
+    Raises
+    ------
+    DerenderError : for fewer than three frames, times that do not rise evenly, or a covariance that is none.
+    """
+    times = np.asarray(times, float)
+    if len(times) < 3:
+        raise DerenderError(f"{len(times)} frames tell no motion", remedy="give at least three")
+    spacing = np.diff(times)
+    if not (spacing > 0).all() or np.ptp(spacing) > 0.02 * spacing.mean():
+        raise DerenderError("the frames' times do not rise evenly", remedy="give frames at a steady rate, in order")
+    seen = np.isfinite(poses).all(axis=(2, 3))
+    spread = np.where(seen[..., None, None], covariances, np.eye(6))
+    if not np.isfinite(spread).all() or np.linalg.eigvalsh(spread).min() <= 0:
+        raise DerenderError("a pose's covariance is not positive definite", remedy="track anew")
+    moving = [k for k in range(len(names)) if seen[:, k].sum() > 2 and _moved(poses[:, k], spread[:, k], seen[:, k])]
+    bodies = []
+    for body in matter.bodies:
+        index = names.index(body.name) if body.name in names else None
+        if index is None:
+            bodies.append(body)
+        elif index in moving:
+            bodies.append(body._replace(pose=poses[np.argmax(seen[:, index]), index]))
+        elif seen[:, index].any():
+            bodies.append(body._replace(pose=poses[np.argmax(seen[:, index]), index], fixed=True))
+    kept = {body.name for body in bodies}
+    supports = tuple(pair for pair in matter.supports if set(pair) <= kept)
+    return Motion(
+        matter._replace(bodies=tuple(bodies), supports=supports),
+        tuple(names[k] for k in moving),
+        times,
+        poses[:, moving],
+        covariances[:, moving],
+    )
+
+
+def _moved(poses: np.ndarray, covariances: np.ndarray, seen: np.ndarray) -> bool:
+    """Return whether a body left its first pose by more than errors explain."""
+    states = from_poses(poses[seen])
+    shift = np.linalg.norm(states[:, :3] - states[0, :3], axis=1)
+    error = np.sqrt(np.trace(covariances[seen][:, :3, :3], axis1=1, axis2=2))
+    turn = np.linalg.norm(turned_by(states[:1, 3:7], states[:, 3:7]), axis=1)
+    return bool(np.any(shift > np.maximum(MOVED_METRES, MOVED_ERRORS * error)) or np.any(turn > MOVED_RADIANS))

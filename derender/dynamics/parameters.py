@@ -1,0 +1,96 @@
+"""The unknowns of the materials, as coordinates without units in which the posterior is nearly normal."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.dynamics.engine import Material
+from derender.scene.distributions import Distribution, distributions
+
+# Priors where a scene file says nothing: friction of dry household things (wood, card, plastic on table tops: .2-.8),
+# any restitution, and densities that differ by a factor of three either way (foam against filled cans is more).
+FRICTION = distributions["log-normal"](0.35, 0.8)
+RESTITUTION = distributions["uniform"](0.0, 0.95)
+MASS_RATIO = distributions["log-normal"](1.0, 1.1)
+# Friction and mass ratio are kept within exp(+-5), restitution within what the engine bounces, and climbing off its
+# edge.
+LOG_LIMIT, MOST_RESTITUTION, EDGE = 5.0, 0.98, 1e-3
+
+
+class Parameters(NamedTuple):
+    """Coordinates of the unknowns: log friction, restitution, and the log of each further body's mass ratio.
+
+    Attributes
+    ----------
+    names : N names of the moving bodies. The first is the one that mass ratios refer to.
+    masses : (N,) float64, kg, that densities say; a mass ratio's prior is about their ratio.
+    friction, restitution : priors of the numbers themselves.
+    mass_ratio : prior of mass ratio divided by the ratio of `masses`.
+    """
+
+    names: tuple[str, ...]
+    masses: np.ndarray
+    friction: Distribution = FRICTION
+    restitution: Distribution = RESTITUTION
+    mass_ratio: Distribution = MASS_RATIO
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return 2 + max(len(self.names) - 1, 0)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the numbers, as draws are called."""
+        return ("friction", "restitution", *(f"mass_ratio.{name}.{self.names[0]}" for name in self.names[1:]))
+
+    def material(self, coordinates: np.ndarray) -> Material:
+        """Return what the engine is told."""
+        ratios = np.exp(np.concatenate([[0.0], coordinates[2:]])) if len(self.names) else np.ones(0)
+        low, high = self.restitution.support
+        return Material(math.exp(coordinates[0]), float(np.clip(coordinates[1], low, high)), self.masses * ratios)
+
+    def inside(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return coordinates (size,) moved to where the engine is defined."""
+        result = np.clip(coordinates, -LOG_LIMIT, LOG_LIMIT)
+        low, high = self.restitution.support
+        result[1] = np.clip(result[1], max(low, 0.0) + EDGE, min(high, MOST_RESTITUTION) - EDGE)
+        return result
+
+    def values(self, coordinates: np.ndarray) -> np.ndarray:
+        """Return friction, restitution and mass ratios (..., size) of coordinates (..., size)."""
+        result = np.exp(coordinates)
+        result[..., 1] = coordinates[..., 1]
+        result[..., 2:] *= self.masses[1:] / self.masses[:1]
+        return result
+
+    def log_prior(self, coordinates: np.ndarray) -> float:
+        """Return the log density of coordinates (size,), the Jacobian of the logarithms included."""
+        total = self.friction.log_density(math.exp(coordinates[0])) + coordinates[0]
+        total += self.restitution.log_density(coordinates[1])
+        for ratio in coordinates[2:]:
+            total += self.mass_ratio.log_density(math.exp(ratio)) + ratio
+        return total
+
+    def sample_prior(self, rng: np.random.Generator) -> np.ndarray:
+        """Return coordinates (size,) drawn from the prior."""
+        ratios = [math.log(self.mass_ratio.sample(rng)) for _ in range(self.size - 2)]
+        return np.array([math.log(self.friction.sample(rng)), self.restitution.sample(rng), *ratios])
+
+    def middle(self) -> np.ndarray:
+        """Return the prior's medians (size,) in these coordinates."""
+        ratio = math.log(self.mass_ratio.quantile(0.5))
+        return np.array(
+            [math.log(self.friction.quantile(0.5)), self.restitution.quantile(0.5), *[ratio] * (self.size - 2)]
+        )
+
+    def spread(self) -> np.ndarray:
+        """Return the prior's standard deviations (size,) in these coordinates, from its quartiles."""
+
+        def width(distribution: Distribution, transform=float) -> float:
+            low, high = (transform(distribution.quantile(p)) for p in (0.25, 0.75))
+            return (high - low) / 1.349
+
+        ratio = width(self.mass_ratio, math.log)
+        return np.array([width(self.friction, math.log), width(self.restitution), *[ratio] * (self.size - 2)])

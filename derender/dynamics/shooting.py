@@ -1,0 +1,328 @@
+"""Films of the engine against tracked poses: multiple shooting, with errors of the engine integrated out.
+
+The engine runs from the first frame, and each body anew from each of its cuts: the first frame after an impact.
+Unknown are the states at the cuts, a constant offset of each body's tracked centre, and the material's coordinates.
+There are two kinds of residuals: tracked poses against the film, and states at cuts against those at which the engine
+arrives there (Bock and Plitt 1984). Both allow for errors of the engine, which the film carries on as errors of
+velocity while a body moves; so what happens before an impact tells little of what comes long after it. With the film
+linear in the states, these integrate out: that is the marginal likelihood of the material.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+
+from derender.dynamics.engine import Engine
+from derender.dynamics.errors import LATE, LEVER, STEADY, Scales, impulses, velocity_errors
+from derender.dynamics.motion import Motion
+from derender.dynamics.parameters import Parameters
+from derender.dynamics.states import CHANGE, difference, from_poses, moved, turned_by
+
+# Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
+# corners rattle. Metres, radians, m / s, rad / s; and of the material's coordinates.
+STEPS = np.repeat([1e-3, 0.01, 0.03, 0.2], 3)
+COORDINATE_STEP = 0.03
+# Tracked centres may be off by a constant: a size or a floor that is wrong by so many metres.
+OFFSET = 0.002
+# Velocity at a cut before anything is seen of it: m / s, rad / s.
+FIRST_SPEED, FIRST_SPIN = 5.0, 30.0
+# A state at a cut may differ by so much from where the engine arrives beyond the engine's errors of velocity: metres,
+# radians; the first tracked frame after an impact is up to a frame later than the impact.
+LEAST_POSITION, LEAST_ROTATION = 2e-4, 2e-3
+# A tracked pose whose squared error, in its standard errors, is beyond this (1 in 1000 of six normal numbers) was lost
+# for a frame: it counts as if it erred by just so much.
+LOST = 22.5
+# A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
+# shows an impact.
+JUMP = 4.0
+# Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
+RESTS = 0.02
+
+
+class Path(NamedTuple):
+    """A film of the engine.
+
+    Attributes
+    ----------
+    states : (T, N, 13); at the cuts they are unknowns, elsewhere the engine's.
+    arrived : (T, N, 13), where the engine arrives from the frame before.
+    offsets : (N, 3), tracked centre minus true centre, metres.
+    coordinates : (P,), of the material.
+    """
+
+    states: np.ndarray
+    arrived: np.ndarray
+    offsets: np.ndarray
+    coordinates: np.ndarray
+
+
+class Errors(NamedTuple):
+    """Covariances of the residuals about a path.
+
+    Attributes
+    ----------
+    factors : N lower Cholesky factors (6 F, 6 F) of each body's covariance over its F tracked frames.
+    defects : (T, N, 12), variances of the states at cuts.
+    log_determinant : half the log determinant of all.
+    """
+
+    factors: list[np.ndarray]
+    defects: np.ndarray
+    log_determinant: float
+
+
+class Shooting:
+    """Residuals of one film and their derivatives."""
+
+    def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
+        self.motion, self.parameters, self.engine = motion, parameters, engine
+        self.count, self.frames = len(motion.names), len(motion.times)
+        self.seen = motion.seen
+        self.sizes = np.array([float(np.mean(motion.body(name).size)) for name in motion.names])
+        self.tracked = from_poses(np.where(self.seen[..., None, None], motion.poses, np.eye(4)))
+        self.spread = np.where(self.seen[..., None, None], motion.covariances, np.eye(6))
+        self.is_cut = self._cuts()
+        self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns besides the material's: changes at the cuts, and offsets."""
+        return CHANGE * len(self.cuts) + 3 * self.count
+
+    def _cuts(self) -> np.ndarray:
+        """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
+        step, gravity = self.motion.step, self.engine.gravity
+        states = self.filled()
+        change = np.diff(difference(states[:-1], states[1:])[..., :6], axis=0) / step  # (T - 2, N, 6)
+        linear = np.linalg.norm(change[..., :3] - gravity * step, axis=-1)
+        turning = np.linalg.norm(change[..., 3:], axis=-1)
+        variance = np.diagonal(self.spread, axis1=2, axis2=3)
+        error = np.sqrt(variance[:-2] + 4 * variance[1:-1] + variance[2:]) / step
+        limit = STEADY * float(np.linalg.norm(gravity)) * step
+        jumps = (linear > np.maximum(limit, JUMP * error[..., :3].max(axis=-1))) | (
+            turning > np.maximum(LEVER * limit / self.sizes, JUMP * error[..., 3:].max(axis=-1))
+        )
+        jumps &= self.seen[:-2] & self.seen[1:-1] & self.seen[2:]
+        result = np.zeros((self.frames, self.count), bool)
+        # A kink shows in the second differences about the frames before and after it, or, near a frame, in that about
+        # it alone: the frame after the last of these is after the kink in any case.
+        result[2:] = jumps
+        result[2:-1] &= ~jumps[1:]
+        result[-2:] = False
+        result[0] = True
+        return result
+
+    def filled(self) -> np.ndarray:
+        """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""
+        times = self.motion.times
+        states = self.tracked.copy()
+        for k in range(self.count):
+            known = np.flatnonzero(self.seen[:, k])
+            for frame in np.flatnonzero(~self.seen[:, k]):
+                after = np.searchsorted(known, frame)
+                a, b = known[max(after - 1, 0)], known[min(after, len(known) - 1)]
+                share = 0.0 if a == b else (times[frame] - times[a]) / (times[b] - times[a])
+                states[frame, k] = moved(states[a, k], share * difference(states[a, k], states[b, k]))
+        return states
+
+    def first_path(self, coordinates: np.ndarray) -> Path:
+        """Return a path whose states at the cuts are tracked, with velocities of the frames that follow."""
+        states = self.filled()
+        step = self.motion.step
+        ahead = difference(states[:-1], states[1:])[..., :6] / step
+        offsets = np.zeros((self.count, 3))
+        up = -self.engine.gravity / max(float(np.linalg.norm(self.engine.gravity)), 1e-9)
+        for frame, k in self.cuts:
+            later = min(frame + 1, len(ahead) - 1)
+            if self.is_cut[later, k] or later + 1 < self.frames and self.is_cut[later + 1, k]:
+                later = frame
+            states[frame, k, 7:] = 0.5 * (ahead[frame, k] + ahead[later, k])
+            if later > frame:  # the mean is that of the middle of two frames, one frame later
+                states[frame, k, 7:10] -= self._free(states, frame, k) * self.engine.gravity * step
+            raised = self.engine.overlaps(states[frame])[k]
+            states[frame, k, :3] += raised * up
+            if frame == 0:
+                offsets[k] = -raised * up
+        first = Path(states, states, offsets, np.asarray(coordinates, float))
+        return self.rolled(first)
+
+    def _free(self, states: np.ndarray, frame: int, k: int) -> float:
+        """Return 1 where a body falls freely from a frame on, by its second difference, else 0."""
+        bend = states[frame + 2, k, :3] - 2 * states[frame + 1, k, :3] + states[frame, k, :3]
+        pull = self.engine.gravity * self.motion.step**2
+        return float(bend @ pull > 0.5 * pull @ pull)
+
+    def rolled(self, path: Path, first: int = 0, bounces: float | None = None) -> Path:
+        """Return the path that the engine runs from the states at the cuts, anew from frame `first`.
+
+        bounces : a restitution that is told instead of the material's.
+        """
+        material = self.parameters.material(path.coordinates)
+        self.engine.tell(material if bounces is None else material._replace(restitution=bounces))
+        states, arrived = path.states.copy(), path.arrived.copy()
+        for frame in range(first + 1, self.frames):
+            arrived[frame] = self.engine.advance(states[frame - 1])
+            after = np.where(self.is_cut[frame][:, None], path.states[frame], arrived[frame])
+            same = first and np.array_equal(after, path.states[frame])
+            states[frame] = after
+            if same:  # from here on nothing differs
+                break
+        return path._replace(states=states, arrived=arrived)
+
+    def impulses(self, path: Path) -> np.ndarray:
+        """Return the contacts' changes of velocity (T - 1, N, 2) along a path."""
+        return impulses(path.states[:-1], path.arrived[1:], self.engine.gravity, self.engine.interval)
+
+    def bounces(self, path: Path) -> bool:
+        """Return whether there is an impact; without one, restitution only changes how resting contacts rattle."""
+        return bool(self.impulses(path)[..., 0].any())
+
+    def tracking_residuals(self, path: Path) -> np.ndarray:
+        """Return tracked minus expected poses (T, N, 6), zero where unseen."""
+        shift = self.tracked[..., :3] - path.states[..., :3] - path.offsets
+        turn = turned_by(path.states[..., 3:7], self.tracked[..., 3:7])
+        return np.where(self.seen[..., None], np.concatenate([shift, turn], axis=-1), 0.0)
+
+    def defects(self, path: Path) -> np.ndarray:
+        """Return the states minus where the engine arrives (T, N, 12); zero but at the cuts after the first frame."""
+        return difference(path.arrived, path.states) * (self.is_cut & (np.arange(self.frames) > 0)[:, None])[..., None]
+
+    def derivatives(self, path: Path, sides: int = 2) -> tuple[np.ndarray, np.ndarray]:
+        """Return derivatives of `tracking_residuals` (T, N, 6, Z) and `defects` (T, N, 12, Z), by fixed differences.
+
+        The Z = size + P unknowns are the changes at the cuts in order, offsets, and coordinates.
+
+        Parameters
+        ----------
+        sides : 2, or 1 for half the work and less accuracy.
+        """
+        total = self.size + self.parameters.size
+        by_pose = np.zeros((self.frames, self.count, 6, total))
+        by_defect = np.zeros((self.frames, self.count, CHANGE, total))
+
+        def fill(column: int, frame: int, ways: list[Path], width: float) -> None:
+            down, up = ways
+            by_pose[frame:, :, :, column] = (
+                difference(up.states[frame:], down.states[frame:])[..., :6] / width * self.seen[frame:, :, None]
+            )
+            by_defect[frame:, :, :, column] = (self.defects(up)[frame:] - self.defects(down)[frame:]) / width
+
+        for number, (frame, k) in enumerate(self.cuts):
+            for part in range(CHANGE):
+                ways = [path] * (2 - sides)
+                for sign in (-1, 1)[2 - sides :]:
+                    change = np.zeros(CHANGE)
+                    change[part] = sign * STEPS[part]
+                    states = path.states.copy()
+                    states[frame, k] = moved(states[frame, k], change)
+                    ways.append(self.rolled(path._replace(states=states), frame))
+                fill(CHANGE * number + part, frame, ways, sides * STEPS[part])
+        for k in range(self.count):
+            for axis in range(3):
+                by_pose[:, k, axis, CHANGE * len(self.cuts) + 3 * k + axis] = -1.0 * self.seen[:, k]
+        bounces = self.bounces(path)
+        for part in range(self.parameters.size):
+            if part == 1 and not bounces:
+                continue
+            step = np.zeros(self.parameters.size)
+            step[part] = COORDINATE_STEP
+            ways = [self.rolled(path._replace(coordinates=path.coordinates + way)) for way in (-step, step)]
+            fill(self.size + part, 0, ways, 2 * COORDINATE_STEP)
+        return by_pose, by_defect
+
+    def errors(self, path: Path, scales: Scales, robust: np.ndarray | None = None) -> Errors:
+        """Return the residuals' covariances: those of tracking, and of the engine's velocities carried on."""
+        step = self.engine.interval
+        impulse = self.impulses(path)
+        share = velocity_errors(impulse, scales)  # (T - 1, N)
+        displaced = np.hypot(0.5 * step * share, LATE * impulse[..., 0])
+        speed = np.hypot(
+            np.linalg.norm(path.states[..., 7:10], axis=-1), np.linalg.norm(path.states[..., 10:], axis=-1) * self.sizes
+        )
+        factors, total = [], 0.0
+        defects = np.ones((self.frames, self.count, CHANGE))
+        for k in range(self.count):
+            # carried[t, i]: velocity at frame t by an error in interval i; reached[t, i]: displacement.
+            carried, reached = np.zeros((self.frames, self.frames - 1)), np.zeros((self.frames, self.frames - 1))
+            for t in range(1, self.frames):
+                begin = self.is_cut[t - 1, k]
+                keep = 0.0 if begin else float(speed[t - 1, k] > RESTS)
+                carried[t] = carried[t - 1] * keep
+                reached[t] = (0.0 if begin else 1.0) * reached[t - 1] + step * carried[t]
+                carried[t, t - 1] = share[t - 1, k]
+                reached[t, t - 1] = displaced[t - 1, k]
+            lever = LEVER / self.sizes[k]
+            for frame in range(1, self.frames):
+                if self.is_cut[frame, k]:
+                    far, fast = float(reached[frame] @ reached[frame]), float(carried[frame] @ carried[frame])
+                    defects[frame, k, 0:3] = LEAST_POSITION**2 + far
+                    defects[frame, k, 3:6] = LEAST_ROTATION**2 + lever**2 * far
+                    defects[frame, k, 6:9] = fast
+                    defects[frame, k, 9:12] = lever**2 * fast
+                    reached[frame] = 0.0
+            reached[self.is_cut[:, k]] = 0.0
+            shown = np.flatnonzero(self.seen[:, k])
+            model = reached[shown] @ reached[shown].T
+            covariance = np.zeros((len(shown), 6, len(shown), 6))
+            for axis in range(6):
+                covariance[:, axis, :, axis] = model * (1.0 if axis < 3 else lever**2)
+            weight = scales.tracking**2 / (1.0 if robust is None else robust[shown, k])
+            at = np.arange(len(shown))
+            covariance[at, :, at, :] += self.spread[shown, k] * np.reshape(weight, (-1, 1, 1))
+            factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
+            factors.append(factor)
+            total += float(np.sum(np.log(np.diag(factor))))
+        total += 0.5 * float(np.sum(np.log(defects)))
+        return Errors(factors, defects, total)
+
+    def whitened(self, errors: Errors, pose: np.ndarray, defect: np.ndarray) -> np.ndarray:
+        """Return residuals or their derivatives, (T, N, 6, Z) and (T, N, 12, Z), in standard errors, one row each."""
+        rows = []
+        for k, factor in enumerate(errors.factors):
+            shown = pose[self.seen[:, k], k]
+            rows.append(solve_triangular(factor, shown.reshape(len(factor), -1), lower=True, check_finite=False))
+        later = [(frame, k) for frame, k in self.cuts if frame > 0]
+        for frame, k in later:
+            rows.append(defect[frame, k] / np.sqrt(errors.defects[frame, k])[:, None])
+        return np.concatenate(rows)
+
+    def prior_rows(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+        """Return standard residuals (Z,) of the unknowns' own priors and their precision's roots (Z,); 0 for none."""
+        roots = np.zeros(self.size + self.parameters.size)
+        residual = np.zeros(self.size + self.parameters.size)
+        velocity = 1 / np.repeat([FIRST_SPEED, FIRST_SPIN], 3)
+        for number, (frame, k) in enumerate(self.cuts):
+            part = slice(CHANGE * number + 6, CHANGE * number + 12)
+            roots[part] = velocity
+            residual[part] = velocity * path.states[frame, k, 7:]
+        offsets = slice(CHANGE * len(self.cuts), self.size)
+        roots[offsets] = 1 / OFFSET
+        residual[offsets] = path.offsets.ravel() / OFFSET
+        roots[self.size :] = 1 / self.parameters.spread()
+        residual[self.size :] = (path.coordinates - self.parameters.middle()) * roots[self.size :]
+        return residual, roots
+
+    def residuals(self, path: Path, errors: Errors) -> np.ndarray:
+        """Return all residuals of a path in standard errors, without those of priors."""
+        return self.whitened(errors, self.tracking_residuals(path)[..., None], self.defects(path)[..., None])[:, 0]
+
+    def stepped(self, path: Path, change: np.ndarray) -> Path:
+        """Return the path after a change (Z,) of all unknowns."""
+        states = path.states.copy()
+        for number, (frame, k) in enumerate(self.cuts):
+            states[frame, k] = moved(states[frame, k], change[CHANGE * number : CHANGE * (number + 1)])
+        offsets = path.offsets + change[CHANGE * len(self.cuts) : self.size].reshape(-1, 3)
+        coordinates = self.parameters.inside(path.coordinates + change[self.size :])
+        return self.rolled(Path(states, path.arrived, offsets, coordinates))
+
+    def robust(self, path: Path, errors: Errors, scales: Scales) -> np.ndarray:
+        """Return by how much each tracked pose's precision counts (T, N), by what of its residual is tracking's."""
+        residual = self.tracking_residuals(path)
+        weights = np.ones((self.frames, self.count))
+        for k, factor in enumerate(errors.factors):
+            shown = np.flatnonzero(self.seen[:, k])
+            pulled = cho_solve((factor, True), residual[shown, k].ravel()).reshape(-1, 6) * scales.tracking**2
+            square = np.einsum("ti,tij,tj->t", pulled, self.spread[shown, k], pulled) / scales.tracking**2
+            weights[shown, k] = LOST / np.maximum(square, LOST)
+        return weights

@@ -1,0 +1,138 @@
+"""What is inferred of materials is held against motions in closed form, not against the engine that infers it."""
+
+import numpy as np
+import pytest
+
+from derender.dynamics.inference import identify, sample
+from derender.dynamics.motion import motion_of
+from derender.dynamics.parameters import Parameters
+from derender.dynamics.states import difference, from_poses, moved, to_poses
+from derender.errors import DerenderError
+from derender.physics.bodies import Body, Matter
+
+GRAVITY = 9.81
+FRAMES, STEP = 20, 1 / 30
+FLOOR = Body("floor", "plane", np.zeros(3), np.eye(4))
+
+
+def motion(body, positions, rng, metres=1e-3, radians=0.01):
+    """Return the tracked motion of one body that does not turn, with white errors."""
+    states = np.zeros((len(positions), 1, 13))
+    states[:, 0, :3], states[..., 3] = positions, 1.0
+    errors = np.repeat([metres, radians], 3)
+    changes = np.zeros((len(positions), 1, 12))
+    changes[..., :6] = errors * rng.standard_normal((len(positions), 1, 6))
+    matter = Matter((FLOOR, body), np.array([0.0, 0.0, -GRAVITY]), ())
+    covariances = np.tile(np.diag(errors**2), (len(positions), 1, 1, 1))
+    times = STEP * np.arange(len(positions))
+    return motion_of(matter, (body.name,), times, to_poses(moved(states, changes)), covariances)
+
+
+def slide(friction, speed, rng, **more):
+    """Return a box that slides to rest: x = v t - mu g t^2 / 2 until v = mu g t."""
+    time = np.minimum(STEP * np.arange(FRAMES), speed / (friction * GRAVITY))
+    x = speed * time - friction * GRAVITY * time**2 / 2
+    body = Body("box", "box", np.array([0.08, 0.07, 0.05]), np.eye(4))
+    return motion(body, np.column_stack([x, 0 * x, 0 * x + 0.025]), rng, **more)
+
+
+def bounce(restitution, rng, radius=0.035, height=0.3):
+    """Return a ball that is let go, and leaves after each bounce with a share of the speed with which it came."""
+    speed = np.sqrt(2 * GRAVITY * (height - radius))
+    begin, heights = -speed / GRAVITY, []
+    for time in STEP * np.arange(FRAMES):
+        while time >= begin + 2 * speed / GRAVITY:
+            begin, speed = begin + 2 * speed / GRAVITY, restitution * speed
+        heights.append(radius + speed * (time - begin) - GRAVITY * (time - begin) ** 2 / 2)
+    body = Body("ball", "sphere", np.full(3, 2 * radius), np.eye(4))
+    return motion(body, np.column_stack([np.zeros(FRAMES), np.zeros(FRAMES), heights]), rng, metres=5e-4)
+
+
+def told(found, rng):
+    """Return the mean and the 90 % interval of each number."""
+    values = found.parameters.values(found.draws.resampled(rng)[0])
+    return values.mean(axis=0), np.quantile(values, [0.05, 0.95], axis=0).T
+
+
+def test_changes_of_states_go_there_and_back():
+    rng = np.random.default_rng(0)
+    states = moved(from_poses(np.tile(np.eye(4), (50, 1, 1))), rng.standard_normal((50, 12)))
+    changes = 0.5 * rng.standard_normal((50, 12))  # turns by less than pi
+    np.testing.assert_allclose(difference(states, moved(states, changes)), changes, atol=1e-12)
+    again = from_poses(to_poses(states))
+    np.testing.assert_allclose(difference(again, states)[:, :6], 0.0, atol=1e-12)
+
+
+def test_a_slide_tells_friction_and_nothing_of_restitution():
+    friction, rng = 0.3, np.random.default_rng(1)
+    mean, interval = told(identify(slide(friction, 1.0, rng, metres=5e-4, radians=5e-3), rng, draws=50), rng)
+    assert abs(mean[0] / friction - 1) < 0.03
+    assert interval[0, 0] < friction < interval[0, 1]
+    assert interval[1, 1] - interval[1, 0] > 0.5
+
+
+def test_a_bounce_tells_restitution_and_little_of_friction():
+    rng = np.random.default_rng(2)
+    mean, interval = told(identify(bounce(0.6, rng), rng, draws=50), rng)
+    assert abs(mean[1] - 0.6) < 0.05
+    assert interval[1, 0] < 0.6 < interval[1, 1]
+    assert interval[1, 1] - interval[1, 0] < 0.2
+    assert interval[0, 1] / interval[0, 0] > 3
+
+
+@pytest.mark.slow
+def test_wrong_gravity_is_seen_as_wrong_friction():
+    """The broken twin: an engine with half of gravity must not find the friction."""
+    rng = np.random.default_rng(1)
+    film = slide(0.3, 1.0, rng, metres=5e-4, radians=5e-3)
+    film = film._replace(matter=film.matter._replace(gravity=film.matter.gravity / 2))
+    _, interval = told(identify(film, rng), rng)
+    assert not interval[0, 0] < 0.3 < interval[0, 1]
+
+
+@pytest.mark.slow
+def test_nine_of_ten_intervals_hold_the_friction():
+    held = 0
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 3])
+        friction = rng.uniform(0.15, 0.6)
+        _, interval = told(identify(slide(friction, rng.uniform(0.6, 1.2), rng), rng), rng)
+        held += interval[0, 0] < friction < interval[0, 1]
+    assert 15 <= held  # of 20; 14 or fewer at .9 has probability .01
+
+
+class Mode:
+    """A mode that importance sampling may start from: near, but wrong in place and width."""
+
+    def __init__(self, coordinates, width):
+        self.path = type("Path", (), {"coordinates": np.asarray(coordinates)})
+        self.scales = np.exp([-3.0, -4.0, 0.1])
+        self.covariance = width**2 * np.eye(2)
+
+
+def test_weighted_draws_have_the_targets_moments():
+    centre, spread = np.array([-1.0, 0.5, -2.9, -4.2, 0.0]), np.array([0.2, 0.1, 0.5, 0.6, 0.2])
+
+    def density(coordinates, logarithms):
+        away = (np.concatenate([coordinates, logarithms]) - centre) / spread
+        return -0.5 * away @ away
+
+    parameters = Parameters(("box",), np.ones(1))
+    found = sample(density, parameters, [Mode([-1.2, 0.4], 0.1)], np.random.default_rng(0), draws=400)
+    weights = np.exp(found.log_weights)
+    points = np.hstack([found.coordinates, found.logarithms])
+    error = spread / np.sqrt(found.effective)
+    assert found.effective > 150
+    assert np.all(np.abs(weights @ points - centre) < 4 * error)
+    np.testing.assert_allclose(np.sqrt(weights @ (points - centre) ** 2), spread, rtol=0.25)
+    # The broken twin: draws without their weights have the proposals' moments, not the target's.
+    assert not np.allclose(np.sqrt(np.mean((points - centre) ** 2, axis=0)), spread, rtol=0.25)
+
+
+def test_two_frames_and_uneven_times_are_refused():
+    film = slide(0.3, 1.0, np.random.default_rng(0))
+    poses, covariances = film.poses, film.covariances
+    with pytest.raises(DerenderError, match="2 frames"):
+        motion_of(film.matter, ("box",), film.times[:2], poses[:2], covariances[:2])
+    with pytest.raises(DerenderError, match="evenly"):
+        motion_of(film.matter, ("box",), film.times[::-1], poses, covariances)
