@@ -190,8 +190,13 @@ def _given(seen, document, options, gradient, progress, warn, command) -> tuple[
         document, seen.depth, seen.camera, settings, options.method, options.seed or 0, options.jobs or 1,
         options.folder, options.resume, progress, command, gradient, warn,
     )  # fmt: skip
-    meta = {**posterior.meta, "interrupted": interrupted, "lost_chains": lost}
-    return replace(posterior, meta=meta), document.likelihood or LikelihoodPrior()
+    likelihood = document.likelihood or LikelihoodPrior()
+    fixed = {name: value for name, value in likelihood.values.items() if isinstance(value, int | float)}
+    meta = {
+        **posterior.meta, "interrupted": interrupted, "lost_chains": lost,
+        "likelihood": {"type": likelihood.type, **fixed},  # what is unknown of it is among the draws
+    }  # fmt: skip
+    return replace(posterior, meta=meta), likelihood
 
 
 def _bare(seen, document, options, progress, warn) -> tuple[Posterior, LikelihoodPrior]:

@@ -79,13 +79,7 @@ def test_every_make_target_named_exists_and_the_ci_runs_the_readmes_test_command
 
 @pytest.mark.parametrize("text", parameters("python"))
 def test_the_python_runs_and_its_functions_and_shape_work(text, tmp_path):
-    """In a process of its own: an image is inferred; the shape is read from YAML and drawn."""
-    infer = """
-from derender.render.renderers import find_renderer
-camera = Camera.from_field_of_view(64, 48)
-found = solids(find_renderer("raycast").render_depth(graph.solids(), camera)[0], camera)
-assert found["floor"][1] is None and all(pose.shape == (4, 4) for pose, _ in found.values())
-"""
+    """In a process of its own; the shape is read from YAML and drawn."""
     draw = """
 from pathlib import Path
 from derender.document import read_document
@@ -104,7 +98,7 @@ solids = read_document("scene.yaml").graph.solids()
 depth, label = find_renderer("raycast").render_depth(solids, Camera.from_field_of_view(80, 60))
 assert (label == 1).sum() > 100
 """
-    more = draw if "wedge" in text else infer
+    more = draw if "wedge" in text else ""
     done = subprocess.run(
         [sys.executable, "-c", text + more], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )

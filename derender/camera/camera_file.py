@@ -27,13 +27,13 @@ def _read_bop(tree: dict) -> dict[str, Any]:
 
 
 def _read_bop_frame(tree: dict) -> dict[str, Any]:
-    arguments = _from_matrix(tree["cam_K"], "cam_K")
+    arguments = from_matrix(tree["cam_K"], "cam_K")
     return arguments | {key: tree[key] for key in ("width", "height", "depth_scale") if key in tree}
 
 
 def _read_open3d(tree: dict) -> dict[str, Any]:
     matrix = _numbers(tree["intrinsic_matrix"], "intrinsic_matrix", 9)
-    arguments = _from_matrix(matrix.reshape(3, 3).T, "intrinsic_matrix (column-major)")
+    arguments = from_matrix(matrix.reshape(3, 3).T, "intrinsic_matrix (column-major)")
     arguments |= {key: tree[key] for key in ("width", "height") if key in tree}
     if "depth_scale" in tree:  # Open3D counts units to the metre
         per_metre = finite_number(tree["depth_scale"], "depth_scale")
@@ -46,7 +46,7 @@ def _read_open3d(tree: dict) -> dict[str, Any]:
 def _read_ros(tree: dict) -> dict[str, Any]:
     _refuse_distortion(tree)
     matrix = _first(tree, "K", "k", "camera_matrix")
-    arguments = _from_matrix(matrix, "K")
+    arguments = from_matrix(matrix, "K")
     for name in ("width", "height"):
         value = _first(tree, name, f"image_{name}")
         if value is not None:
@@ -111,6 +111,8 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
         for _name, keys, reader in FORMATS:
             if keys <= tree.keys():
                 arguments = reader(tree)
+                if tree.get("gravity") is not None:
+                    arguments["gravity"] = tree["gravity"]
                 if shape is not None:
                     arguments = {"height": shape[0], "width": shape[1]} | arguments
                 missing = [name for name in ("width", "height") if name not in arguments]
@@ -219,7 +221,7 @@ def _numbers(value: object, name: str, count: int | None = None) -> np.ndarray:
     return numbers
 
 
-def _from_matrix(value: object, name: str) -> dict[str, Any]:
+def from_matrix(value: object, name: str) -> dict[str, Any]:
     """Return fx, fy, cx, cy of a row-major intrinsic matrix."""
     matrix = _numbers(value, name, 9).reshape(3, 3)
     matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix

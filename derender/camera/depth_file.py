@@ -6,6 +6,7 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ from derender.camera.depth_formats import (
     MOST_BYTES,
     SATURATED,
     SUFFIXES,
+    Decoded,
     decode_npz,
     encode_npy,
     encode_npz,
@@ -53,36 +55,64 @@ class DepthImage(NamedTuple):
 
 
 def read_depth(
-    path: str | Path, camera: Camera | str | Path | None = None, depth_scale: float | None = None
+    path: str | Path | np.ndarray | Sequence[Sequence[float]],
+    camera: Camera | Mapping[str, Any] | np.ndarray | str | Path | None = None,
+    depth_scale: float | None = None,
 ) -> DepthImage:
-    """Read a depth image of any known format, recognised by its first bytes, and its camera.
+    """Read a depth image of any known format, recognised by its first bytes, and its camera; or take an array for one.
 
     Parameters
     ----------
-    path : the file; `-` is stdin.
-    camera : a Camera or a camera file; default: the camera in the file, else a guess of 60 degrees field of view.
+    path : the file; `-` is stdin. Or an array (H, W), or a list of rows: floats are metres, integers of 16 bits or more
+        are units of depth_scale millimetres.
+    camera : a Camera, a camera file, a mapping as a camera file holds it (fx, fy, cx, cy are enough), or a 3 x 3 matrix
+        of intrinsics; default: the camera in the file, else a guess of 60 degrees field of view.
     depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
 
     Raises
     ------
     DerenderError : anything that makes the image unusable, in one line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from derender import read_depth
+    >>> image = read_depth(np.full((48, 64), 900, np.uint16), camera={"fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5})
+    >>> float(image.depth[0, 0]), image.camera.width  # 900 units are 900 mm
+    (0.9, 64)
     """
-    data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
-    decoder, name = recognise(data, path)
-    try:
-        decoded = decoder(data)
-    except DerenderError as error:
-        raise DerenderError(error.what, path, error.remedy) from None
-    except DAMAGE as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
-    array = _two_dimensional(decoded.array, path)
-    found, guessed = _camera(path, camera, decoded.camera, array.shape)
+    if isinstance(path, str | Path):
+        data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
+        decoder, name = recognise(data, path)
+        try:
+            decoded = decoder(data)
+        except DerenderError as error:
+            raise DerenderError(error.what, path, error.remedy) from None
+        except DAMAGE as error:
+            reason = " ".join(str(error).split())[:120] or type(error).__name__
+            raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
+        where: str | Path = path
+    else:
+        decoded, where = Decoded(_array(path)), "the array"
+    array = _two_dimensional(decoded.array, where)
+    found, guessed = _camera(where, camera, decoded.camera, array.shape)
     if found.shape != array.shape:
         what = f"the image is {array.shape[1]} x {array.shape[0]} pixels, its camera {found.width} x {found.height}"
-        raise DerenderError(what, path, "give the camera of this image" + _at_its_size(found, array.shape))
-    depth = _metres(array, found.depth_scale, depth_scale, path)
+        raise DerenderError(what, where, "give the camera of this image" + _at_its_size(found, array.shape))
+    depth = _metres(array, found.depth_scale, depth_scale, where)
     return DepthImage(depth, found, guessed, decoded.meta)
+
+
+def _array(given: object) -> np.ndarray:
+    """Return what a program gives for an image as an array; DerenderError where it is none."""
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        raise DerenderError("the rows have different lengths", "the array", "a depth image is height x width") from None
+    if array.dtype == object:
+        what = f"a {type(given).__name__} is no depth image"
+        raise DerenderError(what, remedy="give a path, a DepthImage or an array (height, width) of metres")
+    return array.astype(np.float64) if isinstance(given, list | tuple) and array.dtype.kind in "iu" else array
 
 
 def _at_its_size(camera: Camera, shape: tuple[int, int]) -> str:
@@ -158,10 +188,14 @@ def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
     return array
 
 
-def _camera(path: str | Path, given: Camera | str | Path | None, inside: object, shape: tuple[int, int]):
+def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]) -> tuple[Camera, bool]:
     """Return the camera and whether it is a guess."""
     if isinstance(given, Camera):
         return given, False
+    if isinstance(given, np.ndarray | list):
+        return camera_from_tree({"cam_K": np.asarray(given).tolist()}, shape), False
+    if isinstance(given, Mapping):
+        return camera_from_tree(dict(given), shape), False
     if given is not None:
         if str(given).lower().endswith(".npz"):
             return _camera_of_npz(given, shape), False

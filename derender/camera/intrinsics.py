@@ -6,6 +6,8 @@ The axes are OpenCV's (x right, y down, z forward) and the centre of pixel (colu
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +27,21 @@ class Camera:
     cx, cy : principal point in pixels; the centre of the first pixel is (0, 0).
     width, height : of the image, in pixels.
     depth_scale : millimetres that one unit of a 16-bit depth image stands for (BOP's meaning).
+    gravity : direction in which things fall, (3,) in camera axes (x right, y down, z forward), of length 1; None where
+        nobody measured it.
 
     Raises
     ------
     DerenderError : a number that no camera has.
+
+    Examples
+    --------
+    >>> from derender import Camera
+    >>> camera = Camera(fx=150, fy=150, cx=79.5, cy=59.5, width=160, height=120)
+    >>> Camera.from_matrix(camera.matrix, 160, 120) == camera
+    True
+    >>> Camera.from_matrix(camera.matrix, 160, 120, gravity=(0, 2, 0)).gravity  # y points down: an upright camera
+    (0.0, 1.0, 0.0)
     """
 
     fx: float
@@ -38,6 +51,7 @@ class Camera:
     width: int
     height: int
     depth_scale: float = 1.0
+    gravity: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("fx", "fy", "cx", "cy", "depth_scale"):
@@ -50,6 +64,8 @@ class Camera:
         for name in ("fx", "fy", "depth_scale"):
             if getattr(self, name) <= 0:
                 raise DerenderError(f"{name} is {getattr(self, name):g}", "camera", "give a positive number")
+        if self.gravity is not None:
+            object.__setattr__(self, "gravity", unit_vector(self.gravity, "gravity"))
         if self.width * self.height > MOST_PIXELS:
             raise DerenderError(f"an image of {self.width} x {self.height} pixels is too large", "camera")
 
@@ -58,6 +74,23 @@ class Camera:
         """Return a camera with square pixels, a centred principal point and this horizontal field of view."""
         focal = width / (2 * math.tan(math.radians(degrees) / 2))
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+
+    @classmethod
+    def from_matrix(cls, matrix, width: int, height: int, **more) -> "Camera":
+        """Return the camera of a matrix of intrinsics (3, 3), row-major: fx, 0, cx; 0, fy, cy; 0, 0, 1.
+
+        more : depth_scale and gravity.
+        """
+        from derender.camera.camera_file import from_matrix
+
+        return cls(**from_matrix(np.asarray(matrix), "the matrix"), width=width, height=height, **more)
+
+    @classmethod
+    def from_file(cls, path: str | Path, shape: tuple[int, int] | None = None) -> "Camera":
+        """Return the camera of a file of any known format; shape : (height, width) where the file does not say it."""
+        from derender.camera.camera_file import read_camera
+
+        return read_camera(path, shape)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -103,8 +136,9 @@ class Camera:
             height=int(self.height // factor),
         )
 
-    def to_dict(self) -> dict[str, float]:
-        """Return the keys of a BOP camera.json."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keys of a BOP camera.json, and `gravity` where it is known."""
+        more = {} if self.gravity is None else {"gravity": list(self.gravity)}
         return {
             "fx": self.fx,
             "fy": self.fy,
@@ -113,6 +147,7 @@ class Camera:
             "width": self.width,
             "height": self.height,
             "depth_scale": self.depth_scale,
+            **more,
         }
 
 
@@ -127,3 +162,19 @@ def finite_number(value: object, name: str) -> float:
     if not math.isfinite(number):
         raise DerenderError(f"{name} is {number}", "camera", "give a finite number")
     return number
+
+
+def unit_vector(value: Any, name: str) -> tuple[float, float, float]:
+    """Return three finite numbers as a vector of length 1; `name` is its own."""
+    if isinstance(value, dict):
+        value = [value.get(axis) for axis in "xyz"]
+    try:
+        numbers = [finite_number(part, name) for part in value]
+    except TypeError:
+        numbers = []
+    length = math.hypot(*numbers)
+    if len(numbers) != 3 or length < 1e-9:
+        remedy = "give three numbers: the direction of fall, x right, y down, z forward"
+        raise DerenderError(f"{name} is no direction", "camera", remedy)
+    x, y, z = (number / length for number in numbers)
+    return x, y, z

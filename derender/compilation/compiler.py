@@ -147,7 +147,11 @@ class _KernelCache(caching.FunctionCache):
 
     def save_overload(self, sig, data):
         """Write an entry; whoever waits for it may have it."""
-        super().save_overload(sig, data)
+        Library.ours = True
+        try:
+            super().save_overload(sig, data)
+        finally:
+            Library.ours = False
         self.end_turn()
 
     def end_turn(self) -> None:
@@ -180,12 +184,24 @@ class _Turn:
 
 
 class Library(JITCodeLibrary):
-    """Compiled code whose bitcode, for inlining it elsewhere, is parsed when something does."""
+    """Compiled code whose bitcode, for inlining it elsewhere, is parsed when something does.
+
+    Other packages' functions are compiled into it too: in their caches they stand as numba writes them, so that a
+    process without derender can read them.
+
+    Attributes
+    ----------
+    ours : whether it is an entry of our own cache that is being written; numba's compiler lock is held meanwhile.
+    """
 
     machine_code, _bitcode = b"", b""
+    ours = False
 
     def serialize_using_object_code(self):
-        name, _, (code, bitcode) = super().serialize_using_object_code()
+        plain = super().serialize_using_object_code()
+        if not Library.ours:
+            return plain
+        name, _, (code, bitcode) = plain
         self.machine_code = code
         module = self._get_module_for_linking()
         symbols = {one.name for some in (module.functions, module.global_variables) for one in some
@@ -194,6 +210,8 @@ class Library(JITCodeLibrary):
 
     @classmethod
     def _unserialize(cls, codegen, state):
+        if len(state) == 3:  # another package's
+            return super()._unserialize(codegen, state)
         name, code, bitcode, symbols = state
         library = codegen.create_library(name)
         library.machine_code, library._bitcode = code, bitcode

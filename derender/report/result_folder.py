@@ -97,27 +97,19 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     """Write all files of a result, as one set, and return what there is to tell.
 
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
-    page : whether report.html is one of them: `derender report DIR` makes it later from the others.
+    page : whether report.html and posterior.nc are among them: `derender report DIR` makes the page later.
     timed : whether summary.json says how long it took.
     """
-    from derender.report.contents import likelihood_numbers, report_of, sensor_words
+    from derender.report.contents import sensor_words
     from derender.report.html import write_report
     from derender.results.fit import write_explained, write_labels
-    from derender.results.netcdf import write_netcdf
+    from derender.results.netcdf import can_be_read, write_netcdf
+    from derender.results.predictive import blocks_of
 
-    graph = posterior.best_graph()
-    best = posterior.best_part
-    drawn = {
-        address.removeprefix("likelihood."): float(value)
-        for address, value in _best_values(best).items()
-        if address.startswith("likelihood.")
-    }
-    likelihood = likelihood.with_values(drawn)
-    name = Path(str(posterior.meta["image"])).name
-    numbers = likelihood_numbers(likelihood)
-    report = report_of(graph, seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost)
+    posterior, report = judged(posterior, seen, likelihood, lost)
+    graph, best = posterior.best_graph(), posterior.best_part
+    likelihood = likelihood_at_best(likelihood, best)
     doubts, fit = report.doubts, report.fit
-    posterior = replace(posterior, meta={**posterior.meta, **judgement(doubts, fit)})
     rows = {
         row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
         for row in report.parameters
@@ -140,7 +132,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         def write_numbers() -> None:
             write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
             posterior.save(place / "posterior.npz")
-            write_netcdf(place / "posterior.nc", posterior)
+            if page and can_be_read():
+                blocks = blocks_of(posterior, seen.depth, seen.camera, np.random.default_rng(posterior.seed))
+                write_netcdf(place / "posterior.nc", posterior, blocks)
             if fit is not None:
                 write_labels(place / "labels.png", fit.label)
                 write_explained(place / "explained.npy", fit.depth)
@@ -152,7 +146,28 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         else:
             write_numbers()
     interrupted = bool(posterior.meta["interrupted"])
-    return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(numbers), seconds)
+    return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(report.likelihood), seconds)
+
+
+def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, lost: int = 0) -> tuple[Posterior, Any]:
+    """Return the posterior with what is to be thought of it in its `meta`, and its Report."""
+    from derender.report.contents import likelihood_numbers, report_of
+
+    numbers = likelihood_numbers(likelihood_at_best(likelihood, posterior.best_part))
+    name = Path(str(posterior.meta.get("image", "image"))).name
+    report = report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost)
+    return replace(posterior, meta={**posterior.meta, **judgement(report.doubts, report.fit)}), report
+
+
+def likelihood_at_best(likelihood: LikelihoodPrior, part: Any) -> LikelihoodPrior:
+    """Return the likelihood with the numbers that a structure's most probable draw has for what is unknown of it."""
+    return likelihood.with_values(
+        {
+            address.removeprefix("likelihood."): float(value)
+            for address, value in _best_values(part).items()
+            if address.startswith("likelihood.")
+        }
+    )
 
 
 def _best_values(part) -> dict[str, float]:

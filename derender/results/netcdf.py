@@ -1,44 +1,66 @@
 """The best structure's draws as NetCDF-4, with the groups in which ArviZ keeps them; needs h5netcdf (extra `arviz`)."""
 
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from derender.atomic import atomic_path
 from derender.results.posterior import Posterior
+from derender.results.predictive import Blocks
 
 
-def write_netcdf(path: str | Path, posterior: Posterior) -> bool:
+def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None = None) -> bool:
     """Write the groups `posterior` and `sample_stats`; return False where h5netcdf is not installed.
+
+    With `blocks` also `observed_data`, `log_likelihood` and `posterior_predictive` (each `depth` over the dimension
+    `block`; `constant_data` says where the blocks lie), so that `arviz.loo` and `arviz.plot_ppc` have what they need.
 
     Written with h5py alone, as h5netcdf lays it out: ArviZ takes longer to import than most inferences, and h5netcdf
     longer to write. `arviz.from_netcdf` reads it.
     """
-    if importlib.util.find_spec("h5netcdf") is None:  # nothing here could read it
+    if not can_be_read():
         return False
     import h5py
 
     part = posterior.best_part
+    chain, draw = (np.arange(length) for length in part.log_density.shape)
     columns = {address: part.values[:, :, i] for i, address in enumerate(part.addresses)}
     stats = {"lp": part.log_density, "log_prior": part.log_prior, "log_likelihood": part.log_likelihood}
+    walk = {"chain": chain, "draw": draw}
+    groups = {"posterior": (walk, columns), "sample_stats": (walk, stats)}
+    if blocks is not None:
+        number = {"block": np.arange(len(blocks.observed))}
+        where = {"row": blocks.rows, "column": blocks.columns}
+        groups |= {
+            "observed_data": (number, {"depth": blocks.observed}),
+            "constant_data": (number, where),
+            "log_likelihood": ({"chain": chain, "draw": blocks.scored} | number, {"depth": blocks.log_likelihood}),
+            "posterior_predictive": ({"chain": chain, "draw": blocks.drawn} | number, {"depth": blocks.predicted}),
+        }
     with atomic_path(path) as temporary, h5py.File(temporary, "w", track_order=True) as file:
         file.attrs["_NCProperties"] = f"version=2,h5py={h5py.__version__}"
         file.attrs["creation_library"] = "derender"
-        for name, variables in (("posterior", columns), ("sample_stats", stats)):
+        for name, (dimensions, variables) in groups.items():
             group = file.create_group(name, track_order=True)
-            _write_group(group, variables, part.log_density.shape)
+            _write_group(group, dimensions, variables)
             for key in ("version", "command"):
                 group.attrs[key] = str(getattr(posterior, key))
             group.attrs["seed"] = int(posterior.seed or 0)
     return True
 
 
-def _write_group(group, variables, shape) -> None:
-    """Write variables over (chain, draw), and these two dimensions as the scales that NetCDF-4 asks for."""
+def can_be_read() -> bool:
+    """Return whether what could read the file is installed."""
+    return importlib.util.find_spec("h5netcdf") is not None
+
+
+def _write_group(group, dimensions: Mapping[str, np.ndarray], variables: Mapping[str, np.ndarray]) -> None:
+    """Write variables over all dimensions, and these with their coordinates as the scales that NetCDF-4 asks for."""
     scales = []
-    for number, (dimension, length) in enumerate(zip(("chain", "draw"), shape, strict=True)):
-        scale = group.create_dataset(dimension, data=np.arange(length))
+    for number, (dimension, coordinates) in enumerate(dimensions.items()):
+        scale = group.create_dataset(dimension, data=coordinates)
         scale.make_scale(dimension)
         scale.attrs["_Netcdf4Dimid"] = np.int32(number)
         scales.append(scale)

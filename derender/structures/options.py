@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,10 @@ class Options:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise DerenderError(f"no method is called {self.method!r}", "--method", suggest(self.method, METHODS))
+        for name, least in (("chains", 1), ("draws", 1), ("warmup", 0), ("jobs", 1), ("max_objects", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Integral) or value < least):
+                raise DerenderError(f"{name} is {value!r}", remedy=f"give a whole number from {least} up")
         if self.only_known and self.known is None:
             raise DerenderError("nothing is known", "--only-known", "give a library with --known FILE")
 

@@ -367,3 +367,18 @@ def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
     environment.pop("PYTHONSAFEPATH", None)
     subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, check=True, timeout=60)
     assert not (tmp_path / "it-was-run").exists()
+
+
+def test_other_packages_caches_stand_as_numba_writes_them(tmp_path):
+    """A function of someone else's, cached by a process that has derender's kernels, is read by one that has not."""
+    (tmp_path / "theirs.py").write_text("import numba\n\n@numba.njit(cache=True)\ndef double(x):\n    return 2.0 * x\n")
+    ours = "from derender.render.raycast.score import pixel_log_densities; import numpy as np, derender\n"
+    ours += "derender.sample('stack').render(derender.Camera.from_field_of_view(8, 6))\n"
+    use = "from theirs import double; print(double(3.0), sum(double.stats.cache_hits.values()))"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    told = [
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+        for code in (ours + use, use, ours + use)
+    ]
+    assert [done.stdout.split() for done in told] == [["6.0", "0"], ["6.0", "1"], ["6.0", "1"]], told

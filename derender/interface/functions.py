@@ -1,0 +1,267 @@
+"""The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.camera.depth_file import DepthImage, read_depth
+from derender.camera.intrinsics import Camera
+from derender.document import Document, LikelihoodPrior, read_document, read_prior_document
+from derender.errors import DerenderError
+from derender.interface.keywords import only_its_keywords
+from derender.interface.posterior import Posterior
+from derender.interface.scene import HEIGHT, WIDTH, Scene
+from derender.results import posterior as kept
+from derender.scene.graph import SceneGraph
+
+
+@only_its_keywords
+def load(path: str | Path) -> Scene | Document | Posterior:
+    """Return what a file or folder holds: a Scene, a prior, or a Posterior.
+
+    Parameters
+    ----------
+    path : a scene file, a prior file or the name of a built-in prior, or a folder that `derender infer` wrote.
+
+    Raises
+    ------
+    DerenderError : there is none of them.
+
+    Examples
+    --------
+    >>> import derender
+    >>> derender.load(derender.data_path("scenes/figure-3-free.yaml"))
+    <Scene: floor, green, red, yellow>
+    >>> derender.load("tabletop").camera.width
+    160
+    """
+    if Path(path).is_dir():
+        image = Path(path) / "observation.npz"
+        return Posterior.of(kept.load(path), read_depth(image) if image.exists() else None)
+    if Path(path).suffix == ".npz":
+        return Posterior.of(kept.load(path), None)
+    document = read_prior_document(path)
+    return _scene_of(document) if document.is_scene else document
+
+
+@only_its_keywords
+def sample(prior: str | Path | Document = "tabletop", *, seed: int = 0, camera: Camera | None = None) -> Scene:
+    """Return a scene drawn from a prior: the one that `derender sample PRIOR --seed SEED` writes.
+
+    Parameters
+    ----------
+    prior : a prior file, the name of a built-in one, or what `load` returned.
+    seed : of the random numbers. camera : instead of the prior's own.
+
+    Examples
+    --------
+    >>> import derender
+    >>> derender.sample("stack", seed=3).parents["yellow"]
+    'red'
+    """
+    from derender.posterior.forward import draw_documents
+
+    document = prior if isinstance(prior, Document) else read_prior_document(prior)
+    (drawn,) = draw_documents(document, 1, seed, {})
+    return Scene(drawn.graph, camera or drawn.camera, drawn.likelihood)
+
+
+@only_its_keywords
+def render(
+    scene: Scene | SceneGraph | str | Path,
+    camera: Camera | None = None,
+    *,
+    noise: bool = False,
+    seed: int = 0,
+    renderer: str = "raycast",
+) -> DepthImage:
+    """Return the depth image of a scene: (H, W) float64 metres along the optical axis, NaN where nothing is hit.
+
+    Parameters
+    ----------
+    scene : a Scene, a scene graph or a scene file.
+    camera : instead of the scene's own; where there is neither, 160 x 120 pixels and 60 degrees.
+    noise : whether noise, blur and outliers are drawn from the scene's likelihood. seed : of these.
+    renderer : "raycast", or "pyrender" (OpenGL).
+
+    Examples
+    --------
+    >>> import derender
+    >>> image = derender.render(derender.sample("stack", seed=0), derender.Camera.from_field_of_view(64, 48))
+    >>> image.depth.shape
+    (48, 64)
+    """
+    from derender.posterior.forward import observe
+    from derender.render.renderers import find_renderer
+
+    scene = _as_scene(scene)
+    camera = camera or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
+    depth, _ = find_renderer(renderer).render_depth(scene.graph.solids(), camera)
+    if noise:
+        depth = observe(np.random.default_rng(seed), depth, scene.likelihood or LikelihoodPrior())
+    return DepthImage(depth, camera)
+
+
+@only_its_keywords
+def infer(
+    image: DepthImage | np.ndarray | Sequence[Sequence[float]] | str | Path,
+    *,
+    camera: Camera | Mapping[str, float] | np.ndarray | str | Path | None = None,
+    depth_scale: float | None = None,
+    prior: str | Path | Document | None = None,
+    known: str | Path | None = None,
+    only_known: bool = False,
+    method: str = "auto",
+    quick: bool = False,
+    shapes: Sequence[str] | None = None,
+    max_objects: int | None = None,
+    floor: str | Sequence[float] | None = None,
+    allow_interpenetration: bool = False,
+    allow_floating: bool = False,
+    chains: int | None = None,
+    draws: int | None = None,
+    warmup: int | None = None,
+    budget: float | None = None,
+    jobs: int = 1,
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Posterior:
+    """Infer the scene behind a depth image.
+
+    Parameters
+    ----------
+    image : a DepthImage; a file; or an array (H, W): floats are metres, uint16 are units of `depth_scale` millimetres;
+        0 and NaN are pixels without a return. Depth is along the optical axis.
+    camera : of an array or a file: a Camera, its file, a mapping of fx, fy, cx, cy, or a 3 x 3 matrix of intrinsics.
+        Without one, 60 degrees of horizontal field of view are assumed.
+    depth_scale : millimetres for one unit of an array of integers.
+    prior : a scene file with distributions or a built-in prior; None: all is found from the image.
+    known : a library of known objects; only_known : there is nothing else.
+    method : "auto", "map", "mcmc" or "smc"; quick : the best scene alone, as method="map".
+    shapes, max_objects : to look for. floor : "auto", "none" or (a, b, c, d) of its plane in camera axes, metres.
+    allow_interpenetration, allow_floating : whether solids may enter each other or hang in the air.
+    chains, draws, warmup, jobs : how much is drawn, in how many processes. seed : the same seed gives the same draws.
+    budget : seconds after which draws of a bare image that do not agree yet are not gone on with.
+    progress : called with (fraction done, what is being done).
+
+    Raises
+    ------
+    DerenderError : something is wrong with the image, the camera or the prior. TypeError : an unknown keyword.
+
+    Examples
+    --------
+    >>> import derender
+    >>> image = derender.sample(seed=1).render(noise=True)
+    >>> posterior = derender.infer(image, quick=True)
+    >>> posterior.best.names[0]
+    'floor'
+    >>> derender.infer(image, drawz=100)
+    Traceback (most recent call last):
+    ...
+    TypeError: infer() has no keyword 'drawz'; did you mean 'draws'?
+    """
+    from derender.report.result_folder import judged
+    from derender.structures.options import Options
+    from derender.workflow import check_request, infer_image, look_at
+
+    if quick and method not in ("auto", "map"):
+        raise TypeError("infer(): quick=True is method='map'; leave one of them out")
+    options = Options(
+        method="map" if quick else method, seed=seed, chains=chains, draws=draws, warmup=warmup,
+        budget=budget, jobs=jobs, shapes=shapes, max_objects=max_objects, floor=floor, known=known,
+        only_known=only_known, may_overlap=allow_interpenetration, may_float=allow_floating,
+    )  # fmt: skip
+    document = prior if isinstance(prior, Document | None) else read_prior_document(prior)
+    if not isinstance(image, DepthImage):
+        image = read_depth(image, camera, depth_scale)
+    elif camera is not None:
+        raise TypeError("infer(): a DepthImage has its camera; leave camera out")
+    seen = look_at(image, document, "image", _warn)
+    check_request(options, document, prior, "exact", _warn)
+    posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)
+    return Posterior.of(judged(posterior, seen, likelihood)[0], seen)
+
+
+class Simulation(NamedTuple):
+    """What physics says of a scene or a posterior.
+
+    Attributes
+    ----------
+    stable : whether every body of the (most probable) scene stays where it is.
+    p_stable : share of the posterior's draws that are stable; of a scene 1 or 0.
+    displacement : metres that each body moved, by name. rotation : radians that it turned.
+    fallen : names of the bodies that did not stay.
+    times : (T,) seconds. poses : (T, N, 4, 4), body to camera, of the bodies `names`.
+    """
+
+    stable: bool
+    p_stable: float
+    displacement: dict[str, float]
+    rotation: dict[str, float]
+    fallen: tuple[str, ...]
+    times: np.ndarray
+    poses: np.ndarray
+    names: tuple[str, ...]
+
+
+@only_its_keywords
+def simulate(
+    scene: Scene | SceneGraph | Posterior | str | Path,
+    *,
+    duration: float = 2.0,
+    draws: int = 50,
+    jobs: int = 1,
+    seed: int = 0,
+) -> Simulation:
+    """Let gravity act on a scene, or on the draws of a posterior, and say whether it stands.
+
+    Parameters
+    ----------
+    scene : a Scene, a scene graph, a Posterior, a scene file or a folder of results.
+    duration : seconds. draws : of a posterior, for p_stable. jobs : threads. seed : of which draws are taken.
+
+    Examples
+    --------
+    >>> import derender
+    >>> derender.simulate(derender.sample("stack", seed=0), duration=0.2).names
+    ('green', 'red', 'yellow')
+    """
+    from derender.physics.bodies import matter_of_graph
+    from derender.physics.simulate import judge, verdicts
+    from derender.physics.simulate import simulate as run
+
+    if isinstance(scene, str | Path) and Path(scene).is_dir():
+        scene = load(scene)  # type: ignore[assignment]
+    posterior = scene if isinstance(scene, Posterior) else None
+    found = posterior.best if posterior is not None else _as_scene(scene)  # type: ignore[arg-type]
+    trajectory = run(matter_of_graph(found.graph), duration)
+    verdict = judge(trajectory)
+    stable = [verdict.stable]
+    if posterior is not None and draws:
+        drawn = posterior.graphs(np.random.default_rng(seed), draws)
+        stable = [each.stable for each in verdicts(map(matter_of_graph, drawn), duration, jobs)]
+    return Simulation(
+        verdict.stable, float(np.mean(stable)), verdict.displacement, verdict.rotation, verdict.fallen,
+        trajectory.times, trajectory.poses, trajectory.names,
+    )  # fmt: skip
+
+
+def _warn(line: str) -> None:
+    warnings.warn(line, stacklevel=4)  # where `infer` was called
+
+
+def _as_scene(scene: Any) -> Scene:
+    if isinstance(scene, Scene):
+        return scene
+    if isinstance(scene, SceneGraph):
+        return Scene(scene)
+    if isinstance(scene, str | Path):
+        return _scene_of(read_document(scene))
+    raise DerenderError(f"a {type(scene).__name__} is no scene", remedy="give a Scene, a scene graph or a scene file")
+
+
+def _scene_of(document: Document) -> Scene:
+    return Scene(document.graph, document.camera, document.likelihood)

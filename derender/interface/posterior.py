@@ -1,0 +1,243 @@
+"""A posterior for use from Python: what was found, how sure it is, and what it predicts."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.camera.depth_file import DepthImage
+from derender.camera.intrinsics import Camera
+from derender.document import LikelihoodPrior
+from derender.errors import DerenderError
+from derender.interface.scene import Scene
+from derender.results import posterior as kept
+
+SIDES = ("length", "width", "height")
+
+
+class Structure(NamedTuple):
+    """One structure of a posterior.
+
+    Attributes
+    ----------
+    probability : of the structure, among those that were found.
+    words : what rests on what.
+    scene : its most probable Scene.
+    """
+
+    probability: float
+    words: str
+    scene: Scene
+
+
+class Found(NamedTuple):
+    """One object of a posterior's most probable scene.
+
+    Attributes
+    ----------
+    name, type : of the object.
+    size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges.
+    pose : (4, 4), object to camera.
+    parent : what it rests on; parent_probability : of each thing that it may rest on, by name.
+    probability : that the object is there.
+    """
+
+    name: str
+    type: str
+    size: np.ndarray
+    size_error: np.ndarray
+    pose: np.ndarray
+    parent: str
+    parent_probability: dict[str, float]
+    probability: float
+
+
+class Objects(tuple[Found, ...]):
+    """The objects of a posterior, a tuple of `Found`, by number or by name."""
+
+    def __getitem__(self, key: Any) -> Any:
+        if isinstance(key, str):
+            for found in self:
+                if found.name == key:
+                    return found
+            raise KeyError(key)
+        return super().__getitem__(key)
+
+    def to_pandas(self):
+        """Return a pandas.DataFrame with a row for each object: sizes and places in metres.
+
+        Raises
+        ------
+        DerenderError : pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise DerenderError("pandas is not installed", remedy="pip install pandas") from None
+        rows = []
+        for found in self:
+            row: dict[str, Any] = {"name": found.name, "type": found.type}
+            for side, size, error in zip(SIDES, found.size, found.size_error, strict=True):
+                row |= {side: float(size), f"{side}_error": float(error)}
+            row |= dict(zip("xyz", map(float, found.pose[:3, 3]), strict=True))
+            rows.append(row | {"rests_on": found.parent, "probability": found.probability})
+        return pandas.DataFrame(rows)
+
+
+@dataclass(frozen=True, repr=False)
+class Posterior(kept.Posterior):
+    """A posterior over scenes, as `derender.infer` and `derender.load` return it.
+
+    Attributes
+    ----------
+    parts : the structures found, each with its draws; see `derender.results.posterior`.
+    seed, command, version, meta : what made it, and what else is known.
+    image : the DepthImage that it explains, or None where the folder has none.
+
+    Examples
+    --------
+    >>> import derender
+    >>> image = derender.sample("stack", seed=0).render(derender.Camera.from_field_of_view(48, 36), noise=True)
+    >>> posterior = derender.infer(image, prior="stack", method="map")
+    >>> posterior.best
+    <Scene: floor, green, red, yellow>
+    >>> posterior.objects["yellow"].parent
+    'red'
+    >>> posterior.structures[0].probability
+    1.0
+    >>> posterior.predictive(2).shape
+    (2, 36, 48)
+    """
+
+    image: DepthImage | None = None
+
+    @classmethod
+    def of(cls, posterior: kept.Posterior, image: DepthImage | None) -> "Posterior":
+        """Return a posterior with the image that it explains."""
+        return cls(**{f.name: getattr(posterior, f.name) for f in fields(posterior) if f.name != "image"}, image=image)
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera of its image."""
+        if self.image is not None:
+            return self.image.camera
+        return Camera(**self.meta["camera"]) if "camera" in self.meta else None
+
+    @property
+    def best(self) -> Scene:
+        """The most probable Scene."""
+        return self._scene(self.best_graph())
+
+    @property
+    def structures(self) -> tuple[Structure, ...]:
+        """The structures found, the most probable first."""
+        from derender.report.structure_words import structure_words
+
+        ordered = sorted(self.parts, key=lambda part: -part.weight)
+        return tuple(
+            Structure(float(part.weight), structure_words(part.graph), self._scene(part.best()[0])) for part in ordered
+        )
+
+    @property
+    def objects(self) -> Objects:
+        """The objects of the most probable scene that have a size, with what is known of each."""
+        from derender.report.scene_json import scene_json
+
+        found = []
+        for item in scene_json(self.best_graph(), self)["objects"]:
+            if item["size"] is None:
+                continue
+            low, high = np.array(item.get("size_interval") or [item["size"]] * 2).reshape(3, 2).T
+            found.append(
+                Found(
+                    item["name"], item["type"], np.array(item["size"]), 0.5 * (high - low), np.array(item["pose"]),
+                    item["parent"], item["parent_probability"], item["probability"],
+                )
+            )  # fmt: skip
+        return Objects(found)
+
+    @property
+    def trusted(self) -> bool | None:
+        """Whether the result is to be trusted; None where nobody judged it."""
+        return self.meta.get("trusted")
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against trusting it, a sentence each."""
+        return tuple(self.meta.get("doubts", ()))
+
+    def sample_scenes(self, count: int, seed: int = 0) -> list[Scene]:
+        """Return `count` scenes drawn from the posterior: structures by their probability, draws uniformly within."""
+        return [self._scene(graph) for graph in self.graphs(np.random.default_rng(seed), count)]
+
+    def predictive(self, count: int, seed: int = 0) -> np.ndarray:
+        """Return (count, H, W) float64 depth images, metres, drawn from the posterior with their noise.
+
+        Raises
+        ------
+        DerenderError : neither image nor camera is known.
+        """
+        from derender.results.predictive import predictive_images
+
+        return predictive_images(self, self._camera(), count, np.random.default_rng(seed))
+
+    def to_arviz(self):
+        """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.
+
+        Its groups are `posterior`, `sample_stats` and, where the image is known, `observed_data`, `log_likelihood` and
+        `posterior_predictive` by blocks of pixels: neighbours share their errors, so a block is one observation.
+
+        Raises
+        ------
+        DerenderError : ArviZ is not installed.
+        """
+        import tempfile
+
+        from derender.results.netcdf import write_netcdf
+        from derender.results.predictive import blocks_of
+
+        try:
+            import arviz
+        except ImportError:
+            raise DerenderError("ArviZ is not installed", remedy="pip install 'derender[arviz]'") from None
+        image = self.image
+        seen = None if image is None else blocks_of(self, image.depth, image.camera, np.random.default_rng(0))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "posterior.nc"
+            write_netcdf(path, self, seen)
+            data = arviz.from_netcdf(str(path))
+            return data.load() if hasattr(data, "load") else data
+
+    def plot_depth(self, ax=None):
+        """Draw the observed depth into matplotlib axes, new ones by default, and return them."""
+        from derender.interface.plots import plot_depth
+
+        return plot_depth(self, ax)
+
+    def plot_sizes(self, ax=None):
+        """Draw each object's sizes with their 90 % ranges into matplotlib axes, and return them."""
+        from derender.interface.plots import plot_sizes
+
+        return plot_sizes(self, ax)
+
+    def plot_structures(self, ax=None):
+        """Draw the structures' probabilities into matplotlib axes, and return them."""
+        from derender.interface.plots import plot_structures
+
+        return plot_structures(self, ax)
+
+    def _repr_html_(self) -> str:
+        from derender.interface.html import posterior_html
+
+        return posterior_html(self)
+
+    def _camera(self) -> Camera:
+        if self.camera is None:
+            raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
+        return self.camera
+
+    def _scene(self, graph) -> Scene:
+        told = dict(self.meta.get("likelihood") or {})
+        kind = told.pop("type", None)
+        return Scene(graph, self.camera, None if kind is None else LikelihoodPrior(kind, told))

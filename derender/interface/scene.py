@@ -1,0 +1,145 @@
+"""A scene for use from Python: its graph, the camera that sees it, and what one does with them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from derender.camera.depth_file import DepthImage
+from derender.camera.intrinsics import Camera
+from derender.document import LikelihoodPrior, document_text, write_document
+from derender.scene.graph import SceneGraph
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from derender.interface.functions import Simulation
+
+WIDTH, HEIGHT = 160, 120  # pixels of a picture where a scene has no camera
+
+
+@dataclass(frozen=True, repr=False)
+class Scene:
+    """A scene graph with the camera that sees it.
+
+    Attributes
+    ----------
+    graph : the scene graph.
+    camera : or None, where its file has none.
+    likelihood : how its images come about (noise, blur), or None.
+
+    Examples
+    --------
+    >>> import derender
+    >>> scene = derender.sample("stack", seed=0)
+    >>> scene.names
+    ('floor', 'green', 'red', 'yellow')
+    >>> scene.poses["yellow"].shape  # object to camera, metres
+    (4, 4)
+    >>> scene.sizes["yellow"].shape  # full extents along its own axes, metres
+    (3,)
+    """
+
+    graph: SceneGraph
+    camera: Camera | None = None
+    likelihood: LikelihoodPrior | None = None
+
+    def __repr__(self) -> str:
+        return f"<Scene: {', '.join(self.names)}>"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the objects, in order, floor included."""
+        return self.graph.names
+
+    @property
+    def poses(self) -> dict[str, np.ndarray]:
+        """Pose (4, 4) float64, object to camera, of each object by name."""
+        poses = self.graph.poses()
+        return {name: poses[name] for name in self.names}
+
+    @property
+    def sizes(self) -> dict[str, np.ndarray]:
+        """Full extents (3,) float64 in metres along its own axes, of each object that has a size, by name."""
+        found = {name: self.graph.body(name).size() for name in self.names}
+        return {name: np.asarray(size, float) for name, size in found.items() if size is not None}
+
+    @property
+    def parents(self) -> dict[str, str]:
+        """What each object rests on, by name."""
+        return {vertex.name: vertex.parent for vertex in self.graph.vertices}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scene as `derender show --json` prints it."""
+        from derender.report.scene_json import scene_json
+
+        return scene_json(self.graph)
+
+    def to_yaml(self) -> str:
+        """Return the scene file's text."""
+        return document_text(self.graph, self.camera, self.likelihood)
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene as YAML, or in the format of the suffix: .glb .obj .xml .urdf .json; whole or not at all."""
+        if Path(path).suffix.lower() in (".yaml", ".yml"):
+            write_document(path, self.graph, self.camera, self.likelihood)
+            return
+        from derender.report.export import export_scene
+
+        export_scene(self.graph, path, self.camera)
+
+    def render(self, camera: Camera | None = None, noise: bool = False, seed: int = 0) -> DepthImage:
+        """Return its depth image; see `derender.render`."""
+        from derender.interface.functions import render
+
+        return render(self, camera, noise=noise, seed=seed)
+
+    def simulate(self, duration: float = 2.0) -> "Simulation":
+        """Return what physics does to it; see `derender.simulate`."""
+        from derender.interface.functions import simulate
+
+        return simulate(self, duration=duration)
+
+    def to_trimesh(self) -> "trimesh.Scene":
+        """Return a trimesh.Scene in camera axes, metres: a mesh for each object but planes, by its name.
+
+        >>> import derender
+        >>> sorted(derender.sample("stack", seed=0).to_trimesh().geometry)
+        ['green', 'red', 'yellow']
+        """
+        import trimesh
+
+        from derender.report.geometry import solid_mesh
+        from derender.scene.solids import PLANE
+
+        solids, scene = self.graph.solids(), trimesh.Scene()
+        for index, name in enumerate(self.graph.solid_names):
+            if solids.kind[index] != PLANE:
+                vertices, triangles = solid_mesh(solids, index)
+                mesh = trimesh.Trimesh(vertices, triangles, process=False)
+                scene.add_geometry(mesh, node_name=name, geom_name=name, transform=solids.pose[index])
+        return scene
+
+    def to_mjcf(self) -> str:
+        """Return the scene as MJCF, the XML that MuJoCo loads; z is up there. Meshes need `save("scene.xml")`.
+
+        >>> import derender
+        >>> derender.sample("stack", seed=0).to_mjcf()[:7]
+        '<mujoco'
+        """
+        from derender.report.export.mjcf import export
+
+        (text,) = (data for name, data in export(self.graph, Path("scene.xml")).items() if name.endswith(".xml"))
+        return text.decode()
+
+    def plot_depth(self, ax=None):
+        """Draw its depth image into matplotlib axes, new ones by default, and return them."""
+        from derender.interface.plots import plot_depth
+
+        return plot_depth(self, ax)
+
+    def _repr_html_(self) -> str:
+        from derender.interface.html import scene_html
+
+        return scene_html(self)

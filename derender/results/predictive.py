@@ -1,0 +1,128 @@
+"""What a posterior says of its own image: depth images drawn from it, and how likely the image is, block by block."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
+from derender.render.likelihoods import likelihoods
+from derender.render.raycast.depth import render_depth
+from derender.render.raycast.evaluator import DepthEvaluator
+from derender.results.posterior import Posterior, StructurePosterior
+
+LEAST_SIDE, MOST_ACROSS = 8, 20  # pixels of a block's side; blocks across the image's width
+LEAST_FILLED = 0.5  # share of a block's pixels that returned a depth: with fewer it is left out
+SCORED, DRAWN = 400, 50  # draws of which the blocks are scored, and of which images are drawn, at most
+
+
+class Blocks(NamedTuple):
+    """A posterior's image and what the posterior says of it, by N blocks of pixels.
+
+    Neighbouring pixels share their errors, so a block counts as one observation.
+
+    Attributes
+    ----------
+    rows, columns : (N,) int, image coordinates of the blocks' first pixels; side : of a block, pixels.
+    observed : (N,) metres, mean depth of the pixels that returned one.
+    scored : (S,) int, numbers of the draws in each chain that were scored.
+    log_likelihood : (chains, S, N), of all pixels of the block.
+    drawn : (D,) int, numbers of the draws in each chain of which images were drawn.
+    predicted : (chains, D, N) metres, mean depth of the same pixels in an image drawn from the likelihood.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    side: int
+    observed: np.ndarray
+    scored: np.ndarray
+    log_likelihood: np.ndarray
+    drawn: np.ndarray
+    predicted: np.ndarray
+
+
+def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: np.random.Generator) -> Blocks:
+    """Return what the most probable structure's draws say of the image, by blocks.
+
+    observed : (H, W) metres, NaN where nothing returned.
+    """
+    part = posterior.best_part
+    chains, draws = part.log_density.shape
+    side = max(LEAST_SIDE, -(-observed.shape[1] // MOST_ACROSS))
+    seen = np.isfinite(observed) & (observed > 0)
+    count = _sums(seen.astype(float), side)
+    kept = count >= LEAST_FILLED * _sums(np.ones(observed.shape), side)
+    rows, columns = np.nonzero(kept)
+
+    def means(depth: np.ndarray) -> np.ndarray:
+        """Return (N,) mean depths over the pixels that returned one in the image; where that is missing, its own."""
+        return (_sums(np.where(seen, np.where(np.isfinite(depth), depth, observed), 0.0), side) / count.clip(1))[kept]
+
+    scored, drawn = _spread(draws, SCORED // chains), _spread(draws, DRAWN // chains)
+    scores = np.empty((chains, len(scored), len(rows)))
+    images = np.empty((chains, len(drawn), len(rows)))
+    evaluator = None
+    for chain in range(chains):
+        for place, draw in enumerate(scored):
+            kind, values = likelihood_at(posterior, part, chain, int(draw))
+            evaluator = evaluator or DepthEvaluator(camera, observed, kind, values)
+            evaluator.log_likelihood(part.graph_at(chain, int(draw)).solids(), values)
+            scores[chain, place] = _sums(evaluator.per_pixel(), side)[kept]
+        for place, draw in enumerate(drawn):
+            images[chain, place] = means(image_at(posterior, part, chain, int(draw), camera, rng))
+    return Blocks(rows * side, columns * side, side, means(observed), scored, scores, drawn, images)
+
+
+def predictive_images(posterior: Posterior, camera: Camera, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return (count, H, W) float64 depth images, metres, drawn from the posterior: structure, draw, then noise.
+
+    NaN is where a drawn image has no return.
+    """
+    weights = np.array([part.weight for part in posterior.parts])
+    found = []
+    for number in rng.choice(len(weights), size=count, p=weights / weights.sum()):
+        part = posterior.parts[number]
+        chain, draw = np.unravel_index(rng.integers(part.log_density.size), part.log_density.shape)
+        found.append(image_at(posterior, part, int(chain), int(draw), camera, rng))
+    return np.array(found).reshape(count, *camera.shape)
+
+
+def image_at(posterior: Posterior, part: StructurePosterior, chain: int, draw: int, camera: Camera, rng) -> np.ndarray:
+    """Return (H, W), an image drawn from the likelihood of one draw, at a camera's pixels."""
+    kind, values = likelihood_at(posterior, part, chain, draw)
+    # How many independent pixels an image is worth is no property of the pixels that a camera makes.
+    values = {name: value for name, value in values.items() if name != "effective_pixels"}
+    clean, _ = render_depth(part.graph_at(chain, draw).solids(), camera)
+    return likelihoods[kind].sample(rng, clean, values)
+
+
+def likelihood_at(
+    posterior: Posterior, part: StructurePosterior, chain: int, draw: int
+) -> tuple[str, Mapping[str, float]]:
+    """Return the type of the likelihood and its numbers in one draw.
+
+    Raises
+    ------
+    DerenderError : the posterior does not say under which likelihood it came about.
+    """
+    told: dict[str, Any] = dict(posterior.meta.get("likelihood") or {})
+    if "type" not in told:
+        raise DerenderError("the posterior does not say what its likelihood was", remedy="infer again")
+    kind = told.pop("type")
+    for index, address in enumerate(part.addresses):
+        room, _, name = address.partition(".")
+        if room == "likelihood":
+            told[name] = float(part.values[chain, draw, index])
+    return kind, {name: float(value) for name, value in told.items()}
+
+
+def _spread(draws: int, most: int) -> np.ndarray:
+    """Return the numbers of at most so many draws, evenly spread."""
+    return np.unique(np.linspace(0, draws - 1, min(draws, max(most, 1))).astype(int))
+
+
+def _sums(values: np.ndarray, side: int) -> np.ndarray:
+    """Return the sums of an image's blocks; those at the right and lower edge may be smaller."""
+    starts: Sequence[np.ndarray] = [np.arange(0, length, side) for length in values.shape]
+    return np.add.reduceat(np.add.reduceat(values, starts[0], axis=0), starts[1], axis=1)

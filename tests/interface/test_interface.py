@@ -1,0 +1,222 @@
+"""What `import derender` offers: its names, its examples, what it takes and what it refuses in words."""
+
+import doctest
+import importlib
+import subprocess
+import sys
+import warnings
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+import derender
+from derender.errors import DerenderError
+
+MODULES = ("derender", "derender.camera.intrinsics", "derender.camera.depth_file", "derender.interface.functions",
+           "derender.interface.scene", "derender.interface.posterior")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_docstrings_run(name):
+    found = doctest.testmod(importlib.import_module(name))
+    assert found.attempted > 0 and found.failed == 0
+
+
+def test_ten_names_and_no_others():
+    assert sorted(derender.__all__) == sorted(
+        "read_depth Camera DepthImage load sample render infer simulate Scene Posterior".split()
+    )
+    assert set(derender.PLACES) == set(derender.__all__)
+    for name in derender.__all__:
+        thing = getattr(derender, name)
+        assert thing.__doc__ and (thing.__name__ == name)
+    with pytest.raises(AttributeError, match="no attribute 'inference'"):
+        derender.inference  # noqa: B018
+
+
+def test_importing_imports_nothing_of_ours():
+    code = "import sys, derender; print(sorted(m for m in sys.modules if m.startswith('derender')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['derender']"
+
+
+@pytest.fixture(scope="module")
+def image():
+    return derender.sample("stack", seed=0).render(derender.Camera.from_field_of_view(64, 48), noise=True)
+
+
+@pytest.fixture(scope="module")
+def posterior(image):
+    return derender.infer(image, prior="stack", seed=1, draws=100, warmup=50)
+
+
+@pytest.mark.parametrize("name", ["infer", "load", "render", "sample", "simulate"])
+def test_a_wrong_keyword_says_what_was_meant(name):
+    with pytest.raises(TypeError, match=rf"{name}\(\) has no keyword 'sead'; (did you mean 'seed'|choose from)"):
+        getattr(derender, name)("tabletop", sead=1)
+
+
+def test_what_is_taken_for_an_image(image, tmp_path):
+    metres = np.where(np.isfinite(image.depth), image.depth, 0.0)
+    np.save(tmp_path / "image.npy", metres.astype(np.float32))
+    camera = image.camera
+    given = {
+        "a path": (tmp_path / "image.npy", camera),
+        "a list of rows": (metres.tolist(), camera.matrix),
+        "float32": (metres.astype(np.float32), camera.to_dict()),
+        "uint16 millimetres": (np.round(1000 * metres).astype(np.uint16), camera),
+    }
+    for words, (thing, its_camera) in given.items():
+        seen = derender.read_depth(thing, camera=its_camera)
+        assert np.nanmax(abs(seen.depth - image.depth)) < 6e-4 and seen.camera == camera, words
+    tenths = np.round(10_000 * metres).astype(np.uint16)
+    assert np.nanmax(abs(derender.read_depth(tenths, camera, 0.1).depth - image.depth)) < 6e-5
+
+
+@pytest.mark.parametrize(
+    "thing, words",
+    [
+        (np.full((48, 64), 900.0), "the median depth is 900 m.*depth-scale"),
+        (np.zeros((48, 64, 3)), "48 x 64 x 3; this looks like a colour image"),
+        (np.ones((48, 64), np.uint8), "8 bits a pixel are too coarse"),
+        ([[1.0, 2.0], [1.0]], "the rows have different lengths"),
+        ({"depth": 1}, "a dict is no depth image; give a path, a DepthImage or an array"),
+        (np.zeros((48, 64)), "no pixel has a depth"),
+        ("missing.npy", "missing.npy: cannot read the depth image"),
+    ],
+)
+def test_what_is_refused_for_an_image(thing, words):
+    with pytest.raises(DerenderError, match=words):
+        derender.infer(thing)
+
+
+def test_options_are_checked():
+    with pytest.raises(DerenderError, match="draws is 'many'; give a whole number"):
+        derender.infer(np.ones((48, 64)), draws="many")
+    with pytest.raises(DerenderError, match="no method is called 'mcmcm'; did you mean 'mcmc'"):
+        derender.infer(np.ones((48, 64)), method="mcmcm")
+    with pytest.raises(TypeError, match="quick=True is method='map'"):
+        derender.infer(np.ones((48, 64)), method="smc", quick=True)
+    with pytest.raises(DerenderError, match="'bx' is no shape to look for; did you mean 'box'"):
+        derender.infer(np.ones((48, 64)), shapes=["bx"], camera=derender.Camera.from_field_of_view(64, 48))
+
+
+def test_a_missing_camera_is_warned_of():
+    with pytest.warns(UserWarning, match="taking 60 degrees"):
+        derender.infer(np.full((48, 64), 0.9), quick=True)
+
+
+def test_gravity_is_a_direction():
+    camera = derender.Camera(60, 60, 31.5, 23.5, 64, 48, gravity=[0, 3, 4])
+    assert camera.gravity == (0.0, 0.6, 0.8) and camera.downscaled(2).gravity == camera.gravity
+    assert camera.to_dict()["gravity"] == [0.0, 0.6, 0.8]
+    assert derender.read_depth(np.ones((48, 64)), camera.to_dict()).camera == camera
+    for wrong in ([0, 0, 0], [1, 2], 3, [0, float("nan"), 1]):
+        with pytest.raises(DerenderError):
+            derender.Camera(60, 60, 31.5, 23.5, 64, 48, gravity=wrong)
+
+
+def test_the_same_seed_is_the_same_posterior_as_on_the_command_line(image, tmp_path):
+    from derender.camera.depth_file import write_depth
+    from derender.structures.options import Options
+    from derender.workflow import infer_to_folder
+
+    write_depth(tmp_path / "image.npz", image.depth, image.camera)
+    again = derender.infer(tmp_path / "image.npz", seed=1, quick=True)
+    outcome = infer_to_folder(str(tmp_path / "image.npz"), Options(seed=1, method="map"), output=str(tmp_path / "out"))
+    for part, other in zip(again.parts, outcome.posterior.parts, strict=True):
+        np.testing.assert_array_equal(part.values, other.values)
+    loaded = derender.load(tmp_path / "out")
+    assert isinstance(loaded, derender.Posterior) and loaded.trusted == again.trusted is not None
+    assert loaded.doubts == again.doubts
+    np.testing.assert_allclose(loaded.image.depth, image.depth, atol=1e-6)
+
+
+def test_objects_and_structures(posterior):
+    assert sum(structure.probability for structure in posterior.structures) == pytest.approx(1.0)
+    assert posterior.structures[0].probability == max(structure.probability for structure in posterior.structures)
+    names = [found.name for found in posterior.objects]
+    assert names and names == ["green", "red", "yellow"] and "floor" not in names
+    first = posterior.objects[names[0]]
+    assert first.size.shape == first.size_error.shape == (3,)
+    assert not first.size_error.any()  # the prior says how big they are
+    assert first.pose.shape == (4, 4) and sum(first.parent_probability.values()) == pytest.approx(1.0)
+    pandas = pytest.importorskip("pandas")
+    table = posterior.objects.to_pandas()
+    assert isinstance(table, pandas.DataFrame) and list(table.name) == names and table.length[0] == first.size[0]
+
+
+def test_scenes_and_images_are_drawn_from_the_posterior(posterior, image):
+    scenes = posterior.sample_scenes(3, seed=5)
+    assert [scene.names for scene in scenes] == [scene.names for scene in posterior.sample_scenes(3, seed=5)]
+    drawn = posterior.predictive(4, seed=2)
+    assert drawn.shape == (4, 48, 64)
+    np.testing.assert_array_equal(drawn, posterior.predictive(4, seed=2))
+    off = abs(drawn - image.depth)
+    assert np.nanmedian(off) < 0.02 and np.nanmedian(abs(drawn[0] - drawn[1])) > 0.0  # noise is drawn too
+
+
+def test_a_scene_goes_elsewhere(posterior, tmp_path):
+    scene = derender.sample("stack", seed=0)
+    mesh = scene.to_trimesh()
+    bounds = mesh.geometry["yellow"].extents
+    np.testing.assert_allclose(np.sort(bounds), np.sort(scene.sizes["yellow"]), rtol=1e-6)
+    np.testing.assert_allclose(mesh.graph.get("yellow")[0], scene.poses["yellow"])
+    assert ElementTree.fromstring(scene.to_mjcf()).tag == "mujoco"
+    scene.save(tmp_path / "scene.yaml")
+    scene.save(tmp_path / "scene.glb")
+    assert derender.load(tmp_path / "scene.yaml").graph == scene.graph
+    assert scene.simulate(duration=0.1).poses.shape[1:] == (3, 4, 4)
+    told = derender.simulate(posterior, duration=0.1, draws=4)
+    assert 0.0 <= told.p_stable <= 1.0 and set(told.displacement) == {found.name for found in posterior.objects}
+
+
+def test_notebooks_show_pictures_that_need_no_network(posterior):
+    for thing in (posterior, posterior.best):
+        page = thing._repr_html_()
+        assert "data:image/png;base64," in page and "http" not in page
+        assert all(found.name in page for found in posterior.objects)
+
+
+def test_plots_go_into_ones_own_axes(posterior):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3)
+    for method, ax in zip(("plot_depth", "plot_sizes", "plot_structures"), axes, strict=True):
+        assert getattr(posterior, method)(ax) is ax and ax.has_data()
+    assert len(axes[1].get_xticklabels()) == len(posterior.objects)
+    assert posterior.best.plot_depth().has_data()
+    plt.close("all")
+
+
+def test_arviz_has_what_it_asks_for(posterior):
+    """Leave-one-out, predictive plot and summary run on posterior.nc, of old ArviZ and of new."""
+    arviz = pytest.importorskip("arviz")
+    data = posterior.to_arviz()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loo = arviz.loo(data)
+        summary = arviz.summary(data)
+        import matplotlib
+
+        matplotlib.use("Agg")
+        arviz.plot_ppc(data) if hasattr(arviz, "plot_ppc") else arviz.plot_ppc_dist(data)
+    blocks = data["observed_data"]["depth"].shape[0]
+    assert getattr(loo, "n_data_points", blocks) == blocks == 48
+    assert np.isfinite(float(loo.elpd_loo if hasattr(loo, "elpd_loo") else loo.elpd))
+    assert len(summary) == len(posterior.best_part.addresses)
+    observed, predicted = data["observed_data"]["depth"].values, data["posterior_predictive"]["depth"].values
+    assert predicted.shape[2:] == observed.shape and abs(predicted.mean((0, 1)) - observed).max() < 0.05
+
+
+def test_blocks_of_pixels_sum_to_the_log_likelihood_of_the_draws(posterior, image):
+    """Every block's pixels are scored once: in an image without holes the blocks add up to what the chains saw."""
+    from derender.results.predictive import blocks_of
+
+    blocks = blocks_of(posterior, image.depth, image.camera, np.random.default_rng(0))
+    part = posterior.best_part
+    np.testing.assert_allclose(blocks.log_likelihood.sum(-1), part.log_likelihood[:, blocks.scored], rtol=1e-6)
