@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,25 +67,89 @@ def infer_to_folder(
     DerenderError : whatever is wrong with the image, the camera, the prior or the folder.
     """
     started = time.monotonic()
+    folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
+    request = ask(image, options, prior, folder, camera, depth_scale, gradient, command, warn)
+    return answer(request, make_folder(folder), page, started if timed else None, progress, say, warn)
+
+
+class Request(NamedTuple):
+    """All that an inference needs, read and checked: it can go to another machine.
+
+    Attributes
+    ----------
+    image : the image's name. seen : the image. document : of a prior or scene, or None. where : whose fault a fault is.
+    options, gradient : see `infer_to_folder`.
+    made : seed, command and prior, recorded in what is written.
+    home : the results' folder, absolute: files are named as seen from there.
+    """
+
+    image: str
+    seen: DepthImage
+    document: Document | None
+    where: str | None
+    options: Options
+    gradient: str
+    made: dict[str, Any]
+    home: Path
+
+
+def ask(
+    image: str,
+    options: Options,
+    prior: str | None,
+    folder: Path,
+    camera: str | None = None,
+    depth_scale: float | None = None,
+    gradient: str = "exact",
+    command: str = "derender infer",
+    warn: Say = silent,
+) -> Request:
+    """Read all files that an inference needs and return the Request; the arguments are those of `infer_to_folder`."""
     document = read_prior_document(prior) if prior is not None else None
     seen = look_at(read_depth(image, camera, depth_scale), document, image, warn)
     check_request(options, document, prior, gradient, warn)
-    folder = make_folder(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
-    keeps = has_objects(document) or options.method in ("mcmc", "smc")  # checkpoints
-    if options.resume and keeps and not (folder / "checkpoint").exists():
-        say(f"nothing was interrupted in {folder}: beginning anew")
-    made = {"seed": options.seed, "command": command}
+    if isinstance(options.known, str | Path):
+        from derender.structures.known.library import read_library
+
+        options = replace(options, known=read_library(options.known))
+    made: dict[str, Any] = {"seed": options.seed, "command": command}
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
+    where = prior if has_objects(document) else image
+    return Request(str(image), seen, document, where, options, gradient, made, folder.resolve())
+
+
+def answer(
+    request: Request,
+    folder: Path,
+    page: bool = True,
+    started: float | None = None,
+    progress: Progress | None = None,
+    say: Say = silent,
+    warn: Say = silent,
+) -> Outcome:
+    """Infer what was asked and write it into a folder; started : when, of the monotonic clock, where that is told."""
+    options, began = request.options, time.monotonic() if started is None else started
+    keeps = has_objects(request.document) or options.method in ("mcmc", "smc")  # checkpoints
+    if options.resume and keeps and not (folder / "checkpoint").exists():
+        say(f"nothing was interrupted in {folder}: beginning anew")
+    command = request.made["command"]
     try:
-        with at_fault(prior if has_objects(document) else image):
+        with at_fault(request.where):
             posterior, likelihood = infer_image(
-                seen, document, replace(options, folder=folder), gradient, progress, warn, command
+                request.seen,
+                request.document,
+                replace(options, folder=folder),
+                request.gradient,
+                progress,
+                warn,
+                command,
             )
-            posterior = replace(posterior, command=command, meta={**posterior.meta, "image": str(image)})
-            lost = len(posterior.meta["lost_chains"])
-            seconds = time.monotonic() - started
-            return write_results(folder, posterior, seen, likelihood, made, lost, seconds, page, timed)
+            posterior = replace(posterior, command=command, meta={**posterior.meta, "image": request.image})
+            return write_results(
+                folder, posterior, request.seen, likelihood, request.made, len(posterior.meta["lost_chains"]),
+                time.monotonic() - began, page, started is not None, request.home,
+            )  # fmt: skip
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
             say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")

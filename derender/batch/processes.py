@@ -7,24 +7,23 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
 from derender.batch.frames import Frame
-from derender.batch.table import failed_row
-from derender.batch.work import Done, Order, infer_frame, leave_with_parent
+from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
 from derender.compilation.threads import THREADS_VARIABLE, safe_path
 
 
 class Processes:
-    """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on.
-
-    Attributes
-    ----------
-    size : how many frames can be in work at a time.
-    """
+    """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on."""
 
     def __init__(self, size: int, order: Order, output: str) -> None:
-        self.size, self.order, self.output = size, order, output
+        self._size, self.order, self.output = size, order, output
         self._idle: list[ProcessPoolExecutor] = []
         self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
         self._context = get_context("spawn")
+
+    @property
+    def size(self) -> int:
+        """How many frames can be in work at a time."""
+        return self._size
 
     @property
     def busy(self) -> int:
@@ -48,7 +47,7 @@ class Processes:
             except BrokenProcessPool:
                 executor.shutdown(wait=False)
                 why = "the process that worked on it died: there may be too little memory"
-                done.append(Done(frame, [failed_row(frame.name, why)], why))
+                done.append(failure(frame, why))
         return done
 
     def close(self) -> None:

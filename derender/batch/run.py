@@ -18,7 +18,9 @@ GATHER = 2.0  # seconds between two writings of the tables while frames are in w
 class Crew(Protocol):
     """Who infers frames: processes on this machine, or a cluster."""
 
-    size: int
+    @property
+    def size(self) -> int:
+        """How many frames can be in work at a time."""
 
     @property
     def busy(self) -> int:

@@ -5,15 +5,20 @@ import os
 import shlex
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from derender.atomic import atomic_path, make_folder
 from derender.batch.frames import RESULT, Frame
 from derender.batch.table import failed_row, rows_of
 from derender.errors import DerenderError
 from derender.structures.options import Options
+
+if TYPE_CHECKING:
+    from derender.camera.depth_file import DepthImage
+    from derender.workflow import Request
 
 THUMBNAIL = "thumbnail.png"
 THUMBNAIL_WIDTH = 160  # pixels of each half, about
@@ -63,23 +68,46 @@ class Done(NamedTuple):
 
 def infer_frame(frame: Frame, order: Order, output: str) -> Done:
     """Infer a frame into its folder below `output`; whatever goes wrong with it is told, not raised."""
-    from derender.workflow import infer_to_folder
+    started, warnings = time.monotonic(), []
+    try:
+        request = request_of(frame, order, output, warnings.append)
+    except DerenderError as fault:
+        return failure(frame, str(fault))
+    done = answer_frame(frame, request, order.page, make_folder(Path(output) / frame.name))
+    return done._replace(warnings=(*warnings, *done.warnings), seconds=time.monotonic() - started)
+
+
+def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], None]) -> "Request":
+    """Read a frame and return what is asked of it; DerenderError where it cannot be read."""
+    from derender.workflow import ask
+
+    folder = Path(output) / frame.name
+    return ask(
+        frame.path, order.options, order.prior, folder, order.camera, order.depth_scale, order.gradient,
+        order.command(frame), warn,
+    )  # fmt: skip
+
+
+def answer_frame(frame: Frame, request: "Request", page: bool, folder: Path) -> Done:
+    """Infer a frame that has been read, into a folder."""
+    from derender.workflow import answer
 
     started, warnings = time.monotonic(), []
-    folder = Path(output) / frame.name
     try:
-        outcome = infer_to_folder(
-            frame.path, order.options, order.prior, str(folder), order.camera, order.depth_scale, order.gradient,
-            order.command(frame), order.page, timed=False, warn=warnings.append,
-        )  # fmt: skip
-        write_thumbnail(folder / THUMBNAIL, outcome.posterior, folder)
-        rows, error, trace = rows_in(folder, frame.name), "", ""
+        outcome = answer(request, folder, page, warn=warnings.append)
+        write_thumbnail(folder / THUMBNAIL, outcome.posterior, request.seen)
+        done = Done(frame, rows_in(folder, frame.name))
     except DerenderError as fault:
-        rows, error, trace = [failed_row(frame.name, str(fault))], str(fault), ""
+        done = failure(frame, str(fault))
     except Exception as fault:  # a bug: it must not cost the other frames their results, so it is shown with its trace
         error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"[:300]
-        rows, trace = [failed_row(frame.name, error)], traceback.format_exc()
-    return Done(frame, rows, error, trace, tuple(warnings), time.monotonic() - started)
+        done = failure(frame, error)._replace(trace=traceback.format_exc())
+    return done._replace(warnings=tuple(warnings), seconds=time.monotonic() - started)
+
+
+def failure(frame: Frame, why: str) -> Done:
+    """Return what is told of a frame without a result."""
+    return Done(frame, [failed_row(frame.name, why)], why)
 
 
 def is_done(folder: Path) -> bool:
@@ -92,16 +120,13 @@ def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
     return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
 
 
-def write_thumbnail(path: Path, posterior, folder: Path) -> None:
+def write_thumbnail(path: Path, posterior, seen: "DepthImage") -> None:
     """Write a small picture: the depth image, and beside it the best scene."""
     import numpy as np
 
-    from derender.atomic import atomic_path
-    from derender.camera.depth_file import read_depth
     from derender.camera.png import png_bytes
     from derender.report import pictures
 
-    seen = read_depth(folder / "observation.npz")
     step = max(1, round(seen.depth.shape[1] / THUMBNAIL_WIDTH))
     depth, camera = seen.depth[step // 2 :: step, step // 2 :: step], seen.camera.downscaled(step)
     depth = depth[: camera.height, : camera.width]

@@ -11,7 +11,9 @@ from derender.cli.bar import Bar
 from derender.cli.options import Talk, command_line
 
 # Options that say how many frames are worked on, not what is asked of each: results do not record them.
-OF_THE_RUN = frozenset({"images", "output", "jobs", "watch", "page", "strict", "quiet", "verbose", "resume"})
+OF_THE_RUN = frozenset(
+    {"images", "output", "jobs", "watch", "scheduler", "page", "strict", "quiet", "verbose", "resume"}
+)
 
 
 @click.command()
@@ -74,6 +76,11 @@ OF_THE_RUN = frozenset({"images", "output", "jobs", "watch", "page", "strict", "
 @options.jobs
 @click.option("--watch", is_flag=True, help="Go on with frames as they come into the folders, until Ctrl-C.")
 @click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Of many images: infer on the Dask cluster of this scheduler (tcp://HOST:PORT or its scheduler file).",
+)
+@click.option(
     "--report/--no-report",
     "page",
     default=None,
@@ -118,15 +125,15 @@ def command(talk: Talk, **arguments) -> int | None:
     """
     from derender.batch.frames import is_many
 
-    images, watch = arguments.pop("images"), arguments.pop("watch")
+    images, watch, scheduler = (arguments.pop(key) for key in ("images", "watch", "scheduler"))
     if arguments.pop("quick"):
         if arguments["method"] not in ("auto", "map"):
             raise click.UsageError("--quick is --method map: leave one of them out")
         arguments["method"] = "map"
     if arguments["shapes"] is not None:
         arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
-    if watch or is_many(images):
-        return _many(talk, images, watch, arguments)
+    if watch or scheduler or is_many(images):
+        return _many(talk, images, watch, scheduler, arguments)
     return _one(talk, images[0], arguments)
 
 
@@ -161,10 +168,12 @@ def _one(talk: Talk, image: str, arguments: dict[str, Any]) -> int | None:
     return 3 if strict and not outcome.trusted else None
 
 
-def _many(talk: Talk, images: tuple[str, ...], watch: bool, arguments: dict[str, Any]) -> int | None:
+def _many(
+    talk: Talk, images: tuple[str, ...], watch: bool, scheduler: str | None, arguments: dict[str, Any]
+) -> int | None:
     """Infer many images, say a line of each, and write the tables of all."""
     from derender.batch.processes import Processes
-    from derender.batch.run import duration, infer_frames
+    from derender.batch.run import Crew, duration, infer_frames
     from derender.batch.work import Order
     from derender.structures.options import Options
 
@@ -188,9 +197,16 @@ def _many(talk: Talk, images: tuple[str, ...], watch: bool, arguments: dict[str,
             talk.detail(done.trace)
         click.echo(_line_of(done))
 
+    def crew(order: Order, output: str) -> Crew:
+        if scheduler is None:
+            return Processes(jobs, order, output)
+        from derender.batch.cluster import Cluster
+
+        return Cluster(scheduler, order, output)
+
     try:
         tally = infer_frames(
-            images, output, order, lambda order, output: Processes(jobs, order, output), watch, tell,
+            images, output, order, crew, watch, tell,
             bar or (lambda share, words: None),
         )  # fmt: skip
     finally:

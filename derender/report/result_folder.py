@@ -93,12 +93,12 @@ class Outcome:
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,
                   made: Mapping[str, Any], lost: int, seconds: float, page: bool = True,
-                  timed: bool = True) -> Outcome:  # fmt: skip
+                  timed: bool = True, home: Path | None = None) -> Outcome:  # fmt: skip
     """Write all files of a result, as one set, and return what there is to tell.
 
     made : seed, command and prior, for scene.yaml. lost : how many chains died. seconds : that inference took.
     page : whether report.html and posterior.nc are among them: `derender report DIR` makes the page later.
-    timed : whether summary.json says how long it took.
+    timed : whether summary.json says how long it took. home : as seen from where files are named; None: the folder.
     """
     from derender.report.contents import sensor_words
     from derender.report.html import write_report
@@ -130,7 +130,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     with files_together(folder, WRITTEN) as place:
 
         def write_numbers() -> None:
-            write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, folder))
+            write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, home or folder))
             posterior.save(place / "posterior.npz")
             if page and can_be_read():
                 blocks = blocks_of(posterior, seen.depth, seen.camera, np.random.default_rng(posterior.seed))

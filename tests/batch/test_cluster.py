@@ -1,0 +1,88 @@
+"""Frames on a real Dask cluster on this machine, one of whose two workers is killed midway."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from derender.batch.cluster import write_files
+from derender.batch.work import is_done
+
+FRAMES = 12
+
+
+def test_files_come_as_one_set_and_the_thumbnail_last(tmp_path):
+    write_files(tmp_path, {"thumbnail.png": b"t", "summary.json": b"s", "labels.png": b"l"})
+    assert is_done(tmp_path) and (tmp_path / "labels.png").read_bytes() == b"l"
+
+
+def files(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def derender(folder, *arguments):
+    command = [sys.executable, "-m", "derender", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=500, check=False)
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_loses_no_frame(tmp_path):
+    """No frame is lost, none told twice, and every byte is that of a run on this machine."""
+    pytest.importorskip("distributed")
+    assert derender(tmp_path, "sample", "-n", str(FRAMES), "--seed", "3", "-o", "frames").returncode == 0
+    np.save(tmp_path / "frames" / "bad.npy", np.zeros((4, 4)))
+    here = derender(tmp_path, "infer", "frames", "--draws", "20", "-o", "here", "-j", "2")
+    assert here.returncode == 1, here.stderr
+    place = tmp_path / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--dashboard-address", "127.0.0.1:0",
+            "--host", "127.0.0.1", "--scheduler-file", str(place)]  # fmt: skip
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(place), "--nthreads", "1",
+              "--no-nanny", "--no-dashboard"]  # fmt: skip
+    started = [subprocess.Popen(dask, **quiet)]
+    try:
+        deadline = time.monotonic() + 60
+        while not place.exists() and time.monotonic() < deadline:
+            time.sleep(0.2)
+        started += [subprocess.Popen(worker, **quiet) for _ in range(2)]
+        command = [sys.executable, "-m", "derender", "infer", "frames", "--draws", "20", "-o", "there", "--scheduler"]
+        run = subprocess.Popen([*command, str(place)], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               text=True)  # fmt: skip
+        started.append(run)
+        lines = tmp_path / "there" / "results.jsonl"
+        deadline = time.monotonic() + 300
+        while time.monotonic() < deadline and (not lines.exists() or len(told(lines)) < 3):
+            time.sleep(0.05)
+        os.kill(started[1].pid, signal.SIGKILL)
+        assert run.poll() is None  # it was midway
+        out, err = run.communicate(timeout=400)
+    finally:
+        for process in started[::-1]:
+            process.kill()
+            process.wait()
+    assert run.returncode == 1 and "Traceback" not in err, err
+    assert out == here.stdout
+    assert files(tmp_path / "there") == files(tmp_path / "here")
+    frames = [json.loads(line)["frame"] for line in lines.read_text().splitlines()]
+    assert len(set(frames)) == FRAMES + 1
+
+
+def told(lines):
+    """Return the frames that have lines."""
+    return {json.loads(line)["frame"] for line in lines.read_text().splitlines(keepends=True) if line.endswith("\n")}
+
+
+def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    from derender.batch import cluster
+    from derender.batch.work import Order
+    from derender.errors import DerenderError
+
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    with pytest.raises(DerenderError, match="no scheduler answers.*give tcp://HOST:PORT"):
+        cluster.Cluster("tcp://127.0.0.1:9", Order(), str(tmp_path))
