@@ -17,7 +17,7 @@ README = ROOT / "README.md"
 # except `document`, which knows scenes, cameras and likelihoods, and `workflow`, which tells the story of `infer`.
 ROOMS = (
     "", "compilation", "scene", "camera", "render", "document", "sampling", "results", "posterior", "detection",
-    "structures", "physics", "dynamics", "evaluation", "report", "workflow", "interface", "batch", "cli",
+    "structures", "physics", "dynamics", "evaluation", "report", "tracking", "workflow", "interface", "batch", "cli",
 )  # fmt: skip
 HEAVY = {"arviz", "llvmlite", "matplotlib", "mujoco", "networkx", "numba", "numpy", "OpenEXR", "OpenGL", "pandas"}
 HEAVY |= {"PIL", "pyrender", "rich", "scipy", "trimesh", "yaml"}

@@ -73,6 +73,11 @@ OF_THE_RUN = frozenset(
     help="Without --scene: draw on until the chains agree or so much time (30s, 2min) is spent on the image. Default: "
     "while it is worth it; then a seed gives the same on any machine.",
 )
+@click.option("--track", is_flag=True, help="The images are a film: follow the things through it.")
+@click.option(
+    "--fps", type=float, metavar="N", help="With --track: frames a second. Default: the camera file's, or 30."
+)
+@click.option("--moving-camera", is_flag=True, help="With --track: the camera may move.")
 @options.jobs
 @click.option("--watch", is_flag=True, help="Go on with frames as they come into the folders, until Ctrl-C.")
 @click.option(
@@ -114,6 +119,10 @@ def command(talk: Talk, **arguments) -> int | None:
     axis), rests_on, probability, trusted, doubts; a frame without objects, or one that failed, has one row. A frame
     that fails does not stop the others; the exit status is then 1. The same command run again does what is missing.
 
+    With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz with depth (T, H, W). The camera
+    file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
+    DIR/report.html with a time line.
+
     \b
     Examples:
         derender sample && derender infer sample_000.npz
@@ -122,6 +131,7 @@ def command(talk: Talk, **arguments) -> int | None:
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
         derender infer frames/ --camera camera.json --quick -o results && cut -d, -f1-6 results/results.csv
         derender infer recordings/ --watch -o results
+        derender infer film/ --track --fps 30 -o out && cat out/events.jsonl
     """
     from derender.batch.frames import is_many
 
@@ -132,6 +142,11 @@ def command(talk: Talk, **arguments) -> int | None:
         arguments["method"] = "map"
     if arguments["shapes"] is not None:
         arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
+    film = {key: arguments.pop(key) for key in ("track", "fps", "moving_camera")}
+    if film["track"]:
+        from derender.cli.tracking import follow
+
+        return follow(talk, images, {**arguments, **film, "watch": watch})
     if watch or scheduler or is_many(images):
         return _many(talk, images, watch, scheduler, arguments)
     return _one(talk, images[0], arguments)

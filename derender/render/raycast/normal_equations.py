@@ -100,7 +100,7 @@ def cost(misfit, poses, sizes):
         changed[0], changed[1] = max(dirty[0] - margin, 0), min(dirty[1] + margin, width)
         changed[2], changed[3] = max(dirty[2] - margin, 0), min(dirty[3] + margin, height)
         blur_rectangle(canvas.depth, misfit.taps, changed, misfit.scratch, misfit.blurred)
-        _compare(misfit, changed[2], changed[3])
+        compare_rows(misfit, changed[2], changed[3])
     total = 0.0
     for row in range(height):
         total += misfit.row_costs[row]
@@ -108,7 +108,7 @@ def cost(misfit, poses, sizes):
 
 
 @njit(cache=True, nogil=True)
-def _compare(misfit, top, bottom):
+def compare_rows(misfit, top, bottom):
     """Compare the rows from `top` to `bottom` of the blurred image with the observed one: costs, weights, residuals."""
     width = misfit.observed.shape[1]
     limit = misfit.numbers[LIMIT]

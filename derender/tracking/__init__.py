@@ -1,0 +1,1 @@
+"""Solids followed through a film of depth images: poses, sizes and contacts of each frame, with their uncertainty."""

@@ -1,0 +1,121 @@
+"""What rests on what in each frame: P(parent) over time, from the gaps between things and how sure those are.
+
+For each thing a hidden Markov chain runs over {nothing, the floor, each other thing}. What stands on something has no
+gap to it but for the error of both poses, and keeps it from frame to frame; what hangs in the air or in a hand may be
+anywhere. Contact is with what lies below: where lowering the thing by a little would press it in.
+"""
+
+import numpy as np
+
+from derender.detection.solids.image import ROW, make_row
+from derender.detection.solids.interpenetration import gap_between, lowest
+from derender.scene.pose import inverse
+
+NOTHING, FLOOR = 0, 1  # columns before those of the things
+SLACK = 0.0015  # metres by which a contact may be off besides the poses' errors: sizes, and the sensor's bias
+ANYWHERE = 0.15  # metres over which the height of what hangs in the air is uniform
+STEADY, UNSTEADY = 0.0012, 0.015  # metres a frame by which a gap changes in contact, and in the air
+MOST_TOLD = 6.0  # nats that the change of a gap says at most
+CHANGE = 0.04  # probability that what a thing rests on changes between two frames
+LOWERED, PRESSED = 0.001, 0.3  # metres, and the share of them that must go into what bears it
+NO_SUPPORT = -40.0  # log density of standing on what is not below
+
+
+def rows_of(poses, sizes, kinds, floor):
+    """Return (N, ROW) the things in the floor's axes; NaN rows where a pose is."""
+    rows = np.full((len(poses), ROW), np.nan)
+    to_floor = inverse(floor)
+    for k, pose in enumerate(poses):
+        if np.isfinite(pose).all():
+            local = to_floor @ pose
+            rows[k] = make_row(kinds[k], local[:3, :3], local[:3, 3], sizes[k])
+    return rows
+
+
+def gaps_of(rows, has_floor):
+    """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there."""
+    count = len(rows)
+    gaps = np.full((count, 2 + count), np.inf)
+    for k in range(count):
+        if not np.isfinite(rows[k, 0]):
+            continue
+        if has_floor:
+            gaps[k, FLOOR] = lowest(rows[k])
+        lower = rows[k].copy()
+        lower[12] -= LOWERED
+        for j in range(count):
+            if j == k or not np.isfinite(rows[j, 0]):
+                continue
+            gap = gap_between(rows[k], rows[j])
+            if gap < 0.1 and gap - gap_between(lower, rows[j]) > PRESSED * LOWERED:
+                gaps[k, 2 + j] = gap
+    return gaps
+
+
+def evidence(gaps, spread):
+    """Return (T, N, 2 + N) log densities of the gaps by what each thing rests on.
+
+    gaps : (T, N, 2 + N) metres. spread : (T, N) standard deviation of each thing's height, metres.
+    """
+    told = np.full(gaps.shape, NO_SUPPORT)
+    told[:, :, NOTHING] = 0.0
+    near = np.isfinite(gaps)
+    sigma = np.sqrt(spread[:, :, None] ** 2 + SLACK**2)
+    with np.errstate(invalid="ignore"):
+        here = -0.5 * (gaps / sigma) ** 2 - np.log(sigma * np.sqrt(2 * np.pi)) + np.log(ANYWHERE)
+        change = np.abs(np.diff(gaps, axis=0))
+    change = np.where(np.isfinite(change), change, np.inf)
+    ends = np.full((1, *gaps.shape[1:]), np.inf)
+    steady = np.minimum(np.concatenate([ends, change]), np.concatenate([change, ends]))
+    steady = np.where(np.isfinite(steady), steady, STEADY if len(gaps) == 1 else UNSTEADY)
+    kept = 0.5 * (steady / UNSTEADY) ** 2 - 0.5 * (steady / STEADY) ** 2 + np.log(UNSTEADY / STEADY)
+    here = here + np.clip(kept, -MOST_TOLD, MOST_TOLD)
+    told[near] = np.maximum(here[near], NO_SUPPORT)
+    told[:, :, NOTHING] = 0.0
+    return told
+
+
+def smoothed(told, start=None):
+    """Return (T, M) probabilities of a chain's states given all of its log densities (T, M): forward and backward.
+
+    start : (M,) probabilities in the first frame before its image, or None.
+    """
+    frames, states = told.shape
+    likelihood = np.exp(told - told.max(axis=1, keepdims=True))
+    step = np.full((states, states), CHANGE / max(states - 1, 1))
+    np.fill_diagonal(step, 1.0 - CHANGE)
+    forward, backward = np.empty((frames, states)), np.ones((frames, states))
+    now = np.full(states, 1.0 / states) if start is None else np.asarray(start, float)
+    for t in range(frames):
+        now = (now if t == 0 else now @ step) * likelihood[t]
+        now = now / now.sum()
+        forward[t] = now
+    for t in range(frames - 2, -1, -1):
+        later = step @ (likelihood[t + 1] * backward[t + 1])
+        backward[t] = later / later.sum()
+    both = forward * backward
+    return both / both.sum(axis=1, keepdims=True)
+
+
+def parent_probabilities(poses, covariances, sizes, kinds, floors):
+    """Return P(parent) (T, N, 2 + N): nothing, the floor, each thing; NaN where a thing is not there.
+
+    poses : (T, N, 4, 4) to camera, NaN where not there. covariances : (T, N, 6, 6). sizes : (T, N, 3). kinds : (N,).
+    floors : (T, 4, 4) to camera, z up; has_floor is whether they are finite.
+    """
+    frames, count = poses.shape[:2]
+    gaps, spread = np.full((frames, count, 2 + count), np.inf), np.full((frames, count), SLACK)
+    for t in range(frames):
+        up = floors[t, :3, 2]
+        gaps[t] = gaps_of(rows_of(poses[t], sizes[t], kinds, floors[t]), True)
+        for k in range(count):
+            if np.isfinite(covariances[t, k]).all():
+                spread[t, k] = np.sqrt(max(up @ covariances[t, k, :3, :3] @ up, 0.0))
+    told = evidence(gaps, spread)
+    chances = np.full((frames, count, 2 + count), np.nan)
+    there = np.isfinite(poses[:, :, 0, 0])
+    for k in range(count):
+        where = np.flatnonzero(there[:, k])
+        if len(where):
+            chances[where, k] = smoothed(told[where, k])
+    return chances

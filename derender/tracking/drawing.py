@@ -1,0 +1,163 @@
+"""What is drawn of the things that are followed, how it compares with the present frame, and fits of one of them."""
+
+import numpy as np
+
+from derender.render.blur import blur_taps
+from derender.render.raycast.canvas import FACE_BITS
+from derender.render.raycast.normal_equations import cost, new_misfit
+from derender.scene.solids import PLANE
+from derender.tracking import fit as fitting
+
+BACKGROUND = 10.0  # metres, where nothing is drawn
+LIMIT = 8.0  # nats: a pixel off by more than four standard deviations tells no more
+LEAST_NOISE = 3e-4  # metres: no sensor is better
+FEW = 20  # pixels: fewer tell nothing
+ROUNDS, TOLERANCE = 8, 0.05  # sets of normal equations, and nats, of a fit
+AFAR_ROUNDS = 6  # of one from afar, before
+LOOSE = 0.025  # metres: noise while a thing is searched for; then outlines pull that are off by several pixels
+MARGIN = 4  # pixels about a thing that its fit must explain too
+USUAL = 0.4  # nats a pixel of a good fit, at least
+EXCESS = (4.0, 0.03)  # standard deviations, and share, by which the cost may be above the usual one
+USUAL_OFF = 0.003  # share of the pixels that are off in a good fit, at least
+DEVIATION = 0.7  # nats: of one pixel's cost
+OFF = 4.0  # standard deviations at which a pixel is off
+BESIDE, MOST_BESIDE = 6, 0.12  # pixels about a thing, and the share of its own that may be nearer there
+
+
+class Drawing:
+    """The floor and the things as they are drawn, and the frame that they are compared with.
+
+    Attributes
+    ----------
+    camera : Camera. start : first.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
+    kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
+    misfit : Misfit. observed, spread : (H, W) metres. backdrop : (H, W) depth of what lies behind and is no floor.
+    rounds : sets of normal equations so far.
+    """
+
+    def __init__(self, camera, start, depth, moving_camera) -> None:
+        self.camera, self.start, self.moving_camera = camera, start, moving_camera
+        self.things, self.floor, self.view = list(start.things), start.floor, np.eye(4)
+        self.backdrop: np.ndarray | None = None
+        self.rounds = 0
+        self.allocate(depth)
+        self.see(depth)
+        cost(self.misfit, self.poses, self.sizes)
+
+    def allocate(self, depth) -> None:
+        """Make arrays for the things there are, and draw them."""
+        self.planes = 0 if self.floor is None else 1
+        self.kinds = np.array([PLANE] * self.planes + [thing.kind for thing in self.things], np.int32)
+        self.misfit = new_misfit(self.camera, depth, 1.0, self.kinds, 9, blur_taps(self.start.blur), BACKGROUND, LIMIT)
+        self.poses = np.empty((len(self.kinds), 4, 4))
+        self.sizes = np.zeros((len(self.kinds), 3))
+        self.counts = np.zeros((len(self.kinds), 4))
+        self.place()
+
+    def place(self) -> None:
+        """Put everything where the things and the view say."""
+        if self.planes:
+            self.poses[0] = self.view @ self.floor
+        for k, thing in enumerate(self.things):
+            self.poses[self.planes + k] = self.view @ thing.pose
+            self.sizes[self.planes + k] = thing.size
+            if not thing.here:
+                self.poses[self.planes + k, 2, 3] = -1.0  # behind the camera: not seen
+
+    def see(self, depth) -> None:
+        """Compare what is drawn with another frame (H, W), metres, from now on."""
+        clean = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
+        spread = np.empty(clean.shape)
+        fitting.spread_of(clean, self.start.sigma, self.start.growth, LEAST_NOISE, spread)
+        self.spread = spread
+        if self.backdrop is not None:
+            same = (self.backdrop > 0) & (np.abs(clean - self.backdrop) < OFF * spread + 0.01)
+            clean = np.where(same, 0.0, clean)
+        self.observed = clean
+        fitting.look(self.misfit, clean, spread)
+
+    def owner(self) -> np.ndarray:
+        """Return (H, W) the number of the solid that each pixel shows, -1 for none."""
+        code = self.misfit.canvas.code
+        return np.where(code < 0, -1, code >> FACE_BITS)
+
+    def wrong_share(self, k) -> float:
+        """Return the share of thing k's pixels that are off."""
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        seen = self.counts[self.planes + k]
+        return float((seen[2] + seen[3]) / max(seen[1], 1.0))
+
+    def take_as_usual(self, k) -> None:
+        """Take how well thing k is explained now as how well it usually is."""
+        total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
+        self.things[k].usual_misfit = self.wrong_share(k)
+        self.things[k].usual_off = max(off / max(count, 1.0), USUAL_OFF)
+        self.things[k].usual_cost = max(total / max(count, 1.0), USUAL)
+
+    def unexplained(self, k) -> bool:
+        """Whether the cost about thing k, or the number of pixels there that are off, is above what it may be."""
+        total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
+        usual, usually_off = self.things[k].usual_cost * count, self.things[k].usual_off * count
+        dear = total > usual * (1 + EXCESS[1]) + EXCESS[0] * DEVIATION * np.sqrt(count)
+        return bool(dear or off > usually_off + EXCESS[0] * np.sqrt(usually_off + 1.0))
+
+    def fit(self, k, expected, information, free, rounds=ROUNDS):
+        """Fit thing k from where it is drawn; return (energy, curvature). free : whether its size may change."""
+        thing, index = self.things[k], self.planes + k
+        members = np.zeros(len(self.kinds), bool)
+        members[index] = True
+        ties = thing.ties if free else np.zeros((0, 3))
+        count = 6 + len(ties)
+        curvature = np.array(information[:count, :count])
+        frame = self.poses[index].copy()
+        energy, taken = fitting.fit(
+            self.misfit, self.poses, self.sizes, members, frame, self.view @ expected, index, thing.size.copy(), ties,
+            self.turned(information[:count, :count]), self.start.temper, rounds, TOLERANCE, curvature,
+        )  # fmt: skip
+        self.rounds += taken
+        return energy, curvature
+
+    def turned(self, matrix, back=False):
+        """Return a (P, P) precision of world axes in camera axes, or the other way round."""
+        if not self.moving_camera:
+            return np.ascontiguousarray(matrix)
+        turn = np.eye(len(matrix))
+        turn[:3, :3] = turn[3:6, 3:6] = self.view[:3, :3].T if back else self.view[:3, :3]
+        return np.ascontiguousarray(turn @ matrix @ turn.T)
+
+    def draw(self, k, pose) -> float:
+        """Draw thing k at a pose in the world and return the whole cost."""
+        self.poses[self.planes + k] = self.view @ pose
+        self.sizes[self.planes + k] = self.things[k].size
+        return float(cost(self.misfit, self.poses, self.sizes))
+
+    def loosen(self, loose) -> None:
+        """Take the noise as large, or as it is."""
+        fitting.look(self.misfit, self.observed, np.maximum(self.spread, LOOSE) if loose else self.spread)
+        cost(self.misfit, self.poses, self.sizes)
+
+    def fit_from_afar(self, k, start, information, free=True):
+        """Fit thing k from where it is drawn, by its outline first; return the curvature."""
+        self.loosen(True)
+        self.fit(k, start, information, free=False, rounds=AFAR_ROUNDS)
+        self.loosen(False)
+        return self.fit(k, start, information, free=free)[1]
+
+    def outside(self, k) -> bool:
+        """Whether thing k is drawn outside the image."""
+        x, y, z = self.poses[self.planes + k, :3, 3]
+        if z <= 0.0:
+            return True
+        column, row = self.camera.fx * x / z + self.camera.cx, self.camera.fy * y / z + self.camera.cy
+        return not (0 <= column < self.camera.width and 0 <= row < self.camera.height)
+
+    def left_behind(self, k) -> bool:
+        """Whether many pixels beside thing k are nearer than anything drawn there."""
+        rectangle = self.misfit.canvas.rectangle[self.planes + k]
+        if rectangle[0] >= rectangle[1]:
+            return True
+        rows = slice(max(rectangle[2] - BESIDE, 0), rectangle[3] + BESIDE)
+        columns = slice(max(rectangle[0] - BESIDE, 0), rectangle[1] + BESIDE)
+        observed = self.observed[rows, columns]
+        off = (observed > 0) & (self.misfit.blurred[rows, columns] - observed > 2 * OFF * self.spread[rows, columns])
+        return int(off.sum()) > max(FEW, MOST_BESIDE * self.counts[self.planes + k, 1])

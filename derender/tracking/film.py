@@ -1,0 +1,222 @@
+"""A film: depth images of one camera in the order of time, with its frame rate and gravity."""
+
+import io
+import json
+import re
+from collections.abc import Sequence
+from glob import glob
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.camera.camera_file import camera_from_tree, read_camera
+from derender.camera.depth_file import read_depth
+from derender.camera.file_bytes import read_bytes
+from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
+
+SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".exr", ".npz")  # of frames in a folder
+FPS = 30.0  # assumed where nobody says
+MOST_FPS = 100_000.0
+GRAVITY = 9.81  # m/s^2; more than a hundred times as much is a mistake
+MOST_BYTES = 4_000_000_000  # of a film in one file
+
+
+class Timing(NamedTuple):
+    """What the camera file says of time and gravity, each None where it says nothing.
+
+    fps : frames a second. gravity : (3,) m/s^2 in camera axes. times : (T,) seconds.
+    """
+
+    fps: float | None = None
+    gravity: np.ndarray | None = None
+    times: np.ndarray | None = None
+
+
+class Film(NamedTuple):
+    """Frames of one camera.
+
+    Attributes
+    ----------
+    names : of the frames. frames : (T, H, W) float64 metres, NaN where nothing returned, or a list of such images.
+    camera : Camera. camera_is_guess : True where nobody gave one. times : (T,) float64, seconds, increasing.
+    gravity : (3,) m/s^2, camera axes of the first frame, or None: as the scene's floor lies.
+    fps_is_guess : True where the frame rate was assumed.
+    """
+
+    names: list[str]
+    frames: Sequence[np.ndarray]
+    camera: Camera
+    camera_is_guess: bool
+    times: np.ndarray
+    gravity: np.ndarray | None
+    fps_is_guess: bool
+
+
+def frame_files(sources: Sequence[str | Path]) -> list[Path]:
+    """Return the files of the frames that folders, globs and names stand for, numbers in names in counting order."""
+    found: list[Path] = []
+    for source in sources:
+        path = Path(source)
+        if path.is_dir():
+            inside = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+            named = [p for p in inside if p.stem.startswith("frame")]
+            found += sorted(named or inside, key=_in_counting_order)
+        elif path.exists() or not any(sign in str(source) for sign in "*?["):
+            found.append(path)
+        else:
+            found += sorted(map(Path, glob(str(source))), key=_in_counting_order)
+    return found
+
+
+def _in_counting_order(path: Path):
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
+
+
+def camera_beside(sources: Sequence[str | Path], camera: str | None) -> str | None:
+    """Return the camera file: the one given, or camera.json beside the frames, or None."""
+    if camera is not None or not sources:
+        return camera
+    first = Path(sources[0])
+    beside = (first if first.is_dir() else first.parent) / "camera.json"
+    return str(beside) if beside.exists() else None
+
+
+def read_timing(path: str | Path | None) -> Timing:
+    """Return what a camera file says of time and gravity; a file without such keys says nothing."""
+    if path is None:
+        return Timing()
+    try:
+        tree = json.loads(read_bytes(path, MOST_BYTES, "the camera", "give a camera file with --camera"))
+    except ValueError:
+        return Timing()  # YAML and what is no camera are the camera reader's business
+    return timing_of(tree, path) if isinstance(tree, dict) else Timing()
+
+
+def timing_of(tree: dict, where: object) -> Timing:
+    """Return the fps, gravity and times of a camera's tree, checked."""
+    fps = gravity = times = None
+    if tree.get("fps") is not None:
+        fps = checked_fps(tree["fps"], where)
+    if tree.get("gravity") is not None:
+        gravity = _numbers(tree["gravity"], "gravity", where)
+        if gravity.shape != (3,) or not 0.01 < np.linalg.norm(gravity) < 100 * GRAVITY:
+            raise DerenderError("gravity is not three numbers in m/s^2", where, "such as [0, 8.5, 4.9], in camera axes")
+    for key in ("times", "timestamps"):
+        if tree.get(key) is not None:
+            times = checked_times(_numbers(tree[key], key, where), where)
+    return Timing(fps, gravity, times)
+
+
+def _numbers(value, name, where) -> np.ndarray:
+    try:
+        numbers = np.asarray(value, float).ravel()
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if not np.isfinite(numbers).all():
+        raise DerenderError(f"{name} is not a list of numbers", where, "give finite numbers")
+    return numbers
+
+
+def checked_fps(value, where) -> float:
+    """Return frames a second as a number, or raise DerenderError."""
+    try:
+        fps = float(value)
+    except (TypeError, ValueError):
+        fps = float("nan")
+    if not 0 < fps <= MOST_FPS:
+        raise DerenderError(f"fps is {value}", where, "give frames a second, a number above 0")
+    return fps
+
+
+def checked_times(times, where) -> np.ndarray:
+    """Return times (T,) that increase, or raise DerenderError."""
+    wrong = np.flatnonzero(np.diff(times) <= 0)
+    if len(wrong):
+        n = int(wrong[0])
+        what = f"time runs backwards: frame {n + 1} is at {times[n + 1]:g} s, the one before at {times[n]:g} s"
+        raise DerenderError(what, where, "put the frames in the order in which they were taken")
+    return times
+
+
+def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
+    """Read the frames of folders, globs, files, or of one .npz with depth (T, H, W).
+
+    Parameters
+    ----------
+    sources : paths. camera : a camera file; default camera.json beside the frames. depth_scale : millimetres a unit.
+    fps : frames a second; goes before what the camera file says.
+
+    Raises
+    ------
+    DerenderError : no frame, frames of different sizes, time that runs backwards, and whatever is wrong with a frame.
+    """
+    files = frame_files(sources)
+    where = ", ".join(map(str, sources)) or "the film"
+    if not files:
+        raise DerenderError(
+            "the film is empty: there is no frame", where, "name files, or a folder of frame_000.npy ..."
+        )
+    camera = camera_beside(sources, camera)
+    timing = read_timing(camera)
+    if len(files) == 1 and files[0].suffix.lower() == ".npz" and (whole := _whole_film(files[0], camera)) is not None:
+        frames, names, seen_camera, guessed, inside = whole
+        timing = Timing(
+            timing.fps or inside.fps,
+            inside.gravity if timing.gravity is None else timing.gravity,
+            inside.times if timing.times is None else timing.times,
+        )
+    else:
+        frames, names, seen_camera, guessed = [], [], None, True
+        for path in files:
+            seen = read_depth(path, camera, depth_scale)
+            check_size(seen.depth, frames[0] if frames else seen.depth, path)
+            seen_camera, guessed = seen_camera or seen.camera, guessed and seen.camera_is_guess
+            frames.append(seen.depth)
+            names.append(path.name)
+    if not any(np.any(np.isfinite(frame) & (frame > 0)) for frame in frames):
+        raise DerenderError("no frame has a pixel with a depth", where, "give images that show something")
+    if timing.times is not None and len(timing.times) != len(frames):
+        what = f"there are {len(frames)} frames and {len(timing.times)} times"
+        raise DerenderError(what, camera or where, "give one time for each frame")
+    rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
+    times = timing.times if timing.times is not None and fps is None else np.arange(len(frames)) / (rate or FPS)
+    return Film(names, frames, seen_camera, guessed, times, timing.gravity, rate is None and timing.times is None)
+
+
+def check_size(frame, first, path) -> None:
+    """Raise DerenderError where a frame is not as large as the first one."""
+    if frame.shape != first.shape:
+        sizes = [f"{shape[1]} x {shape[0]}" for shape in (frame.shape, first.shape)]
+        what = f"this frame is {sizes[0]} pixels, the first one {sizes[1]}"
+        raise DerenderError(what, path, "the frames of a film are of one size")
+
+
+def _whole_film(path: Path, camera):
+    """Return (frames, names, camera, whether it is a guess, Timing) of an .npz with depth (T, H, W), or None."""
+    data = read_bytes(path, MOST_BYTES, "the film", "check the path")
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except (OSError, ValueError, EOFError, KeyError):
+        return None  # read_depth says what is wrong with it
+    depth = arrays.get("depth")
+    if depth is None or depth.ndim != 3:
+        return None
+    if len(depth) == 0 or depth.dtype.kind not in "fiu":
+        raise DerenderError("the film is empty: there is no frame", path, "give an .npz with depth (T, H, W) in metres")
+    depth = depth.astype(float) * (1e-3 if depth.dtype.kind in "iu" else 1.0)
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.nan)
+    shape, tree = depth.shape[1:], None
+    if "camera" in arrays:
+        tree = json.loads(str(arrays["camera"].item()))
+    elif "K" in arrays:
+        tree = {"K": arrays["K"].ravel().tolist()}
+    found, guessed = Camera.from_field_of_view(shape[1], shape[0]), camera is None and tree is None
+    if camera is not None:
+        found = read_camera(camera, shape)
+    elif tree is not None:
+        found = camera_from_tree(tree, shape)
+    told = {**(tree or {}), **{key: arrays[key].tolist() for key in ("fps", "gravity", "times") if key in arrays}}
+    return list(depth), [f"{path.stem}[{t}]" for t in range(len(depth))], found, guessed, timing_of(told, path)

@@ -1,0 +1,187 @@
+"""The report of a track: a time line of what rests on what, and the film beside what explains it; one HTML file."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender.render.raycast.depth import render_depth
+from derender.report import pictures
+from derender.scene.solids import PLANE, Solids
+from derender.tracking.thing import GONE, HIDDEN, LOST
+from derender.tracking.track import Track
+
+PAGE_STYLE = Path(pictures.__file__).with_name("page.css")
+MOST_PICTURES = 240  # frames shown; of a longer film every so many
+FLOOR_COLOUR, AIR_COLOUR, GONE_COLOUR = "#8a8f98", "#f0b429", "#ffffff"
+ROW, LEFT, WIDE = 26, 110, 960  # pixels of the time line: a row's height, its names' width, and its length
+
+
+def report_page(
+    track: Track, frames: Sequence[np.ndarray], camera, events: Sequence[dict[str, Any]], title: str
+) -> str:
+    """Return the page as text. frames : of the film, (H, W) metres each, as many as the track has."""
+    colours = pictures.colours_of(solids_at(track, 0), ["floor", *track.names])[1:]
+    named = {name: "#" + bytes(colour.tolist()).hex() for name, colour in zip(track.names, colours, strict=True)}
+    seconds = float(track.times[-1] - track.times[0])
+    lost = sum(row.count(LOST) for row in track.states)
+    words = f"{len(track.names)} things, {len(track.times)} frames, {seconds:.2f} s"
+    words += f"; lost in {lost} object-frames" if lost else "; nothing lost"
+    notes = "".join(f'<p class="bad">{escape(note[0].upper() + note[1:])}.</p>' for note in track.notes)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{PAGE_STYLE.read_text()}{STYLE}</style></head><body>"
+        f"<h1>{escape(title)}</h1><p>{words}</p>{notes}"
+        + _film(track, frames, camera)
+        + "<h2>What rests on what</h2>" + _time_line(track, events, named)
+        + "<h2>Events</h2>" + _events(events, named)
+        + "<h2>Things</h2>" + _things(track, named)
+        + f"<script>{SCRIPT}</script></body></html>\n"
+    )  # fmt: skip
+
+
+def solids_at(track: Track, t: int) -> Solids:
+    """Return the floor and all things that are there in a frame; others lie behind the camera."""
+    poses = track.poses[t].copy()
+    away = ~np.isfinite(poses[:, 0, 0])
+    poses[away] = np.eye(4)
+    poses[away, 2, 3] = -100.0
+    floor = track.floors()[t]
+    count = len(poses) + 1
+    return Solids(
+        np.array([PLANE, *track.kinds], np.int32), np.concatenate([floor[None], poses]),
+        np.concatenate([np.zeros((1, 3)), track.sizes[t]]), np.full(count, -1, np.int32),
+    )  # fmt: skip
+
+
+def _film(track, frames, camera) -> str:
+    """Return observed, explained and residual depth with a slider."""
+    shown = range(0, len(track.times), max(1, -(-len(track.times) // MOST_PICTURES)))
+    solids = solids_at(track, 0)
+    _, label = render_depth(solids, camera)
+    low, high = pictures.depth_limits(np.asarray(frames[0]), label > 0)
+    uris = []
+    for t in shown:
+        explained, _ = render_depth(solids_at(track, t), camera)
+        observed = np.where(np.asarray(frames[t]) > 0, frames[t], np.nan)
+        uris.append([
+            pictures.png_uri(pictures.paint(observed, low, high)),
+            pictures.png_uri(pictures.paint(explained, low, high)),
+            pictures.png_uri(pictures.paint(1e3 * (observed - explained), -20, 20, pictures.RESIDUAL_ANCHORS)),
+        ])  # fmt: skip
+    strips = "".join(
+        f'<div class="shot" data-t="{t}" hidden>' + "".join(f'<img src="{uri}" alt="">' for uri in row) + "</div>"
+        for t, row in zip(shown, uris, strict=True)
+    )
+    times = ",".join(f"{track.times[t]:.3f}" for t in shown)
+    return (
+        '<h2>Film</h2><div class="heads"><span>observed</span><span>explained</span>'
+        f'<span>observed − explained, ±20 mm</span></div><div id="film" data-times="{times}">{strips}</div>'
+        f'<p><button id="play">play</button> <input type="range" id="at" min="0" max="{len(uris) - 1}" value="0"> '
+        '<span id="clock" class="soft"></span></p>'
+    )
+
+
+def _time_line(track, events, named) -> str:
+    """Return an SVG: a row for each thing, coloured by what it rests on."""
+    count, parents = len(track.times), track.parents()
+    step = WIDE / max(count, 1)
+    height = ROW * len(track.names) + 34
+    parts = []
+    for k, name in enumerate(track.names):
+        top = ROW * k + 4
+        parts.append(f'<text x="0" y="{top + 15}" fill="{named[name]}" font-weight="600">{escape(name)}</text>')
+        for t in range(count):
+            state, parent = track.states[t][k], parents[t][k]
+            colour = AIR_COLOUR if parent is None else FLOOR_COLOUR if parent == "floor" else named[parent]
+            if state in (LOST, GONE):
+                colour = GONE_COLOUR if state == GONE else "#b2182b"
+            chances = track.parent_probability[t, k]
+            sure = float(np.max(chances)) if np.isfinite(chances).all() else 1.0
+            title = f"{name}, frame {t}: {state}, on {parent or 'nothing'} ({sure:.2f})"
+            opacity = 0.3 if state == HIDDEN else max(0.25, sure)
+            parts.append(
+                f'<rect x="{LEFT + t * step:.1f}" y="{top}" width="{step:.2f}" height="18" fill="{colour}" '
+                f'fill-opacity="{opacity:.2f}"><title>{escape(title)}</title></rect>'
+            )
+        for event in events:
+            if event["object"] == name:
+                x = LEFT + (event["frame"] + 0.5) * step
+                parts.append(
+                    f'<path d="M{x:.1f} {top - 3}l4 5h-8z" fill="#22252a"><title>{escape(event["event"])}, frame '
+                    f"{event['frame']}</title></path>"
+                )
+    for t in range(0, count, max(1, count // 12)):
+        parts.append(f'<text x="{LEFT + t * step:.1f}" y="{height - 12}" font-size="11" fill="#6a7078">{t}</text>')
+    legend = f"on the floor {_swatch(FLOOR_COLOUR)} in the air or a hand {_swatch(AIR_COLOUR)} "
+    legend += " ".join(f"on {escape(name)} {_swatch(colour)}" for name, colour in named.items())
+    return (
+        f'<div class="scroll"><svg width="{LEFT + WIDE}" height="{height}" viewBox="0 0 {LEFT + WIDE} {height}" '
+        f'font-size="13">{"".join(parts)}<line id="now" x1="{LEFT}" x2="{LEFT}" y1="0" y2="{height - 24}" '
+        f'stroke="#22252a" data-left="{LEFT}" data-step="{step}"/></svg></div><p class="soft">{legend}</p>'
+    )
+
+
+def _swatch(colour) -> str:
+    return f'<span class="bar" style="width:14px;background:{colour}"></span>'
+
+
+def _events(events, named) -> str:
+    rows = "".join(
+        f'<tr><td class="number">{event["frame"]}</td><td class="number">{event["time"]:.3f}</td>'
+        f'<td style="color:{named.get(event["object"], "#000")}">{escape(event["object"])}</td>'
+        f"<td>{escape(event['event'])}</td><td>{escape(_words(event))}</td></tr>"
+        for event in events
+    )
+    head = '<tr><th class="number">frame</th><th class="number">s</th><th>thing</th><th>event</th><th></th></tr>'
+    return f'<div class="scroll"><table class="narrow">{head}{rows}</table></div>'
+
+
+def _words(event) -> str:
+    if "to" in event:
+        chance = f" (P = {event['probability']:.2f})"
+        return f"from {event['from'] or 'nothing'} to {event['to'] or 'nothing'}{chance}"
+    return f"{event['speed'][0]:+.2f} to {event['speed'][1]:+.2f} m/s" if "speed" in event else ""
+
+
+def _things(track, named) -> str:
+    rows = []
+    for k, name in enumerate(track.names):
+        deviations = np.sqrt(np.maximum(np.diagonal(track.covariances[:, k, :3, :3], axis1=1, axis2=2), 0)).max(axis=1)
+        sure = f"{1e3 * np.nanmedian(deviations):.1f}" if np.isfinite(deviations).any() else ""
+        size = " × ".join(f"{1e3 * s:.0f}" for s in track.sizes[-1, k])
+        lost = [str(t) for t, row in enumerate(track.states) if row[k] == LOST]
+        rows.append(
+            f'<tr><td style="color:{named[name]}">{escape(name)}</td><td>{track.types[k]}</td><td>{size}</td>'
+            f'<td class="number">{sure}</td><td>{", ".join(lost) or "never"}</td></tr>'
+        )
+    head = '<tr><th>thing</th><th>type</th><th>size, mm</th><th class="number">sd of the centre, mm (median)</th>'
+    return f'<div class="scroll"><table class="narrow">{head}<th>lost in frames</th></tr>{"".join(rows)}</table></div>'
+
+
+STYLE = """
+#film .shot:not([hidden]), .heads { display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 10px; }
+#film img { width: 100%; image-rendering: pixelated; border-radius: 3px; } .heads { font-size: 13px; color: #6a7078; }
+#at { width: 60%; vertical-align: middle; }
+"""
+SCRIPT = """
+const shots = [...document.querySelectorAll('.shot')], at = document.getElementById('at');
+const times = document.getElementById('film').dataset.times.split(','), now = document.getElementById('now');
+function show() {
+  shots.forEach((shot, n) => { shot.hidden = n != at.value; });
+  const t = +shots[at.value].dataset.t, x = +now.dataset.left + (t + 0.5) * now.dataset.step;
+  now.setAttribute('x1', x); now.setAttribute('x2', x);
+  document.getElementById('clock').textContent = 'frame ' + t + ', ' + times[at.value] + ' s';
+}
+at.oninput = show;
+let timer = null;
+document.getElementById('play').onclick = event => {
+  if (timer) { clearInterval(timer); timer = null; event.target.textContent = 'play'; return; }
+  event.target.textContent = 'stop';
+  timer = setInterval(() => { at.value = (+at.value + 1) % shots.length; show(); }, 100);
+};
+show();
+"""

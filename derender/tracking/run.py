@@ -1,0 +1,196 @@
+"""What `derender infer FRAMES --track` does: read the film, infer its first frame, follow it, write the folder."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.atomic import make_folder
+from derender.camera.depth_file import read_depth
+from derender.errors import DerenderError
+from derender.structures.options import Options
+from derender.tracking.events import events_of
+from derender.tracking.film import (
+    FPS,
+    Film,
+    camera_beside,
+    check_size,
+    checked_fps,
+    frame_files,
+    read_film,
+    read_timing,
+)  # fmt: skip
+from derender.tracking.page import report_page
+from derender.tracking.result import write_track
+from derender.tracking.track import Recorder, Track
+
+POLL = 0.2  # seconds between looks at a folder that grows
+PATIENCE = 10.0  # seconds without a new frame after which a film that is watched has ended
+LAG = 3  # frames that an event waits before it is told while the film goes on: later frames may take it back
+
+
+class Outcome(NamedTuple):
+    """What was written: the track, its folder, and its events."""
+
+    track: Track
+    folder: Path
+    events: list[dict[str, Any]]
+
+    def table(self) -> str:
+        """Return a line for each thing."""
+        lines = []
+        for k, name in enumerate(self.track.names):
+            words: list[str] = []
+            for row in self.track.parents():
+                word = row[k] or "nothing"
+                if not words or words[-1] != word:
+                    words.append(word)
+            lost = [t for t, row in enumerate(self.track.states) if row[k] == "lost"]
+            lines.append(f"{name:<14} on {', then '.join(words)}" + (f"; lost in {len(lost)} frames" if lost else ""))
+        return "\n".join(lines)
+
+
+def silent(line: str) -> None:
+    """Say nothing."""
+
+
+def track_to_folder(
+    sources: Sequence[str],
+    options: Options,
+    output: str | None = None,
+    camera: str | None = None,
+    depth_scale: float | None = None,
+    fps: float | None = None,
+    moving_camera: bool = False,
+    watch: bool = False,
+    command: str = "derender infer --track",
+    progress: Callable[[float, str], None] | None = None,
+    say: Callable[[str], None] = silent,
+    warn: Callable[[str], None] = silent,
+    tell: Callable[[str], None] = silent,
+) -> Outcome:
+    """Follow the things of a film and write track.npz, track.json, events.jsonl and report.html.
+
+    Parameters
+    ----------
+    sources : folders, patterns, files, or one .npz with depth (T, H, W). options : of the first frame's inference.
+    output : folder; None: the first source's name with _tracked. camera, depth_scale : as of one image.
+    fps : frames a second. moving_camera : whether the camera may move.
+    watch : go on with frames as they come into the folder, until none has come for ten seconds.
+    tell : called with each event as a line of JSON, while watching as soon as it is known.
+
+    Raises
+    ------
+    DerenderError : whatever is wrong with the frames, the camera or the folder.
+    """
+    started = time.monotonic()
+    film = first_of(sources, camera, depth_scale, fps) if watch else read_film(sources, camera, depth_scale, fps)
+    if film.camera_is_guess:
+        warn(f"no camera is given: taking {film.camera.field_of_view:.0f} degrees horizontal field of view")
+    if film.fps_is_guess:
+        warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds and free fall are wrong if it is another")
+    if film.gravity is None:
+        say("no gravity is given: taking it along the floor's normal")
+    recorder = begin(film, options, moving_camera, progress)
+    told = 0
+    frames = [film.frames[0]]
+    incoming = watched(sources, camera, depth_scale, film) if watch else iter(film.frames[1:])
+    names = film.names[:1]
+    for depth in incoming:
+        names.append(film.names[len(names)] if len(names) < len(film.names) else f"frame {len(names)}")
+        if not recorder.advance(depth):
+            break
+        frames.append(depth)
+        if progress and not watch:
+            progress(len(frames) / len(film.frames), f"frame {len(frames)}")
+        if watch:
+            told = tell_events(recorder.track(times_of(film, len(frames))), told, tell, LAG)
+    track = recorder.track(times_of(film, len(frames)), names)
+    for note in track.notes:
+        warn(note)
+    events = events_of(track)
+    tell_events(track, told, tell, 0)
+    folder = make_folder(output or f"{Path(sources[0]).stem}_tracked")
+    title = f"Track of {Path(sources[0]).name}"
+    page = report_page(track, frames, film.camera, events, title)
+    write_track(folder, track, page, {"seed": options.seed, "command": command})
+    say(f"{len(frames)} frames in {time.monotonic() - started:.1f} s")
+    return Outcome(track, folder, events)
+
+
+def begin(film: Film, options: Options, moving_camera=False, progress=None) -> Recorder:
+    """Infer the first frame of a film, and return what follows the others."""
+    from derender.structures.infer import infer_structure
+
+    options = replace(options, may_float=True)  # a film may begin with something in the air
+    rng = np.random.default_rng(options.seed)
+    posterior = infer_structure(film.frames[0], film.camera, options, rng, progress)
+
+    def look(depth):
+        quick = replace(options, method="map")
+        return infer_structure(depth, film.camera, quick, np.random.default_rng(options.seed))
+
+    step = float(np.median(np.diff(film.times))) if len(film.times) > 1 else 1.0 / FPS
+    return Recorder(film.frames[0], film.camera, posterior, film.gravity, step, rng, moving_camera, look)
+
+
+def times_of(film: Film, count: int) -> np.ndarray:
+    """Return the times (count,) of the first frames; of a film that grows they go on at its rate."""
+    if count <= len(film.times):
+        return film.times[:count]
+    step = film.times[1] - film.times[0] if len(film.times) > 1 else 1.0 / FPS
+    return film.times[0] + step * np.arange(count)
+
+
+def tell_events(track: Track, told: int, tell, lag: int) -> int:
+    """Tell the events that are at least `lag` frames old and not among the first `told`; return how many are told."""
+    sure = [event for event in events_of(track) if event["frame"] < len(track.times) - lag]
+    for event in sure[told:]:
+        tell(json.dumps(event))
+    return max(told, len(sure))
+
+
+def first_of(sources, camera, depth_scale, fps) -> Film:
+    """Wait for the first frame of a folder that grows, and return a film of it."""
+    waited = 0.0
+    while not (files := frame_files(sources)):
+        if waited > PATIENCE:
+            raise DerenderError("no frame came", ", ".join(map(str, sources)), "name the folder that frames come into")
+        time.sleep(POLL)
+        waited += POLL
+    camera = camera_beside(sources, camera)
+    timing = read_timing(camera)
+    seen = patiently(files[0], camera, depth_scale)
+    rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
+    times = np.arange(2) / (rate or FPS)
+    return Film([files[0].name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None)
+
+
+def watched(sources, camera, depth_scale, film: Film) -> Iterator[np.ndarray]:
+    """Yield the frames after the first as they come, until none has come for some time."""
+    camera = camera_beside(sources, camera)
+    taken, last = {film.names[0]}, time.monotonic()
+    while time.monotonic() - last < PATIENCE:
+        fresh = [path for path in frame_files(sources) if path.name not in taken]
+        for path in fresh:
+            depth = patiently(path, camera, depth_scale).depth
+            check_size(depth, film.frames[0], path)
+            taken.add(path.name)
+            yield depth
+            last = time.monotonic()
+        if not fresh:
+            time.sleep(POLL)
+
+
+def patiently(path, camera, depth_scale):
+    """Read a frame that may still be being written: what fails is tried again a few times."""
+    for _ in range(5):
+        try:
+            return read_depth(path, camera, depth_scale)
+        except DerenderError:
+            time.sleep(POLL)
+    return read_depth(path, camera, depth_scale)

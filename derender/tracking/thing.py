@@ -1,0 +1,57 @@
+"""One thing that is followed: what it is, where it is and how it moves, and how sure that is."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+STILL, MOVING, HIDDEN, LOST, GONE = "still", "moving", "hidden", "lost", "gone"
+TIES = {
+    "box": np.eye(3),
+    "cube": np.ones((1, 3)),
+    "sphere": np.ones((1, 3)),
+    "cylinder": np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+@dataclass
+class Thing:
+    """A solid that is followed.
+
+    Attributes
+    ----------
+    name : unique. type : of its shape. kind : code of scene.solids. size : (3,) full extents, metres.
+    pose : (4, 4), to the world: the camera's axes of the first frame.
+    covariance : (6 + G, 6 + G) of its centre and turn (world axes) and the numbers of its size along `ties`.
+    velocity, spin : (3,) metres and radians a second, world axes.
+    state : still, moving, hidden (nothing of it can be seen), lost (what is seen there is something else) or gone.
+    parent : what it stands on so far as is known, or None.
+    quiet : frames on end in which it has hardly moved. waiting : frames on end in which it was not seen.
+    usual_misfit : share of its pixels that are off while all is well. usual_cost, usual_off :
+        nats a pixel about it then, and the share of those pixels that are off.
+    """
+
+    name: str
+    type: str
+    kind: int
+    size: np.ndarray
+    pose: np.ndarray
+    covariance: np.ndarray
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    spin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    state: str = STILL
+    parent: str | None = None
+    quiet: int = 0
+    waiting: int = 0
+    usual_misfit: float = 0.05
+    usual_cost: float = 0.5
+    usual_off: float = 0.01
+
+    @property
+    def ties(self) -> np.ndarray:
+        """(G, 3), the extents that grow together."""
+        return TIES[self.type]
+
+    @property
+    def here(self) -> bool:
+        """Whether it is drawn: not lost and not gone."""
+        return self.state not in (LOST, GONE)

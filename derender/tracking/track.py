@@ -1,0 +1,192 @@
+"""A film followed from its first frame to its last: the answer of tracking, and how it comes about."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from derender.tracking.contact import parent_probabilities
+from derender.tracking.drawing import OFF
+from derender.tracking.first import start_from, thing_of
+from derender.tracking.thing import MOVING
+from derender.tracking.tracker import Seen, Tracker
+
+CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
+NEW_PIXELS = 60  # of a blob that may be a new thing
+NEW_FRAMES = 2  # on end that it must be there
+LOOKS = 6  # times at most that a film is searched for new things: each is an inference
+ENTERING = (0.02, 0.1, 0.02)  # metres, radians, metres: how unsure a thing is that has just come in
+SHARE = 0.5  # of a new solid's pixels that nothing else explains
+UP = 9.81  # m/s^2 along the floor's normal where nobody gave gravity
+
+
+@dataclass
+class Track:
+    """What tracking found. T frames, N things.
+
+    Attributes
+    ----------
+    names, types : (N,). kinds : (N,) of scene.solids. times : (T,) seconds. frames : names of the frames.
+    sizes : (T, N, 3) metres, as known at each frame. poses : (T, N, 4, 4) to camera, NaN where not there or lost.
+    covariances : (T, N, 6, 6) of centre and turn, camera axes. states : T lists of N: still, moving, hidden, lost or
+        gone.
+    parent_probability : (T, N, 2 + N): nothing, the floor, each thing. views : (T, 4, 4) first camera to this one.
+    floor : (4, 4) to the first camera, or None. gravity : (3,) m/s^2, first camera's axes.
+    rounds : (T,) sets of normal equations. pixels : (T, N, 4), see fit.pixels_of.
+    notes : what was assumed, as sentences. cut : the first frame that is not tracked, or None.
+    """
+
+    names: list[str]
+    types: list[str]
+    kinds: np.ndarray
+    times: np.ndarray
+    frames: list[str]
+    sizes: np.ndarray
+    poses: np.ndarray
+    covariances: np.ndarray
+    states: list[list[str]]
+    parent_probability: np.ndarray
+    views: np.ndarray
+    floor: np.ndarray | None
+    gravity: np.ndarray
+    rounds: np.ndarray
+    pixels: np.ndarray
+    notes: list[str] = field(default_factory=list)
+    cut: int | None = None
+
+    def parents(self) -> list[list[str | None]]:
+        """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
+        words = [None, "floor", *self.names]
+        rows = []
+        for chances in self.parent_probability:
+            rows.append([words[int(np.argmax(c))] if np.isfinite(c).all() else None for c in chances])
+        return rows
+
+    def floors(self) -> np.ndarray:
+        """Return (T, 4, 4) the floor in each frame; without one, a frame whose z axis points against gravity."""
+        return self.views @ (self.floor if self.floor is not None else upright(self.gravity))
+
+
+def upright(gravity) -> np.ndarray:
+    """Return a frame (4, 4) whose z axis points against gravity, far below everything."""
+    up = -np.asarray(gravity, float) / np.linalg.norm(gravity)
+    side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = side, np.cross(up, side), up, -1000.0 * up
+    return pose
+
+
+class Recorder:
+    """Follows frame after frame and keeps what was found, so that a growing film can be told of at any time.
+
+    Parameters
+    ----------
+    depth : (H, W) the first frame. camera : Camera. posterior : of the first frame. gravity : (3,) or None.
+    step : seconds between frames. moving_camera : whether the camera may move. infer : (depth) -> Posterior, for what
+    comes in later, or None. rng : for draws of the posterior. start : what is there, in place of a posterior.
+    """
+
+    def __init__(
+        self, depth, camera, posterior, gravity, step, rng, moving_camera=False, infer=None, start=None
+    ) -> None:
+        start = start_from(posterior, rng) if start is None else start
+        self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
+        self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
+        self.seen: list[Seen] = [self.tracker.report([])]
+        self.sizes = [np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3)]
+        self.infer, self.rng, self.looks, self.waiting = infer, rng, 0, 0
+        self.cut: int | None = None
+        self.notes: list[str] = []
+
+    def advance(self, depth) -> bool:
+        """Take the next frame; False where it shows another scene: nothing is followed into it."""
+        if self.cut is not None:
+            return False
+        seen = self.tracker.advance(depth)
+        if self._is_cut():
+            self.cut = len(self.seen)
+            self.notes.append(
+                f"frame {self.cut} shows another scene, or the camera was moved: what comes from there on is not "
+                "tracked; split the film there, or give --moving-camera"
+            )
+            return False
+        if self._newcomers(depth, seen):
+            seen = self.tracker.report(seen.blobs)
+        self.seen.append(seen)
+        self.sizes.append(np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3))
+        chances = self.parents_of_last()
+        for k, thing in enumerate(self.tracker.things):
+            if np.isfinite(chances[k]).all():
+                words = [None, "floor", *(other.name for other in self.tracker.things)]
+                thing.parent = words[int(np.argmax(chances[k]))]
+        return True
+
+    def _is_cut(self) -> bool:
+        """Whether most of the frame is explained by nothing."""
+        tracker = self.tracker
+        there = tracker.observed > 0
+        off = np.abs(tracker.observed - tracker.misfit.blurred) > OFF * tracker.spread + 0.01
+        floor = there & (tracker.owner() >= 0)
+        return int(floor.sum()) > 0 and float(off[floor].mean()) > CUT
+
+    def _newcomers(self, depth, seen) -> bool:
+        """Look for things that have come in where nothing explains what is seen; whether there was one."""
+        big = [blob for blob in seen.blobs if blob.pixels >= NEW_PIXELS]
+        self.waiting = self.waiting + 1 if big else 0
+        if self.infer is None or self.waiting < NEW_FRAMES or self.looks >= LOOKS:
+            return False
+        self.looks, self.waiting = self.looks + 1, 0
+        graph = self.infer(depth).best_graph()
+        from derender.render.raycast.depth import render_depth
+
+        _, label = render_depth(graph.solids(), self.tracker.camera)
+        free = np.any([blob.mask for blob in big], axis=0)
+        found = False
+        for number, name in enumerate(graph.solid_names):
+            mine = label == number
+            if graph.vertex(name).shape == "plane" or int(mine.sum()) < NEW_PIXELS:
+                continue
+            if float(free[mine].mean()) < SHARE:
+                continue
+            thing = thing_of(graph, [], name)
+            thing.name = self._new_name(thing.type)
+            spread = np.repeat(ENTERING, [3, 3, len(thing.ties)])
+            thing.covariance = np.diag(spread**2)
+            thing.pose = np.linalg.inv(self.tracker.view) @ thing.pose
+            thing.state = MOVING
+            self.tracker.add(thing, depth)
+            found = True
+        return found
+
+    def _new_name(self, kind) -> str:
+        taken = {thing.name for thing in self.tracker.things}
+        return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
+
+    def parents_of_last(self):
+        """Return (N, 2 + N) P(parent) in the last frame, given the frames up to it."""
+        track = self.track(last=6)
+        return track.parent_probability[-1]
+
+    def track(self, times=None, frames=None, last=None) -> Track:
+        """Return what was found so far, of the last frames only where `last` says how many."""
+        seen, sizes = (self.seen, self.sizes) if last is None else (self.seen[-last:], self.sizes[-last:])
+        things, count, length = self.tracker.things, len(self.tracker.things), len(seen)
+        poses, covariances = np.full((length, count, 4, 4), np.nan), np.full((length, count, 6, 6), np.nan)
+        extents = np.tile(np.array([thing.size for thing in things]).reshape(-1, 3), (length, 1, 1))
+        pixels, states = np.zeros((length, count, 4)), []
+        for t, frame in enumerate(seen):
+            known = len(frame.states)
+            poses[t, :known], covariances[t, :known] = frame.poses, frame.covariances
+            extents[t, :known], pixels[t, :known] = sizes[t], frame.pixels
+            states.append([*frame.states, *["gone"] * (count - known)])
+        views = np.array([frame.view for frame in seen])
+        kinds = np.array([thing.kind for thing in things])
+        track = Track(
+            [thing.name for thing in things], [thing.type for thing in things], kinds,
+            np.arange(length) * self.tracker.step if times is None else np.asarray(times)[:length],
+            list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0), views,
+            self.tracker.floor, self.gravity, np.array([frame.rounds for frame in seen]), pixels,
+            list(self.notes), self.cut,
+        )  # fmt: skip
+        track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors())
+        return track

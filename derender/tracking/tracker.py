@@ -1,0 +1,352 @@
+"""A filter over the poses of things: one frame at a time, only what moves is moved.
+
+In each frame the camera is found first where it may move (by the floor and by all that rests), then everything that
+moved before from where it is expected, and last what rested, if a test of its own pixels says that it does so no more.
+A fit begins where constant velocity leads; where its pixels are not explained from there other beginnings are tried:
+falling, standing still, thrown back by what it struck, and wherever the image shows something that nothing explains.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.render.raycast.normal_equations import cost
+from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
+from derender.tracking import fit as fitting
+from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
+from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Thing
+from derender.tracking.unexplained import blobs_of, shifts_to
+
+WAKE = 15.0  # nats that moving a resting thing must gain: noise alone reaches it once in a hundred thousand tests
+WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
+QUIET = (0.0008, 0.010)  # metres and radians between frames below which a moving thing is quiet
+QUIET_FRAMES = 3  # on end: then it rests
+ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off its prediction, and ...
+ROOM_SHARE = 0.6  # ... of its last motion besides
+GROWING = 1e-4  # metres by which an extent's standard deviation is kept above what the images say, each frame
+WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
+GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
+GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
+
+
+class Seen(NamedTuple):
+    """What the filter says of one frame.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far. covariances : (N, 6, 6) of
+        centre and turn, camera axes. states : (N,) of str. pixels : (N, 4), see fit.pixels_of. view : (4, 4), world to
+        camera. rounds : sets of normal equations. blobs : of what nothing explains.
+    """
+
+    poses: np.ndarray
+    covariances: np.ndarray
+    states: list[str]
+    pixels: np.ndarray
+    view: np.ndarray
+    rounds: int
+    blobs: list
+
+
+class Tracker(Drawing):
+    """Follows things through frames.
+
+    Parameters
+    ----------
+    camera : Camera. start : first.Start. depth : (H, W) metres, the first frame. gravity : (3,) m/s^2, camera axes.
+    step : seconds between frames. moving_camera : whether the camera may move.
+    """
+
+    def __init__(self, camera, start, depth, gravity, step, moving_camera=False) -> None:
+        super().__init__(camera, start, depth, moving_camera)
+        self.gravity, self.step = np.asarray(gravity, float), float(step)
+        self.drift = np.eye(4)  # the camera's last motion
+        self._refine_first()
+        explained = np.abs(self.misfit.observed - self.misfit.blurred) < OFF * self.spread
+        owner = self.owner()
+        if not moving_camera:
+            self.backdrop = np.where(~explained & (owner < self.planes) & (self.misfit.observed > 0),
+                                     self.misfit.observed, 0.0)  # fmt: skip
+            self.see(depth)
+        for k in range(len(self.things)):
+            self.take_as_usual(k)
+
+    # ---- one thing ------------------------------------------------------------------------------------------------
+
+    def _refine_first(self) -> None:
+        for k, thing in enumerate(self.things):
+            self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)
+
+    def _take(self, k, curvature) -> None:
+        """Make what is drawn of thing k its pose, size and covariance."""
+        thing, index = self.things[k], self.planes + k
+        thing.pose = inverse(self.view) @ self.poses[index]
+        covariance = np.linalg.inv(self.turned(curvature, back=True) + 1e-6 * np.eye(len(curvature)))
+        if len(covariance) == len(thing.covariance):
+            thing.covariance = covariance
+            thing.covariance[6:, 6:] += GROWING**2 * np.eye(len(covariance) - 6)
+            thing.size = self.sizes[index].copy()
+        else:
+            thing.covariance[:6, :6] = covariance
+            thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
+
+    def _expected(self, thing):
+        """Return where constant velocity leads a thing, (4, 4)."""
+        pose = thing.pose.copy()
+        pose[:3, :3] = from_rotation_vector(thing.spin * self.step)[:3, :3] @ pose[:3, :3]
+        pose[:3, 3] += thing.velocity * self.step
+        return pose
+
+    def _information(self, thing):
+        """Return the precision (P, P) of a moving thing's pose before the image, and of its size."""
+        information = np.linalg.inv(thing.covariance)
+        size = np.linalg.inv(thing.covariance[6:, 6:])
+        information[:] = 0.0
+        room = ROOM[0] + ROOM_SHARE * np.linalg.norm(thing.velocity) * self.step
+        turn = ROOM[1] + ROOM_SHARE * np.linalg.norm(thing.spin) * self.step
+        information[:6, :6] = np.diag([room**-2] * 3 + [turn**-2] * 3)
+        information[6:, 6:] = size
+        return information
+
+    def _beginnings(self, thing):
+        """Return poses from which a fit may begin where constant velocity misled: after an impact, in free fall."""
+        fall, still, thrown = thing.pose.copy(), thing.pose.copy(), thing.pose.copy()
+        fall[:3, 3] += (thing.velocity + self.gravity * self.step) * self.step
+        down = self.gravity / np.linalg.norm(self.gravity)
+        speed = thing.velocity - (1 + GIVEN_BACK) * (thing.velocity @ down) * down
+        thrown[:3, 3] += speed * self.step
+        straight = self._expected(thing)
+        straight[:3, :3] = thing.pose[:3, :3]
+        return [fall, still, thrown, straight]
+
+    def _follow(self, k) -> None:
+        """Find a moving thing in the present frame."""
+        thing = self.things[k]
+        before = thing.pose.copy()
+        expected, information = self._expected(thing), self._information(thing)
+        falling = expected.copy()
+        falling[:3, 3] += self.gravity * self.step**2
+        if thing.state == MOVING and thing.parent is None:
+            expected = falling
+        self.draw(k, expected)
+        _, curvature = self.fit(k, expected, information, free=True)
+        if self.unexplained(k) or self.left_behind(k):
+            curvature = self._search(k, expected, information, curvature)
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        seen = self.counts[self.planes + k]
+        wrong = (seen[2] + seen[3]) / max(seen[1], 1.0)
+        if seen[1] < FEW:
+            outside = self.outside(k)
+            self.draw(k, expected if thing.waiting < GIVEN_UP else thing.pose)
+            thing.pose = inverse(self.view) @ self.poses[self.planes + k]
+            thing.waiting += 1
+            thing.state = GONE if outside else HIDDEN
+            thing.covariance[:3, :3] += (ROOM[0] + 0.3 * np.linalg.norm(thing.velocity) * self.step) ** 2 * np.eye(3)
+            thing.covariance[3:6, 3:6] += ROOM[1] ** 2 * np.eye(3)
+            return
+        if wrong > thing.usual_misfit + 2 * WRONG:
+            thing.waiting += 1
+            if thing.waiting >= GIVEN_UP:
+                thing.state = LOST
+                self.place()
+                cost(self.misfit, self.poses, self.sizes)
+                return
+        else:
+            thing.waiting = 0
+        self._take(k, curvature)
+        self._moved(thing, before)
+
+    def _moved(self, thing, before) -> None:
+        """Take the thing's motion since the last frame as its velocity; let it rest when it is quiet."""
+        shift = thing.pose[:3, 3] - before[:3, 3]
+        turn = rotation_between(before, thing.pose)
+        if thing.state in (HIDDEN, LOST, GONE):
+            shift, turn = shift / (1 + thing.waiting), turn / (1 + thing.waiting)
+        thing.velocity, thing.spin = shift / self.step, turn / self.step
+        if thing.type == "sphere":
+            thing.spin = np.zeros(3)
+        quiet = np.linalg.norm(shift) < QUIET[0] and np.linalg.norm(turn) < QUIET[1]
+        thing.quiet = thing.quiet + 1 if quiet else 0
+        thing.state = MOVING
+        if thing.quiet >= QUIET_FRAMES:
+            thing.state = STILL
+            thing.velocity, thing.spin = np.zeros(3), np.zeros(3)
+
+    def _search(self, k, expected, information, curvature):
+        """Fit thing k from other beginnings; leave it drawn where the cost is least, and return its curvature there."""
+        thing, index = self.things[k], self.planes + k
+        wide = information.copy()
+        wide[:6, :6] /= 9.0
+        best = float(cost(self.misfit, self.poses, self.sizes))
+        kept = self.poses[index].copy(), self.sizes[index].copy(), curvature
+        owner, here = self.owner() == index, self.poses[index].copy()
+        starts = [expected, *self._beginnings(thing)]
+        starts += [inverse(self.view) @ pose for pose in shifts_to(self, blobs_of(self), owner, here)]
+        for start in starts:
+            self.draw(k, start)
+            bent = self.fit_from_afar(k, start, wide)
+            value = float(cost(self.misfit, self.poses, self.sizes))
+            if value < best - TOLERANCE:
+                best, kept = value, (self.poses[index].copy(), self.sizes[index].copy(), bent)
+                if not self.unexplained(k):
+                    break
+        self.poses[index], self.sizes[index] = kept[0], kept[1]
+        cost(self.misfit, self.poses, self.sizes)
+        return kept[2]
+
+    def _wake(self, k) -> None:
+        """Test whether a resting thing moves; if so, follow it."""
+        thing, index = self.things[k], self.planes + k
+        members = np.zeros(len(self.kinds), bool)
+        members[index] = True
+        gain = fitting.score_of(
+            self.misfit, self.poses, self.sizes, members, self.poses[index], self.start.temper, np.zeros((6, 6))
+        )
+        self.rounds += 1
+        if gain < WAKE and not self.unexplained(k):
+            return
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        if self.counts[index, 1] < FEW:
+            return
+        before, kept = thing.pose.copy(), self.poses[index].copy()
+        curvature = self.fit_from_afar(k, thing.pose, self._information(thing))
+        if self.unexplained(k):
+            curvature = self._search(k, thing.pose, self._information(thing), curvature)
+        now = inverse(self.view) @ self.poses[index]
+        shift, turn = np.linalg.norm(now[:3, 3] - before[:3, 3]), np.linalg.norm(rotation_between(before, now))
+        if (shift < WOKEN[0] and turn < WOKEN[1]) or self.wrong_share(k) > thing.usual_misfit + 2 * WRONG:
+            self.poses[index], self.sizes[index] = kept, thing.size
+            cost(self.misfit, self.poses, self.sizes)
+            return
+        self._take(k, curvature)
+        thing.quiet = 0
+        self._moved(thing, before)
+
+    # ---- one frame ------------------------------------------------------------------------------------------------
+
+    def _find_camera(self) -> None:
+        """Find where the camera is by the floor and by all that rests."""
+        members = np.array([True] * self.planes + [thing.state == STILL for thing in self.things])
+        middle = np.eye(4)
+        still = [thing.pose[:3, 3] for thing in self.things if thing.state == STILL]
+        middle[:3, 3] = np.mean(still, axis=0) if still else [0.0, 0.0, 1.0]
+        kept, self.view = self.view, self.drift @ self.view
+        self.place()
+        frame = self.view @ middle
+        expected = frame.copy()
+        information = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
+        curvature = information.copy()
+        for loose in (True, False):
+            self.loosen(loose)
+            _, taken = fitting.fit(
+                self.misfit, self.poses, self.sizes, members, frame, expected, 0, np.zeros(3), np.zeros((0, 3)),
+                information, self.start.temper, ROUNDS, TOLERANCE, curvature,
+            )  # fmt: skip
+            self.rounds += taken
+        self.view = frame @ inverse(middle)
+        self.drift = self.view @ inverse(kept)
+        self.place()
+
+    def advance(self, depth) -> Seen:
+        """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
+        self.rounds = 0
+        self.see(depth)
+        if self.moving_camera:
+            self._find_camera()
+        kept = [(thing.pose.copy(), thing.covariance.copy(), thing.size.copy()) for thing in self.things]
+        woken = self._follow_all()
+        if self.moving_camera and woken:  # what moves by itself has held the frame so far: find the camera without it
+            for k in woken:
+                self.things[k].pose, self.things[k].covariance, self.things[k].size = kept[k]
+                self.things[k].velocity, self.things[k].spin = np.zeros(3), np.zeros(3)
+            self.view = inverse(self.drift) @ self.view
+            self.place()
+            self._find_camera()
+            self._follow_all()
+        blobs = blobs_of(self)
+        self._find_again(blobs)
+        return self.report(blobs)
+
+    def _follow_all(self) -> list[int]:
+        """Find everything that moves, the nearest first; return which things have begun to move."""
+        moving = [k for k, thing in enumerate(self.things) if thing.state in (MOVING, HIDDEN) and thing.here]
+        for k in moving:
+            self.draw(k, self._expected(self.things[k]))
+        for k in sorted(moving, key=lambda k: self.poses[self.planes + k, 2, 3]):
+            self._follow(k)
+        cost(self.misfit, self.poses, self.sizes)
+        resting = [k for k, thing in enumerate(self.things) if thing.state == STILL]
+        for k in resting:
+            self._wake(k)
+        if self._close(moving):
+            for k in moving:
+                if self.things[k].state == MOVING:
+                    self._polish(k)
+        return [k for k in resting if self.things[k].state == MOVING]
+
+    def _polish(self, k) -> None:
+        """Fit a moving thing again, now that what moves beside it has been found."""
+        thing = self.things[k]
+        before = thing.pose[:3, 3].copy()
+        _, curvature = self.fit(k, thing.pose, self._information(thing), True, 3)
+        self._take(k, curvature)
+        thing.velocity = thing.velocity + (thing.pose[:3, 3] - before) / self.step
+
+    def _close(self, moving) -> bool:
+        """Whether two moving things touch in the image."""
+        boxes = [self.misfit.canvas.rectangle[self.planes + k] for k in moving if self.things[k].state == MOVING]
+        return any(
+            a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3] for n, a in enumerate(boxes) for b in boxes[:n]
+        )
+
+    def _find_again(self, blobs) -> None:
+        """Look for lost and hidden things where nothing explains what is seen."""
+        for k, thing in enumerate(self.things):
+            if thing.state not in (LOST, GONE, HIDDEN) or not blobs:
+                continue
+            index = self.planes + k
+            drawn = self.poses[index].copy()
+            for pose in shifts_to(self, blobs, None, self.view @ thing.pose):
+                before = thing.pose.copy()
+                start = inverse(self.view) @ pose
+                self.draw(k, start)
+                loose = np.linalg.inv(thing.covariance)
+                loose[:6] = loose[:, :6] = 0.0
+                loose[:6, :6] = np.diag([0.05**-2] * 3 + [1.0] * 3)
+                curvature = self.fit_from_afar(k, start, loose, free=False)
+                fitting.pixels_of(self.misfit, self.counts, OFF)
+                seen = self.counts[index]
+                if seen[1] >= 2 * FEW and (seen[2] + seen[3]) / seen[1] < thing.usual_misfit + WRONG:
+                    self._take(k, curvature)
+                    self._moved(thing, before)
+                    thing.velocity, thing.spin, thing.waiting, thing.state = np.zeros(3), np.zeros(3), 0, MOVING
+                    break
+            else:
+                self.poses[index] = drawn
+                cost(self.misfit, self.poses, self.sizes)
+
+    def report(self, blobs) -> Seen:
+        """Return what is known of the present frame."""
+        count = len(self.things)
+        poses, covariances = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
+        for k, thing in enumerate(self.things):
+            if thing.here:
+                poses[k] = self.view @ thing.pose
+                inner = np.linalg.inv(thing.covariance[:6, :6])
+                covariances[k] = np.linalg.inv(self.turned(inner))
+        fitting.pixels_of(self.misfit, self.counts, OFF)
+        states = [thing.state for thing in self.things]
+        return Seen(poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs)
+
+    def add(self, thing: Thing, depth) -> None:
+        """Follow another thing from now on."""
+        self.things.append(thing)
+        self.allocate(depth)
+        self.see(depth)
+        cost(self.misfit, self.poses, self.sizes)
+        self.take_as_usual(len(self.things) - 1)
+
+
+def rotation_between(before, after):
+    """Return the rotation vector (3,), world axes, from one pose to another."""
+    return rotation_vector(after[:3, :3] @ before[:3, :3].T)

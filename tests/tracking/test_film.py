@@ -1,0 +1,70 @@
+"""Films are read in counting order; what is wrong with one is a line, and never a crash."""
+
+import json
+
+import numpy as np
+import pytest
+
+from derender.errors import DerenderError
+from derender.tracking.film import frame_files, read_film
+
+CAMERA = {"fx": 80, "fy": 80, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
+
+
+def write(folder, count=3, shape=(48, 64), **told):
+    folder.mkdir(exist_ok=True)
+    for t in range(count):
+        np.save(folder / f"frame_{t}.npy", np.full(shape, 0.5 + 0.01 * t, np.float32))
+    (folder / "camera.json").write_text(json.dumps({**CAMERA, **told}))
+    return folder
+
+
+def test_a_folder_is_read_in_counting_order_with_the_camera_beside_it(tmp_path):
+    film = read_film([write(tmp_path / "f", 12, fps=24, gravity=[0, 9.0, 3.9])])
+    assert [name for name in film.names[-3:]] == ["frame_9.npy", "frame_10.npy", "frame_11.npy"]
+    assert film.times[1] == pytest.approx(1 / 24) and not film.fps_is_guess and not film.camera_is_guess
+    assert np.allclose(film.gravity, [0, 9.0, 3.9]) and film.camera.fx == 80
+    assert frame_files([str(tmp_path / "f" / "frame_1*.npy")])[0].name == "frame_1.npy"
+
+
+def test_fps_of_the_command_goes_before_that_of_the_camera(tmp_path):
+    assert read_film([write(tmp_path / "f", fps=24)], fps=50).times[1] == pytest.approx(0.02)
+
+
+def test_one_file_holds_a_whole_film(tmp_path):
+    depth = np.full((5, 48, 64), 0.7, np.float32)
+    np.savez(tmp_path / "film.npz", depth=depth, fps=10.0, K=[[80, 0, 31.5], [0, 80, 23.5], [0, 0, 1]])
+    film = read_film([tmp_path / "film.npz"])
+    assert len(film.frames) == 5 and film.times[-1] == pytest.approx(0.4) and film.camera.fx == 80
+
+
+def test_times_of_the_camera_file_are_the_times(tmp_path):
+    assert np.allclose(read_film([write(tmp_path / "f", times=[0, 0.1, 0.3])]).times, [0, 0.1, 0.3])
+
+
+FAULTS = {
+    "empty": (lambda folder: [p.unlink() for p in folder.glob("frame*")], "the film is empty"),
+    "sizes": (lambda folder: np.save(folder / "frame_1.npy", np.ones((24, 32), np.float32)), "pixels"),
+    "backwards": (lambda folder: write(folder, times=[0, 0.2, 0.1]), "time runs backwards"),
+    "still": (lambda folder: write(folder, times=[0, 0, 0.1]), "time runs backwards"),
+    "fps": (lambda folder: write(folder, fps=-30), "fps is -30"),
+    "gravity": (lambda folder: write(folder, gravity=[0, 0]), "gravity"),
+    "not finite": (lambda folder: write(folder, gravity=[0, float("nan"), 9.8]), "gravity"),
+    "times": (lambda folder: write(folder, times=[0, 0.1]), "3 frames and 2 times"),
+    "nothing": (lambda folder: [np.save(p, np.zeros((48, 64), np.float32)) for p in folder.glob("frame*")], "no pixel"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_one_line(tmp_path, name):
+    folder = write(tmp_path / "f")
+    spoil, words = FAULTS[name]
+    spoil(folder)
+    with pytest.raises(DerenderError) as caught:
+        read_film([folder])
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_name_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(DerenderError):
+        read_film([tmp_path / "none"])

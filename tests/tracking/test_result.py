@@ -1,0 +1,54 @@
+"""What is written can be read again and keeps to the contract of track.json."""
+
+import json
+
+import films
+import numpy as np
+import pytest
+
+from derender.errors import DerenderError
+from derender.tracking.events import events_of
+from derender.tracking.page import report_page
+from derender.tracking.result import FILES, read_track, track_json, write_track
+from derender.tracking.track import Recorder
+
+
+def made():
+    paths = [[films.at(0.01 * t, 0, 0.035)] for t in range(4)]
+    frames, poses = films.film(np.random.default_rng(0), ["box"], [[0.08, 0.06, 0.07]], paths)
+    start = films.start(["box"], [[0.08, 0.06, 0.07]], poses[0])
+    recorder = Recorder(frames[0], films.CAMERA, None, [0, 9, 4], 1 / films.FPS, None, start=start)
+    for frame in frames[1:]:
+        recorder.advance(frame)
+    return recorder.track(frames=[f"{t}" for t in range(4)]), frames
+
+
+def test_a_track_is_written_and_read_again(tmp_path):
+    track, frames = made()
+    page = report_page(track, frames, films.CAMERA, events_of(track), "a film")
+    write_track(tmp_path, track, page, {"seed": 3, "command": "test"})
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(FILES)
+    again = read_track(tmp_path)
+    assert again.names == track.names and np.array_equal(again.poses, track.poses) and again.states == track.states
+    assert again.parents() == track.parents()
+    told = json.loads((tmp_path / "track.json").read_text())
+    assert told["seed"] == 3 and told["version"] and len(told["objects"][0]["poses"]) == 4
+    lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert {"frame", "time", "event", "object"} <= set(lines[0])
+    assert page.count('class="shot"') == 4 and "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_what_is_lost_is_null_in_the_json_and_counted():
+    track, _ = made()
+    track.poses[2, 0] = np.nan
+    track.parent_probability[2, 0] = np.nan
+    track.states[2][0] = "lost"
+    item = track_json(track)["objects"][0]
+    assert item["poses"][2] is None and item["parents"][2] is None and item["lost"] == [2]
+    assert item["type"] == "box" and len(item["size"]) == 3
+    json.dumps(track_json(track), allow_nan=False)
+
+
+def test_a_folder_without_a_track_is_said(tmp_path):
+    with pytest.raises(DerenderError, match="--track"):
+        read_track(tmp_path)

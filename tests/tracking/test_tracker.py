@@ -1,0 +1,173 @@
+"""Things are followed through made films: moved, thrown, put down, hidden; poses, spreads and contacts are right."""
+
+import films
+import numpy as np
+import pytest
+from films import CAMERA, FPS, at, errors, film, start
+
+from derender.scene.pose import rotation_angle
+from derender.tracking import fit
+from derender.tracking.events import events_of
+from derender.tracking.track import Recorder
+from derender.tracking.tracker import Tracker
+
+GRAVITY = -9.81 * films.view()[:3, 2]
+
+
+def follow(frames, beginning, moving_camera=False, infer=None):
+    recorder = Recorder(
+        frames[0], CAMERA, None, GRAVITY, 1 / FPS, None, moving_camera, infer, beginning
+    )  # fmt: skip
+    for frame in frames[1:]:
+        recorder.advance(frame)
+    return recorder
+
+
+BOX_A, BOX_B = [0.08, 0.06, 0.07], [0.06, 0.07, 0.05]
+
+
+def placed_film(rng):
+    """A box rests; another is lowered onto it and stays."""
+    paths = []
+    for t in range(14):
+        height = 0.07 + 0.025 + max(0.0, 0.10 - 0.0125 * t)
+        paths.append([at(0, 0, 0.035, (0, 0, 0.4)), at(0.005, 0, height, (0, 0, 0.9))])
+    return film(rng, ["box", "box"], [BOX_A, BOX_B], paths)
+
+
+def test_a_box_put_onto_another_is_followed_and_its_parent_changes_once():
+    frames, poses = placed_film(np.random.default_rng(0))
+    track = follow(frames, start(["box", "box"], [BOX_A, BOX_B], poses[0])).track()
+    assert errors(track, poses).max() < 0.005
+    parents = track.parents()
+    assert [row[0] for row in parents] == ["floor"] * 14
+    changed = [t for t in range(1, 14) if parents[t][1] != parents[t - 1][1]]
+    assert len(changed) == 1 and abs(changed[0] - 8) <= 2
+    assert parents[0][1] is None and parents[-1][1] == "box_1"
+    assert "placed" in [e["event"] for e in events_of(track)] and all(0 <= e["frame"] < 14 for e in events_of(track))
+    assert {row[0] for row in track.states} == {"still"}  # what rests is not moved
+
+
+def test_a_ball_that_bounces_keeps_its_identity_through_the_impact():
+    gravity, step, speed, height, heights = 9.81, 1 / FPS, 0.0, 0.16, []
+    for _ in range(16):
+        heights.append(height)
+        for _ in range(20):
+            speed -= gravity * step / 20
+            height += speed * step / 20
+            if height < 0.03 and speed < 0:
+                speed = -0.7 * speed
+    paths = [[at(-0.06 + 0.008 * t, 0, h)] for t, h in enumerate(heights)]
+    frames, poses = film(np.random.default_rng(1), ["sphere"], [[0.06] * 3], paths)
+    track = follow(frames, start(["sphere"], [[0.06] * 3], poses[0])).track()
+    assert errors(track, poses).max() < 0.006
+    assert "bounced" in [e["event"] for e in events_of(track)]
+
+
+def test_a_box_that_topples_is_followed_and_said_to_topple():
+    angles = np.clip(np.linspace(-0.3, np.pi / 2 + 0.2, 14), 0, np.pi / 2)
+    paths = []
+    for a in angles:  # about the edge at x = 0.03
+        pose = at(0, 0, 0, (0, a, 0))
+        pose[:3, 3] = [0.03, 0, 0] + pose[:3, :3] @ [-0.03, 0, 0.06]
+        paths.append([pose])
+    frames, poses = film(np.random.default_rng(2), ["box"], [[0.06, 0.07, 0.12]], paths)
+    track = follow(frames, start(["box"], [[0.06, 0.07, 0.12]], poses[0])).track()
+    assert errors(track, poses).max() < 0.006
+    assert max(rotation_angle(p, q[0]) for p, q in zip(track.poses[:, 0], poses, strict=True)) < 0.2
+    assert [e["event"] for e in events_of(track)].count("toppled") == 1
+
+
+def test_a_jump_that_no_velocity_foretells_is_found_where_the_image_is_unexplained():
+    paths = [[at(-0.10, 0, 0.035)]] * 3 + [[at(0.08, 0.02, 0.035)]] * 4
+    frames, poses = film(np.random.default_rng(3), ["box"], [BOX_A], paths)
+    track = follow(frames, start(["box"], [BOX_A], poses[0])).track()
+    assert errors(track, poses)[-1, 0] < 0.005
+
+
+def test_what_is_hidden_is_said_to_be_and_comes_back_under_its_name():
+    """A small box goes behind a large one and comes out on the other side."""
+    large, small = [0.10, 0.04, 0.18], [0.06, 0.05, 0.06]
+    paths = [[at(0, -0.05, 0.08), at(-0.15 + 0.0125 * t, 0.06, 0.03)] for t in range(25)]
+    frames, poses = film(np.random.default_rng(4), ["box", "box"], [large, small], paths)
+    track = follow(frames, start(["box", "box"], [large, small], poses[0])).track()
+    states = [row[1] for row in track.states]
+    assert "hidden" in states or "lost" in states
+    assert errors(track, poses)[-1, 1] < 0.01 and errors(track, poses)[:, 0].max() < 0.004
+    assert track.names == ["box_1", "box_2"]
+
+
+def test_a_camera_that_moves_is_told_from_things_that_do():
+    views, paths = [], []
+    for t in range(10):
+        turn = at(0, 0, 0, (0, 0, 0.02 * t))
+        views.append(films.view(35 + 0.3 * t) @ turn)
+        paths.append([at(-0.07, 0, 0.035), at(0.03 + 0.006 * t, 0.02, 0.025)])
+    frames, poses = film(np.random.default_rng(5), ["box", "box"], [BOX_A, BOX_B], paths, views)
+    beginning = start(["box", "box"], [BOX_A, BOX_B], poses[0])._replace(floor=views[0])
+    track = follow(frames, beginning, moving_camera=True).track()
+    assert errors(track, poses).max() < 0.010
+    moved = films.still_view_of(views)
+    assert np.abs(track.views[-1] - moved[-1]).max() < 0.05  # the boxes are eight pixels wide
+    assert track.states[-1][1] == "moving"
+
+
+def test_a_cut_ends_the_track_and_is_said():
+    frames, poses = placed_film(np.random.default_rng(6))
+    other = np.full_like(frames[0], 0.4)
+    recorder = follow([*frames[:4], other, *frames[5:]], start(["box", "box"], [BOX_A, BOX_B], poses[0]))
+    track = recorder.track()
+    assert len(track.times) == 4 and track.cut == 4 and "frame 4" in track.notes[0]
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    """The errors of a sliding box in units of their stated deviations are near one."""
+    scores = []
+    for seed in range(4):
+        paths = [[at(-0.05 + 0.007 * t, 0.01, 0.035, (0, 0, 0.02 * t))] for t in range(8)]
+        frames, poses = film(np.random.default_rng(seed), ["box"], [BOX_A], paths)
+        track = follow(frames, start(["box"], [BOX_A], poses[0])).track()
+        off = track.poses[1:, 0, :3, 3] - poses[1:, 0, :3, 3]
+        scores += [o @ np.linalg.solve(c[:3, :3], o) / 3 for o, c in zip(off, track.covariances[1:, 0], strict=True)]
+    assert 0.2 < np.mean(scores) < 4.0
+
+
+def test_normal_equations_of_the_fit_agree_with_differences_of_its_energy():
+    """The gradient by shift, turn and growth; a twin without the growth would differ."""
+    frames, poses = placed_film(np.random.default_rng(7))
+    tracker = Tracker(CAMERA, start(["box", "box"], [BOX_A, BOX_B], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    k, members = 2, np.array([False, False, True])
+    tracker.poses[k, :3, 3] += [0.002, -0.001, 0.003]
+    frame, expected = tracker.poses[k].copy(), tracker.poses[k].copy()
+    information, ties, usual = np.diag([10.0] * 9), np.eye(3), tracker.sizes[k].copy()
+
+    def energy(step):
+        placed, sizes, moved = tracker.poses.copy(), tracker.sizes.copy(), frame.copy()
+        fit.move_by(placed, sizes, members, moved, k, ties, step)
+        return fit.energy_at(
+            tracker.misfit, placed, sizes, moved, expected, k, usual, ties, information, 1.0, np.zeros(9)
+        )
+
+    motions, gradient, hessian = np.empty((9, 3, 9)), np.zeros(9), np.zeros((9, 9))
+    energy(np.zeros(9))
+    fit.motions_of(members, frame, k, ties, motions)
+    from derender.render.raycast.normal_equations import normal_equations
+
+    normal_equations(tracker.misfit, tracker.poses, tracker.sizes, motions, True, gradient, hessian)
+    step = 2e-6
+    differences = [(energy(step * e) - energy(-step * e)) / (2 * step) for e in np.eye(9)]
+    assert np.allclose(gradient, differences, rtol=0.03, atol=0.03 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("vector", [[0.3, -0.2, 0.1], [0, 0, 0], [0, 2.0, 0]])
+def test_a_step_turns_about_the_frame_and_is_undone_by_its_opposite(vector):
+    poses, sizes = np.array([at(0.1, 0.2, 0.8, (0.1, 0.5, 0.2))]), np.array([[0.1, 0.1, 0.1]])
+    frame, before = poses[0].copy(), poses[0].copy()
+    step = np.array([0.01, 0.02, -0.01, *vector, 0.01])
+    ties = np.ones((1, 3))
+    fit.move_by(poses, sizes, np.array([True]), frame, 0, ties, step)
+    assert rotation_angle(before, frame) == pytest.approx(np.linalg.norm(vector), abs=1e-9)
+    assert np.allclose(frame[:3, 3] - before[:3, 3], step[:3]) and np.allclose(poses[0], frame)
+    assert np.allclose(sizes, 0.11)
+    fit.move_by(poses, sizes, np.array([True]), frame, 0, ties, -step)
+    assert np.allclose(frame, before) and np.allclose(sizes, 0.1)
