@@ -3,6 +3,7 @@
     python scripts/evaluate.py                           every set, 40 scenes each
     python scripts/evaluate.py settled tower -n 100      some sets, more scenes
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
+    python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
 first scene that pays for loading the compiled code.
@@ -20,6 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
 from scene_makers import SETS, make_scene  # noqa: E402
+from sequences import KINDS  # noqa: E402
+from tracking_figures import evaluate_tracking  # noqa: E402
 
 from derender.cli import status_of
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
@@ -72,7 +75,13 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (its seed)")
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--sensor", default="kinect", help="of the films of `tracking`")
+    parser.add_argument("--kinds", default="", help="of the films of `tracking`, such as place,topple; default: all")
     arguments = parser.parse_args()
+    if arguments.sets == ["tracking"]:
+        kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS
+        evaluate_tracking(arguments.n, arguments.first, arguments.sensor, kinds, arguments.verbose)
+        return
     unknown = set(arguments.sets) - set(SETS + REAL_SETS)
     if unknown:
         parser.error(f"no such set: {', '.join(sorted(unknown))}")
