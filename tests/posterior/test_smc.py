@@ -8,7 +8,7 @@ from toy_worlds import World
 
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import ReadableBackend
-from derender.posterior.smc import tempered
+from derender.posterior.smc import from_prior, tempered
 from derender.posterior.space import Block, Unknown
 from derender.sampling import smc
 from derender.scene.distributions import distributions
@@ -37,3 +37,21 @@ def test_evidence_is_the_integral(broken, share, monkeypatch):
     ]
     z = (np.mean(ratios) - 1.0) / (np.std(ratios, ddof=1) / math.sqrt(len(ratios)))
     assert (abs(z) > 4.5) == broken, (z, np.mean(ratios))
+
+
+class Bounded(World):
+    """A place in [0, 1] of which terms leave what is below 0.3; the image says nothing."""
+
+    def evaluate(self, value):
+        return (0.0 if value[0] < 0.3 else -math.inf), 0.0
+
+
+def test_what_the_terms_leave_of_the_prior_is_its_mass():
+    """3 in 10: the mean of 60 estimates from 400 draws each, to 4.5 of its standard errors, under 1 %."""
+    world = Bounded([Unknown("a.contact.x", distributions["uniform"](0.0, 1.0))], [Block("a.contact", (0,))],
+                    lambda values: values)  # fmt: skip
+    found = [from_prior(rng, world.space, world, 400) for rng in np.random.default_rng(3).spawn(60)]
+    assert all((values < 0.3).all() for values, _, _ in found)
+    masses = [math.exp(log_mass) for _, _, log_mass in found]
+    error = np.std(masses) / math.sqrt(len(masses))
+    assert error < 0.004 and abs(np.mean(masses) - 0.3) < 4.5 * error

@@ -11,7 +11,7 @@ from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
 from derender.posterior.settings import Settings
 from derender.render.raycast.depth import render_depth
-from derender.scene.priors.terms import total_log_density
+from derender.scene.priors.terms import RestsOn, total_log_density
 from derender.scene.separation import rest_residual, separation
 from derender.structures.given import infer_scene, targets
 from derender.structures.open_structures import structures
@@ -108,6 +108,8 @@ def test_how_far_from_resting():
     assert away(graph) == pytest.approx(0.0, abs=1e-12)
     assert away(graph.with_numbers({"right.height": 0.075})) == pytest.approx(0.005 * np.sqrt(2), abs=1e-9)  # below it
     assert away(graph.with_numbers({"right.height": 0.085})) == pytest.approx(0.005, abs=1e-9)  # in it
+    term = RestsOn("deck", "right", slack=0.002)
+    assert term.log_density(graph.with_numbers({"right.height": 0.085})) == pytest.approx(-0.5 * 2.5**2, abs=1e-6)
     beside = graph.with_numbers({"right.contact.x": 0.5})
     solids, names = beside.solids(), beside.solid_names
     gap = separation(solids, names.index("deck"), names.index("right"))

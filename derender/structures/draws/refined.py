@@ -277,11 +277,13 @@ def near_evidence(refined, solids=None):
     nats where all sides are seen, to five or so where some are not.
     """
     chart = refined.chart
-    members = members_of(chart, solids) if solids else range(len(refined.values))
+    height = refined.log_prior + refined.log_likelihood
+    members = range(len(refined.values)) if solids is None else members_of(chart, solids)
+    if not len(members):  # of no coordinates: where a solid is taken away
+        return height
     engine = engine_of(chart, refined.sensor)
     load(engine, chart, refined.values)
     precision = Curvature(engine, chart, refined.sensor, refined.values).precision(list(members))
-    height = refined.log_prior + refined.log_likelihood
     return height - 0.5 * float(np.linalg.slogdet(precision / (2.0 * np.pi))[1])
 
 

@@ -1,0 +1,267 @@
+"""Break the heart of inference in one named place at a time, and see whether a test notices.
+
+    python scripts/mutate.py --check            does the table still fit the code?
+    python scripts/mutate.py                    all of it: hours
+    python scripts/mutate.py jumps -j 2         those of whose title or file a word is part, two at a time
+
+Each mutation is made in a copy of the tree, where the tests that should notice it are run; it is caught where one of
+them fails, and survives where all pass. Prints one line for each and what survived; exits with 1 where more than
+ALLOWED did, or where the table no longer fits.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from queue import Queue
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+COPIED = ("derender", "data", "tests", "scripts", "pyproject.toml", "README.md", "Makefile")
+ALLOWED = 3  # survivors
+TIMEOUT = 1800.0  # seconds for the tests of one mutation
+
+JUMPS = ("tests/structures/test_jumps.py", "tests/structures/test_jump_choices.py")
+KERNELS = ("tests/posterior/test_kernels.py",)
+COMPILED = ("tests/posterior/test_compiled.py", *KERNELS)
+WEIGHTS = ("tests/structures/test_structure_weights.py",)
+DRAWS = ("tests/structures/test_graph_posterior.py", *WEIGHTS)
+FLUSH = ("tests/structures/test_flush_cuts.py",)
+STEPS = ("tests/sampling/test_metropolis.py",)
+SMC = ("tests/posterior/test_smc.py", *STEPS)
+RELATIONS = ("tests/structures/test_relations.py",)
+SCORE = ("tests/render/test_likelihoods.py", "tests/render/test_engine.py")
+PHYSICS = ("tests/physics/test_trajectory.py", "tests/physics/test_simulate.py")
+
+
+class Mutation(NamedTuple):
+    """file : below derender/; old : text that stands in it once; new : in its place; tests : that should notice."""
+
+    title: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+MUTATIONS = [
+    Mutation(*row)
+    for row in (
+        # the decision, the adaptation, tempered populations
+        ("accept: sign of the threshold", "sampling/metropolis.py", "math.log(1.0 - rng.random())",
+         "-math.log(1.0 - rng.random())", STEPS),
+        ("accept: half as often", "sampling/metropolis.py", "log_threshold(rng) < log_ratio",
+         "log_threshold(rng) + 0.7 < log_ratio", KERNELS),
+        ("adapted scale: wrong way", "sampling/metropolis.py", "gain * (rate - wanted)", "gain * (wanted - rate)",
+         (*STEPS, *COMPILED)),
+        ("adapted scale: unlimited", "sampling/metropolis.py", "max(-MOST_CHANGE, min(MOST_CHANGE, gain", "(((gain",
+         STEPS),
+        ("smc: mass of the terms x .9", "posterior/smc.py", "np.log(np.mean(weights))",
+         "np.log(0.9 * np.mean(weights))",
+         SMC),
+        ("smc: mean weight x 1.1", "sampling/smc.py", "np.log(np.mean(weights))",
+         "np.log(1.1 * np.mean(weights))", SMC),
+        ("smc: no resampling", "sampling/smc.py", "chosen = systematic(rng, weights)",
+         "chosen = np.arange(len(weights))",
+         SMC),
+        ("smc: cold moves", "posterior/smc.py", "tuning._replace(temperature=exponent)",
+         "tuning._replace(temperature=1.0)", SMC),
+        ("streams: sampled scenes share the seed's own", "sampling/streams.py", "spawn_key=key)", "spawn_key=key[:1])",
+         ("tests/sampling/test_streams.py",)),
+        ("diagnostics: r-hat without folding", "sampling/diagnostics.py",
+         "max(_r_hat(_rank_normalise(halves)), _r_hat(_rank_normalise(folded)))", "_r_hat(_rank_normalise(halves))",
+         ("tests/sampling/test_diagnostics.py",)),
+        ("diagnostics: ess of whole chains", "sampling/diagnostics.py", "_rank_normalise(_split(draws))",
+         "_rank_normalise(draws)", ("tests/sampling/test_diagnostics.py",)),
+        # kernels of one structure
+        ("decide: no temperature", "posterior/kernels/base.py",
+         "temperature * (new.log_likelihood - old.log_likelihood)",
+         "(new.log_likelihood - old.log_likelihood)", COMPILED),
+        ("decide: no correction", "posterior/kernels/base.py", "- old.log_likelihood) + correction",
+         "- old.log_likelihood)", KERNELS),
+        ("independence: proposal's ratio upside down", "posterior/kernels/independence.py", "old - proposed,",
+         "proposed - old,", KERNELS),
+        ("relocate: no jacobian", "posterior/kernels/relocate.py", "self.log_proposal(place) + log_jacobian",
+         "self.log_proposal(place)", KERNELS),
+        ("slide: no jacobian", "posterior/kernels/slide.py", "decide(rng, state, new, log_jacobian,",
+         "decide(rng, state, new, 0.0,", KERNELS),
+        ("turn: no jacobian", "posterior/kernels/turn.py", "evaluate(self.target, moved), log_jacobian,",
+         "evaluate(self.target, moved), 0.0,", KERNELS),
+        ("window: row begins at the state", "posterior/kernels/window.py", "present = int(rng.random() * self.count)",
+         "present = 0", KERNELS),
+        ("resimulate: own prior left out", "posterior/kernels/resimulate.py", "own(state.values) - own(values)", "0.0",
+         KERNELS),
+        ("flip: a third of a turn", "posterior/kernels/flip.py", "values[at[theta]] + 0.5 *",
+         "values[at[theta]] + 0.33 *",
+         COMPILED),
+        ("space: turns of twice the length", "posterior/space.py", "scale = 0.5 if angle < 1e-12 else math.sin(0.5 *",
+         "scale = 0.5 if angle < 1e-12 else math.sin(1.0 *", KERNELS),
+        ("compiled: no jacobian", "posterior/compiled/steps.py", "+ (correction + jacobian)", "+ correction", COMPILED),
+        ("compiled: window's weights untempered", "posterior/compiled/steps.py",
+         "values[NEXT, PRIOR] + temperature * values[NEXT, DENSITY] + jacobian",
+         "values[NEXT, PRIOR] + values[NEXT, DENSITY] + jacobian", COMPILED),
+        ("compiled: area element of contacts", "posterior/compiled/contacts.py",
+         "log_jacobian -= math.log(area_element(", "log_jacobian -= 0.5 * math.log(area_element(", COMPILED),
+        ("compiled: independence without Haar", "posterior/compiled/prior.py",
+         "log_density -= 2.0 * math.log(math.sin(0.5 * angle)", "log_density -= 0.0 * math.log(math.sin(0.5 * angle)",
+         COMPILED),
+        ("compiled: rests-on x .25", "posterior/compiled/terms.py", "total -= 0.5 * (away / row[SCALE]) ** 2",
+         "total -= 0.125 * (away / row[SCALE]) ** 2", (*COMPILED, *RELATIONS)),
+        ("pilots: exchange the wrong way", "posterior/pilots.py", "(logs[r + 1, 1] - logs[r, 1])",
+         "(logs[r, 1] - logs[r + 1, 1])", ("tests/posterior/test_pilots.py",)),
+        # terms of priors
+        ("rests-on x .25", "scene/priors/terms.py", "-0.5 * (away / self.slack) ** 2",
+         "-0.125 * (away / self.slack) ** 2",
+         RELATIONS),
+        # reversible jumps
+        ("jumps: birth without leaves", "structures/jumps/birth_death.py",
+         "math.log(0.5) + log_uniform_choice(len(leaves)) if", "math.log(0.5) if", JUMPS),
+        ("jumps: birth twice as often", "structures/jumps/birth_death.py", "if rng.random() < 0.5:",
+         "if rng.random() < 0.67:", JUMPS),
+        ("jumps: no jacobian", "structures/jumps/base.py", "back - forth + applied.log_jacobian",
+         "back - forth", JUMPS),
+        ("jumps: density of a list, not a set", "structures/jumps/base.py",
+         "density + self.prior.log_orderings(graph) if", "density if", JUMPS),
+        ("jumps: two scales as one", "structures/jumps/charts.py", "if rng.random() < 0.5 else WIDE[unit]",
+         "if rng.random() < 0.9 else WIDE[unit]", JUMPS),
+        ("jumps: extents' element", "structures/jumps/charts.py", "return log_determinant - float",
+         "return log_determinant + float", JUMPS),
+        ("jumps: tilt's element", "structures/jumps/charts.py", "return normal + HAAR - math.log(element)",
+         "return normal + HAAR", JUMPS),
+        ("jumps: births' mixture share", "structures/jumps/proposal.py",
+         "total += (1.0 - self.on_prior) * component.weight", "total += component.weight", JUMPS),
+        ("jumps: bearers not counted", "structures/jumps/proposal.py", "-math.log(len(bearers))", "0.0", JUMPS),
+        ("jumps: slide keeps no volume", "structures/jumps/wiggle.py",
+         "total -= log_pose_element(contact.type, after, parent, body, faces)", "total -= 0.0", JUMPS),
+        ("jumps: smc's staying share", "structures/jumps/smc.py", "return -math.log(STAY) if", "return 0.0 if", JUMPS),
+        ("jumps: smc's leaves", "structures/jumps/smc.py", "density - math.log(len(words.leaves(graph)))", "density",
+         JUMPS),
+        # weights of structures of a bare image
+        ("merge: one box's evidence only", "structures/unions.py", "of_block(rng, trial, [place], best, [i, j], rules)",
+         "of_block(rng, trial, [place], best, [i], rules)", WEIGHTS),
+        ("odds at draws: no standing", "structures/weighing.py", "odds = parts[0].log - parts[1].log + stands",
+         "odds = parts[0].log - parts[1].log", (*FLUSH, *WEIGHTS)),
+        ("removal weighed by height", "structures/weighing.py", "found.log - own.log + stands",
+         "found.log - height(best) + stands", WEIGHTS),
+        ("standing dropped", "structures/alternatives.py",
+         "found.log + log_standing(each.state, rules) + each.sensor", "found.log + each.sensor", FLUSH),
+        ("whole weights from the mode", "structures/alternatives.py", "near[k] = found", "near[k] = near[k]",
+         ("tests/structures/test_structure_calibration.py", *DRAWS)),
+        ("near evidence: no volume", "structures/draws/refined.py", "return height - 0.5 * float(np.linalg.slogdet",
+         "return height - 0.0 * float(np.linalg.slogdet", DRAWS),
+        ("evidence: bridge without its shift", "sampling/evidence.py",
+         "return evidence_of(log + shift, math.sqrt(spread))",
+         "return evidence_of(log, math.sqrt(spread))", ("tests/sampling/test_evidence.py", *DRAWS)),
+        ("pcn: constant", "structures/draws/metropolis.py", "(1.0 - np.sqrt(1.0 - reach * reach)) * here",
+         "(1.0 - np.sqrt(1.0 - 0.8 * reach * reach)) * here", DRAWS),
+        ("pcn: ratio left out", "structures/draws/metropolis.py", "(new - likelihood) - drawn", "(new - likelihood)",
+         DRAWS),
+        ("structure prior dropped", "structures/draws/chart.py", "return chart.structural + log_prior_about",
+         "return log_prior_about", WEIGHTS),
+        ("turns: box symmetry", "structures/draws/chart.py", "turns = 0.5 * np.pi", "turns = np.pi", WEIGHTS),
+        ("places on a top", "structures/draws/chart.py", "total -= np.log(touching_area(row, on))",
+         "total -= np.log(2.0 * touching_area(row, on))", DRAWS),
+        ("sizes: box symmetry", "detection/solids/sizes.py", "total / (2.0 if upright else 6.0)",
+         "total / (1.0 if upright else 6.0)", ("tests/structures/test_structure_sizes.py", *WEIGHTS)),
+        ("sizes: spread doubled", "detection/solids/sizes.py", "inside = min(max(np.log(extent), row[LOW]), row[HIGH])",
+         "inside = min(max(0.5 * (np.log(extent) + np.log(0.085)), row[LOW]), row[HIGH])",
+         ("tests/structures/test_structure_sizes.py", *DRAWS)),
+        ("tipping x 10", "structures/standing.py", "np.log(beliefs.loose.tipping)",
+         "np.log(10.0 * beliefs.loose.tipping)",
+         FLUSH),
+        ("bridges: prior odds", "structures/bridges.py", "odds = prior_odds * loose.within", "odds = loose.within",
+         ("tests/structures/test_bridges.py",)),
+        # what is seen
+        ("gaussian: no normaliser", "render/likelihoods/gaussian.py", "- math.log(spread) -", "-", SCORE),
+        ("gaussian: temper", "render/likelihoods/gaussian.py",
+         "spread = values[\"sigma\"] / math.sqrt(temper(values, self.counted_pixels(observed)))",
+         "spread = values[\"sigma\"]", SCORE),
+        # what happens next
+        ("fall angle tripled", "physics/trajectory.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
+        ("calm for .02 s", "physics/simulate.py", "CALM, CALM_SECONDS = 1e-3, 0.5", "CALM, CALM_SECONDS = 1e-3, 0.02",
+         PHYSICS),
+    )
+]  # fmt: skip
+
+
+def misfits() -> list[str]:
+    """Return a line for each mutation whose old text does not stand in its file once, or whose tests are gone."""
+    found = []
+    for mutation in MUTATIONS:
+        path = ROOT / "derender" / mutation.file
+        count = path.read_text().count(mutation.old) if path.exists() else 0
+        if count != 1:
+            found.append(f"{mutation.title}: {mutation.old!r} stands {count} times in derender/{mutation.file}")
+        found += [f"{mutation.title}: there is no {test}" for test in mutation.tests if not (ROOT / test).exists()]
+    return found
+
+
+def copied(folder: Path) -> Path:
+    """Return a copy of the tree in a folder."""
+    ignored = shutil.ignore_patterns("__pycache__", ".*_cache")
+    for name in COPIED:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, folder / name, ignore=ignored)
+        else:
+            shutil.copy(source, folder)
+    return folder
+
+
+def outcome(mutation: Mutation, copies: Queue) -> str:
+    """Return "caught", "survived", or why the tests said neither; made in a copy of the tree, which is as it was after.
+
+    copies : folders that nobody works in; what was compiled for one mutation and does not depend on it is there still.
+    """
+    folder = copies.get()
+    file = folder / "derender" / mutation.file
+    whole = file.read_text()
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *mutation.tests]
+    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        file.write_text(whole.replace(mutation.old, mutation.new))
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=TIMEOUT)
+    except subprocess.TimeoutExpired:
+        return "caught"  # it goes on for ever
+    finally:
+        file.write_text(whole)
+        copies.put(folder)
+    return {0: "survived", 1: "caught"}.get(done.returncode, f"the tests did not run: exit {done.returncode}")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("words", nargs="*", help="parts of titles or files; none: all mutations")
+    parser.add_argument("--check", action="store_true", help="only see whether the table fits the code")
+    parser.add_argument("-j", "--jobs", type=int, default=1, help="mutations at a time")
+    arguments = parser.parse_args()
+    wrong = misfits()
+    for line in wrong:
+        print(line, file=sys.stderr)
+    chosen = [
+        mutation for mutation in MUTATIONS
+        if not arguments.words or any(word in f"{mutation.title} {mutation.file}" for word in arguments.words)
+    ]  # fmt: skip
+    if arguments.check or wrong:
+        print(f"{len(MUTATIONS)} mutations, {len(wrong)} that no longer fit")
+        return int(bool(wrong))
+    survived, jobs = [], max(1, arguments.jobs)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
+        copies: Queue = Queue()
+        for number in range(jobs):
+            (Path(folder) / str(number)).mkdir()
+            copies.put(copied(Path(folder) / str(number)))
+        for mutation, what in zip(chosen, pool.map(outcome, chosen, [copies] * len(chosen)), strict=True):
+            print(f"{what:<10} {mutation.title} ({mutation.file})", flush=True)
+            if what != "caught":
+                survived.append(mutation.title)
+    print(f"{len(chosen) - len(survived)} of {len(chosen)} caught; not caught: {', '.join(survived) or 'none'}")
+    return int(len(survived) > ALLOWED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,28 @@
+"""What counts as having moved, and as being at rest."""
+
+import numpy as np
+import pytest
+
+from derender.physics.bodies import Body, Matter
+from derender.physics.simulate import simulate
+from derender.physics.trajectory import Trajectory
+from derender.scene.pose import rotation_x, translation
+
+
+@pytest.mark.parametrize(
+    ("moved", "degrees", "gone"), [(0.09, 0.0, False), (0.11, 0.0, True), (0.0, 9.0, False), (0.0, 11.0, True)]
+)
+def test_a_body_has_moved_by_a_tenth_of_its_extent_or_ten_degrees(moved, degrees, gone):
+    pose = translation(moved * 0.2, 0, 0) @ rotation_x(np.deg2rad(degrees))
+    poses = np.stack([np.eye(4), pose])[:, None]
+    trajectory = Trajectory(("a",), np.full((1, 3), 0.2), np.array([0.0, 1.0]), poses, 0.0)
+    assert bool(trajectory.first_moved()) == gone
+
+
+def test_what_begins_slowly_is_not_at_rest():
+    """A ball on a slope of 1 in 500 takes seconds to roll by its own size: an early end waits for half a second."""
+    ball = Body("ball", "sphere", np.full(3, 0.1), translation(0, 0, 0.05))
+    floor = Body("floor", "plane", np.zeros(3), np.eye(4))
+    gravity = 9.81 * np.array([np.sin(0.002), 0.0, -np.cos(0.002)])
+    trajectory = simulate(Matter((ball, floor), gravity, ()), 2.0, early=True)
+    assert trajectory.times[-1] > 1.9

@@ -1,0 +1,105 @@
+"""Changes of one solid and unions of two are weighed as the integral over everything weighs them.
+
+The odds of a change come from integrals over the coordinates that it touches, the rest held at the mode. Here each is
+held against the difference of the whole integrals of the two structures, which knows of no such shortcut.
+"""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.document import read_prior_document
+from derender.render.likelihoods import likelihoods
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX
+from derender.structures.alternatives import of_one_solid, whole_evidence
+from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
+from derender.structures.draws.refined import at_mode
+from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.standing import log_standing
+from derender.structures.unions import merged
+
+RULES = Rules(0.0015)
+VIEW = Camera(45.0, 45.0, 23.5, 17.5, 48, 36)
+WITHIN = 3.0  # nats: both integrals are estimates; the volume of one solid's coordinates is 15 and more
+
+
+def chart_of(*boxes):
+    """Return (state, floor pose, chart, values) of upright boxes (x, y, size, is cube) on the floor."""
+    pose = rotation_x(math.pi / 2 + 0.7)
+    pose[2, 3] = 0.6
+    turned, state = rotation_z(0.3)[:3, :3], State()
+    for x, y, size, cube in boxes:
+        place = turned @ [x, y, size[2] / 2]
+        state = state.add(make_row(BOX, turned, place, np.array(size)), UPRIGHT, cube, FLOOR, 0.0)
+    return state, pose, *make_chart(state, pose, RULES)
+
+
+def mode_of(sigma, *boxes):
+    """Return the Refined of boxes at the mode for a noisy image of themselves."""
+    state, pose, chart, values = chart_of(*boxes)
+    likelihood, rng = likelihoods["gaussian"], np.random.default_rng(4)
+    numbers = likelihood.complete({"sigma": sigma})
+    sensor = Sensor(VIEW, likelihood.sample(rng, model_depth(chart, values, VIEW), numbers), likelihood, numbers)
+    return at_mode(rng, state, pose, sensor, RULES)
+
+
+def whole_odds(trial, best):
+    """Return the log odds by the integrals over all coordinates."""
+    logs = [whole_evidence(np.random.default_rng(5), each).log + each.sensor.log_prior()
+            + log_standing(each.state, RULES) for each in (trial, best)]  # fmt: skip
+    return logs[0] - logs[1]
+
+
+@functools.cache
+def small_beside_large():
+    """A cube that shows plainly and one that shows so little that it may not be there."""
+    return mode_of(0.05, (-0.05, 0.0, (0.09, 0.09, 0.09), True), (0.08, 0.03, (0.04, 0.04, 0.04), True))
+
+
+def test_a_solid_is_taken_away_by_the_integral_over_its_coordinates():
+    best = small_beside_large()
+    found = of_one_solid(np.random.default_rng(6), best, 1, RULES)
+    (removed,) = [each for each in found if len(each.trial.state) == 1]
+    assert abs(removed.odds - whole_odds(removed.trial, best)) < WITHIN
+
+
+def test_two_boxes_are_one_by_the_integrals_over_both():
+    best = mode_of(0.006, (-0.03, 0.0, (0.06, 0.06, 0.06), True), (0.03, 0.0, (0.06, 0.06, 0.06), True))
+    union = merged(np.random.default_rng(7), best, 0, 1, RULES)
+    assert len(union.trial.state) == 1
+    assert abs(union.odds - whole_odds(union.trial, best)) < WITHIN
+
+
+def prior_of(*boxes):
+    """Return the log prior density of boxes."""
+    state, _, chart, values = chart_of(*boxes)
+    rows = np.empty((len(state), ROW))
+    place_rows(chart, values, rows)
+    return log_prior(chart, rows)
+
+
+@pytest.mark.parametrize("cube", [True, False])
+def test_one_solid_more_costs_what_the_prior_s_file_says(cube):
+    """Solids to a square metre of floor, the share of its kind, standing upright, bearing nothing; its sizes; its turn,
+    within a quarter for a box whose level edges may change names. To 0.01: sizes are read off a table."""
+    prior = read_prior_document("bare-image").prior
+    kind, size = ("cube", (0.07, 0.07, 0.07)) if cube else ("box", (0.05, 0.09, 0.07))
+    law = prior.contacts.rules[0].values
+    patch = np.prod([np.diff(law[axis].support)[0] for axis in ("x", "y")])
+    shares = {name: shape.weight for name, shape in prior.shapes.items()}
+    standing = prior.contacts.choices("plane", "box", "+z")[0].probabilities[("face-to-face", "+z", "-z")]
+    bearing = prior.offspring[kind].log_density(0)
+    expected = math.log(prior.offspring["floor"].mean() / patch * shares[kind] / sum(shares.values()) * standing)
+    laws = prior.shapes[kind].free()
+    expected += bearing + sum(laws[name].log_density(x) for name, x in zip(laws, size, strict=False))
+    expected -= math.log(math.pi / 2.0)
+    other = (-0.1, 0.0, (0.06, 0.06, 0.06), True)
+    assert prior_of(other, (0.1, 0.0, size, cube)) - prior_of(other) == pytest.approx(expected, abs=0.01)
