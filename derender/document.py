@@ -188,12 +188,13 @@ def _read_camera(node: Node, folder: Path) -> Camera:
     """Read the camera: its numbers, or the name of a camera file."""
     if not isinstance(node, Section):
         return read_camera(folder / node.text())
-    node.allow("fx", "fy", "cx", "cy", "width", "height", "depth_scale")
+    node.allow("fx", "fy", "cx", "cy", "width", "height", "depth_scale", "gravity")
     floats = {key: node[key].number() for key in ("fx", "fy", "cx", "cy")}
     sizes = {key: node[key].integer(lower=1, upper=100_000) for key in ("width", "height")}
     scale = {"depth_scale": node["depth_scale"].number()} if "depth_scale" in node else {}
+    down = {"gravity": [part.number() for part in node["gravity"].sequence(3)]} if "gravity" in node else {}
     try:
-        return Camera(**floats, **sizes, **scale)  # type: ignore[arg-type]
+        return Camera(**floats, **sizes, **scale, **down)  # type: ignore[arg-type]
     except DerenderError as error:
         raise node.fault(error.what, error.remedy) from None
 

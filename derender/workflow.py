@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.atomic import make_folder
-from derender.camera.depth_file import DepthImage, read_depth
+from derender.camera.depth_file import DepthImage
+from derender.camera.reading import Reading
 from derender.compilation.threads import import_in_background
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault
@@ -27,6 +28,8 @@ WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
+AS_IT_IS = Reading()
+
 Say = Callable[[str], None]
 Progress = Callable[[float, str], None]
 
@@ -40,8 +43,7 @@ def infer_to_folder(
     options: Options,
     prior: str | None = None,
     output: str | None = None,
-    camera: str | None = None,
-    depth_scale: float | None = None,
+    reading: Reading = AS_IT_IS,
     gradient: str = "exact",
     command: str = "derender infer",
     page: bool = True,
@@ -56,7 +58,7 @@ def infer_to_folder(
     ----------
     image : file of the depth image; `-` is stdin. prior : scene file or built-in prior, or None: a bare image.
     output : folder; None: the image's name with _inferred.
-    camera : camera file. depth_scale : millimetres for one unit of a 16-bit image.
+    reading : how the image is read: with which camera, unit, turn and confidence.
     gradient : "exact" or "finite-difference", of method "map" with a scene given.
     command : recorded in what is written. page : whether report.html is written, which can be made later. timed :
         whether summary.json says how long it took, which is never twice the same.
@@ -68,7 +70,7 @@ def infer_to_folder(
     """
     started = time.monotonic()
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
-    request = ask(image, options, prior, folder, camera, depth_scale, gradient, command, warn)
+    request = ask(image, options, prior, folder, reading, gradient, command, warn)
     return answer(request, make_folder(folder), page, started if timed else None, progress, say, warn)
 
 
@@ -98,15 +100,14 @@ def ask(
     options: Options,
     prior: str | None,
     folder: Path,
-    camera: str | None = None,
-    depth_scale: float | None = None,
+    reading: Reading = AS_IT_IS,
     gradient: str = "exact",
     command: str = "derender infer",
     warn: Say = silent,
 ) -> Request:
     """Read all files that an inference needs and return the Request; the arguments are those of `infer_to_folder`."""
     document = read_prior_document(prior) if prior is not None else None
-    seen = look_at(read_depth(image, camera, depth_scale), document, image, warn)
+    seen = look_at(reading.read(image), document, image, warn)
     check_request(options, document, prior, gradient, warn)
     if isinstance(options.known, str | Path):
         from derender.structures.known.library import read_library

@@ -36,7 +36,7 @@ class Ledger:
 
     def _check(self, order: Order) -> None:
         """Record what is asked of the frames; DerenderError where results of something else are there already."""
-        asked = {"options": list(order.words), "seed": order.options.seed, "camera": order.camera}
+        asked = {"options": list(order.words), "seed": order.options.seed}
         path = self.folder / RUN
         if path.exists():
             try:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from derender.atomic import atomic_path, make_folder
 from derender.batch.frames import RESULT, Frame
 from derender.batch.table import failed_row, rows_of
+from derender.camera.reading import Reading
 from derender.errors import DerenderError
 from derender.structures.options import Options
 
@@ -30,15 +31,14 @@ class Order:
 
     Attributes
     ----------
-    options, prior, camera, depth_scale, gradient : see `workflow.infer_to_folder`.
+    options, prior, reading, gradient : see `workflow.infer_to_folder`.
     page : whether each frame gets its report.html at once.
     words : the options as they were typed, for the command that each result records: it makes that result alone.
     """
 
     options: Options = field(default_factory=lambda: Options(seed=0))
     prior: str | None = None
-    camera: str | None = None
-    depth_scale: float | None = None
+    reading: Reading = Reading()
     gradient: str = "exact"
     page: bool = False
     words: Sequence[str] = ()
@@ -83,7 +83,7 @@ def request_of(frame: Frame, order: Order, output: str, warn: Callable[[str], No
 
     folder = Path(output) / frame.name
     return ask(
-        frame.path, order.options, order.prior, folder, order.camera, order.depth_scale, order.gradient,
+        frame.path, order.options, order.prior, folder, order.reading, order.gradient,
         order.command(frame), warn,
     )  # fmt: skip
 

@@ -3,16 +3,19 @@
 import json
 import math
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from derender.camera.device_files import DEVICES, STRAY_SCANNER, refuse_named_distortion
 from derender.camera.file_bytes import read_bytes
 from derender.camera.intrinsics import Camera, finite_number
 from derender.errors import DerenderError
 from derender.json_text import MOST_DEPTH, parse_json
 
+SAME_ASPECT = 0.02  # by how much the aspects of an image and of a smaller one registered to it differ at most
 LARGEST_FILE = 16_000_000  # bytes; a camera file has a few hundred
 
 MOST_DEGREES, LEAST_DEGREES = 175.0, 0.05  # field of view: no lens shows more without distortion, or less
@@ -70,6 +73,7 @@ def _read_realsense(tree: dict) -> dict[str, Any]:
 
 # The keys that tell the formats apart, the most specific first.
 FORMATS: tuple[tuple[str, frozenset[str], Callable[[dict], dict[str, Any]]], ...] = (
+    *DEVICES,
     ("RealSense intrinsics", frozenset({"ppx", "ppy", "fx", "fy"}), _read_realsense),
     ("Open3D", frozenset({"intrinsic_matrix"}), _read_open3d),
     ("BOP scene_camera.json", frozenset({"cam_K"}), _read_bop_frame),
@@ -78,7 +82,8 @@ FORMATS: tuple[tuple[str, frozenset[str], Callable[[dict], dict[str, Any]]], ...
     ("ROS camera_info", frozenset({"camera_matrix"}), _read_ros),
     ("BOP camera.json", frozenset({"fx", "fy", "cx", "cy"}), _read_bop),
 )
-WRAPPERS = ("camera", "intrinsic", "intrinsics", "depth_intrinsics", "depth", "camera_info")
+WRAPPERS = ("camera", "intrinsic", "intrinsics", "depth_intrinsics", "depth", "camera_info", "calibration_parameters",
+            "left_cam")  # fmt: skip
 
 
 def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: str | None = None) -> Camera:
@@ -87,7 +92,8 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     Parameters
     ----------
     path : a JSON or YAML file: BOP camera.json or scene_camera.json, Open3D, ROS camera_info, RealSense
-        intrinsics, or a derender scene; `-` is stdin.
+        intrinsics, what devices and apps write (device_files.py), or a derender scene; or a 3 x 3 matrix as JSON, CSV,
+        text or .npy; `-` is stdin.
     shape : (height, width) of the image it belongs to; fills in a size that the file does not give.
     frame : name of the image, which chooses among the frames of a scene_camera.json ("000003" or "3").
 
@@ -97,6 +103,8 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     """
     tree = _load(path)
     try:
+        if isinstance(tree, list) and len(tree) in (3, 9):
+            tree = _matrix_tree(tree, Path(path).name)
         return camera_from_tree(tree, shape, frame)
     except DerenderError as error:
         where = path if error.where in (None, "camera") else f"{path}: {error.where}"
@@ -113,6 +121,7 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
                 arguments = reader(tree)
                 if tree.get("gravity") is not None:
                     arguments["gravity"] = tree["gravity"]
+                arguments = _at_image_size(arguments, shape)
                 if shape is not None:
                     arguments = {"height": shape[0], "width": shape[1]} | arguments
                 missing = [name for name in ("width", "height") if name not in arguments]
@@ -123,6 +132,24 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
                 return camera
         tree = _unwrap(tree, frame)
     raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
+
+
+def _at_image_size(arguments: dict[str, Any], shape: tuple[int, int] | None) -> dict[str, Any]:
+    """Return a camera's arguments for an image that is registered to the one they belong to, which may be larger."""
+    arguments = dict(arguments)
+    of = arguments.pop("of", None)
+    if of is None:
+        return arguments
+    if shape is None or of == (shape[1], shape[0]):
+        return arguments | {"width": of[0], "height": of[1]}
+    height, width = shape
+    x, y = width / of[0], height / of[1]
+    if abs(x / y - 1) > SAME_ASPECT:
+        what = f"the camera is that of {of[0]:g} x {of[1]:g} pixels, the image has {width} x {height}"
+        raise DerenderError(what, "camera", "give the camera of this image")
+    numbers = {key: finite_number(arguments[key], key) for key in ("fx", "fy", "cx", "cy")}
+    scaled = {"fx": numbers["fx"] * x, "fy": numbers["fy"] * y, "width": width, "height": height}
+    return arguments | scaled | {"cx": (numbers["cx"] + 0.5) * x - 0.5, "cy": (numbers["cy"] + 0.5) * y - 0.5}
 
 
 def _unwrap(tree: dict, frame: str | None) -> object:
@@ -163,13 +190,25 @@ def _refuse_impossible(camera: Camera) -> None:
             raise DerenderError(what, "camera", "give the camera of this image, in its pixels")
 
 
+def _matrix_tree(rows: list, name: str) -> dict[str, Any]:
+    """Return the tree of a file that is a 3 x 3 matrix and nothing else; StrayScanner's belongs to its video."""
+    stray = name == "camera_matrix.csv"
+    more = {"w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if stray else {}
+    return {"K" if stray else "cam_K": _numbers(rows, "the matrix", 9).reshape(3, 3).tolist(), **more}
+
+
 def _load(path: str | Path) -> object:
     """Return the tree of a JSON or YAML file; YAML's scalars stay text, which `finite_number` reads."""
     import yaml
 
     data = read_bytes(path, LARGEST_FILE, "the camera", "give a camera file with --camera")
     try:
+        if data.startswith(b"\x93NUMPY"):
+            return np.load(BytesIO(data), allow_pickle=False).tolist()
         text = data.decode("utf-8-sig")
+        words = text.replace(",", " ").replace(";", " ").split()
+        if len(words) == 9 and all(map(_is_number, words)):  # a matrix as numpy.savetxt or a table writes it
+            return [words[0:3], words[3:6], words[6:9]]
         if text.lstrip().startswith("{") and _is_json(text):
             return parse_json(text, path)
         loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -200,6 +239,14 @@ def _refuse_deep(events: Iterator[Any]) -> None:
         depth -= isinstance(event, yaml_events.CollectionEndEvent)
         if depth > MOST_DEPTH:
             raise ValueError
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _first(tree: dict, *names: str) -> Any:
@@ -234,6 +281,7 @@ def from_matrix(value: object, name: str) -> dict[str, Any]:
 
 
 def _refuse_distortion(tree: dict) -> None:
+    refuse_named_distortion(tree)
     for key in ("coeffs", "D", "d", "distortion_coefficients", "dist_coeffs", "distortion", "cam_D"):
         value = tree.get(key)
         if value is None or isinstance(value, (str, bool)):

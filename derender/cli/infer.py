@@ -1,7 +1,7 @@
 """derender infer: a depth image in, a posterior over scene graphs out; or many images, and a table of all."""
 
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -9,6 +9,9 @@ from click.core import ParameterSource
 from derender.cli import options
 from derender.cli.bar import Bar
 from derender.cli.options import Talk, command_line
+
+if TYPE_CHECKING:
+    from derender.camera.reading import Reading
 
 # Options that say how many frames are worked on, not what is asked of each: results do not record them.
 OF_THE_RUN = frozenset(
@@ -28,6 +31,20 @@ OF_THE_RUN = frozenset(
 )
 @options.camera
 @options.depth_scale
+@click.option(
+    "--rotate",
+    type=click.Choice(["0", "90", "180", "270"]),
+    default="0",
+    show_default=True,
+    help="Degrees by which to turn the image clockwise, its camera and gravity with it.",
+)
+@click.option("--confidence", metavar="FILE", help="Map of how sure the sensor is of each pixel, or a folder of maps.")
+@click.option(
+    "--least-confidence", type=float, default=1.0, show_default=True, help="Pixels that are less sure count as missing."
+)
+@click.option(
+    "--up", metavar="X,Y,Z", help="Upwards in camera axes, or an axis such as -y; default: the camera file's."
+)
 @click.option(
     "--method",
     type=click.Choice(["auto", "mcmc", "map", "smc"]),
@@ -157,14 +174,15 @@ def _one(talk: Talk, image: str, arguments: dict[str, Any]) -> int | None:
     from derender.structures.options import Options
     from derender.workflow import infer_to_folder
 
-    prior, output, camera, depth_scale, gradient, strict, page = (
-        arguments.pop(key) for key in ("prior", "output", "camera", "depth_scale", "gradient", "strict", "page")
+    prior, output, gradient, strict, page = (
+        arguments.pop(key) for key in ("prior", "output", "gradient", "strict", "page")
     )
+    reading = _reading(arguments)
     wanted = Options(**arguments)
     bar = _bar(talk)
     try:
         outcome = infer_to_folder(
-            image, wanted, prior, output, camera, depth_scale, gradient, command_line(), page is not False,
+            image, wanted, prior, output, reading, gradient, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn,
         )  # fmt: skip
     finally:
@@ -193,13 +211,11 @@ def _many(
     from derender.structures.options import Options
 
     output, strict, jobs, page = (arguments.pop(key) for key in ("output", "strict", "jobs", "page"))
-    prior, camera, depth_scale, gradient = (
-        arguments.pop(key) for key in ("prior", "camera", "depth_scale", "gradient")
-    )
+    prior, gradient, reading = arguments.pop("prior"), arguments.pop("gradient"), _reading(arguments)
     if arguments.pop("resume"):
         talk.say("--resume says nothing here: the same command run again does what is missing")
     output = output or "inferred"
-    order = Order(Options(**arguments, jobs=1), prior, camera, depth_scale, gradient, bool(page), _words())
+    order = Order(Options(**arguments, jobs=1), prior, reading, gradient, bool(page), _words())
     bar = _bar(talk)
 
     def tell(done) -> None:
@@ -235,6 +251,14 @@ def _many(
     if tally.interrupted and not watch:
         return 130
     return 1 if tally.failed else 3 if strict and tally.doubtful else None
+
+
+def _reading(arguments: dict[str, Any]) -> "Reading":
+    """Take the options that say how images are read out of the arguments, and return them as one object."""
+    from derender.camera.reading import Reading
+
+    keys = ("camera", "depth_scale", "confidence", "least_confidence", "up")
+    return Reading(rotate=int(arguments.pop("rotate")), **{key: arguments.pop(key) for key in keys})
 
 
 def _bar(talk: Talk) -> Bar | None:
