@@ -7,8 +7,8 @@ from typing import Any
 from urllib.parse import quote
 
 from derender import __version__
-from derender.batch.table import SIDES
 from derender.batch.work import THUMBNAIL
+from derender.results.table import SIDES
 
 HERE = Path(__file__).parent
 MOST_OBJECTS = 12  # of a frame, listed in its row

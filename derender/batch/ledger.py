@@ -9,9 +9,9 @@ from typing import Any
 from derender.atomic import locked, make_folder, write_text
 from derender.batch.frames import LEDGER, Frame
 from derender.batch.index import index_page
-from derender.batch.table import as_csv, as_lines, read_lines
 from derender.batch.work import Done, Order, is_done, rows_in
 from derender.errors import DerenderError
+from derender.results.table import as_csv, as_lines, read_lines
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
 

@@ -32,6 +32,7 @@ COMMANDS = {
     "score": "Print log prior, log likelihood and each object's share.",
     "eval": "Compare predicted scenes with the truth.",
     "report": "Write HTML and tables from one or more posteriors.",
+    "view": "Open the page about a result in a browser.",
     "export": "Write a scene as GLB, OBJ, MJCF, URDF or BOP JSON.",
     "types": "List shapes, contacts, distributions and likelihoods.",
     "doctor": "Say which versions and renderers work here.",

@@ -161,3 +161,24 @@ def read_explained(folder: str | Path) -> "np.ndarray | None":
     except (OSError, ValueError, EOFError):
         return None
     return depth.astype(float) if depth.ndim == 2 and depth.dtype.kind == "f" else None
+
+
+MOVING = {".gif": "image/gif", ".webp": "image/webp"}  # media types of animations that a page can hold
+MOST_MOVING = 8_000_000  # bytes of one
+
+
+def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
+    """Return what simulation.json of a result folder says, {} where there is none, and its animations as data: URIs."""
+    import base64
+    import json
+
+    try:
+        told = json.loads((Path(folder) / "simulation.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        told = {}
+    animations = [
+        f"data:{MOVING[path.suffix.lower()]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+        for path in sorted(Path(folder).iterdir())
+        if path.suffix.lower() in MOVING and path.is_file() and path.stat().st_size <= MOST_MOVING
+    ]
+    return told if isinstance(told, dict) else {}, animations

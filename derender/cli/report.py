@@ -1,11 +1,16 @@
 """derender report: HTML and tables from one or more posteriors."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+
+if TYPE_CHECKING:
+    from derender.report.contents import Report
 
 
 @click.command()
@@ -17,23 +22,41 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     """Write one HTML page, which needs no network, about what `derender infer` left in DIR; print its table.
 
     Several DIRs are runs on the same image with different seeds: their chains are put together, and R-hat compares
-    them. A scene file is reported too, without what only a posterior has.
+    them. A scene file is reported too, without what only a posterior has. Where DIR holds a simulation.json, what
+    `derender simulate --json` prints, and pictures that move (.gif, .webp), the page shows them.
 
     \b
     Examples:
         derender report results/
         derender report run_1/ run_2/ run_3/ -o all.html
         derender report results/ --table > table.txt
+        derender simulate results/ --json > results/simulation.json && derender report results/
     """
-    from derender.cli.reading import read_explained, read_observation, read_scene
     from derender.errors import DerenderError
-    from derender.report.contents import report_of
     from derender.report.html import write_report
     from derender.report.tables import parameter_table
     from derender.results.trust import trusted, verdict
 
     if output is not None and Path(output).suffix.lower() not in (".html", ".htm"):
         raise DerenderError("a report is HTML", output, "give a name that ends in .html")
+    report, name = gathered(folders)
+    if output is None:
+        place = Path(folders[0])
+        output = str(place / "report.html") if place.is_dir() else f"{name}.html"
+    write_report(output, report)
+    talk.say(f"wrote {output}")
+    if table and report.parameters:
+        click.echo(parameter_table(report.parameters))
+    for line in verdict(report.doubts, report.parameters):
+        talk.say(line, always=not trusted(report.doubts))
+
+
+def gathered(folders: Sequence[str]) -> tuple["Report", str]:
+    """Return what a page about these results shows, and the name of the first."""
+    from derender.cli.reading import read_explained, read_observation, read_scene, read_simulation
+    from derender.errors import DerenderError
+    from derender.report.contents import report_of
+
     found = [read_scene(folder) for folder in folders]
     first = found[0]
     posterior = first.posterior
@@ -47,21 +70,21 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
             posteriors.append(each.posterior)
         posterior = merge_runs(posteriors, folders)
     graph = first.graph if posterior is None else posterior.best_graph()
-    image = read_observation(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
+    place = Path(folders[0]) if folders[0] != "-" and Path(folders[0]).is_dir() else None
+    image = read_observation(place) if place else None
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
-    told = read_explained(folders[0]) if image is not None else None
+    told = read_explained(place) if place and image is not None else None
     facts = title_facts(len(found))
     report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
-    if output is None:
-        place = Path(folders[0])
-        output = str(place / "report.html") if place.is_dir() else f"{first.name}.html"
-    write_report(output, report)
-    talk.say(f"wrote {output}")
-    if table and report.parameters:
-        click.echo(parameter_table(report.parameters))
-    for line in verdict(report.doubts, report.parameters):
-        talk.say(line, always=not trusted(report.doubts))
+    if place is None:
+        return report, first.name
+    simulated, animations = read_simulation(place)
+    report = report._replace(simulated=simulated, animations=animations)
+    if len(found) == 1 and (place / "scene.yaml").is_file():
+        files = {"scene.yaml": ("text/yaml", (place / "scene.yaml").read_bytes())}
+        report = report._replace(files={**files, **report.files})
+    return report, first.name
 
 
 def title_facts(count: int) -> dict[str, str]:

@@ -39,6 +39,9 @@ class Report(NamedTuple):
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
     fit : how well the scene fits the image, where there is one.
+    files : (media type, bytes) of what can be downloaded from the page, by name.
+    simulated : what `derender simulate --json` said of the scene, {} where it has not run.
+    animations : data: URIs of moving pictures of it.
     """
 
     title: str
@@ -54,6 +57,9 @@ class Report(NamedTuple):
     likelihood: Mapping[str, Any] = {}
     doubts: tuple[trust.Doubt, ...] = ()
     fit: Fit | None = None
+    files: Mapping[str, tuple[str, bytes]] = {}
+    simulated: Mapping[str, Any] = {}
+    animations: Sequence[str] = ()
 
 
 def report_of(
@@ -98,9 +104,10 @@ def report_of(
         doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
+    scene = scene_json(graph, posterior)
     return Report(
         title,
-        scene_json(graph, posterior),
+        scene,
         graph.solids(),
         graph.solid_names,
         camera,
@@ -112,7 +119,23 @@ def report_of(
         dict(likelihood or {}),
         doubts,
         fit,
+        downloads(
+            title, graph, scene, "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
+        ),
     )
+
+
+def downloads(title: str, graph: "SceneGraph", scene: Mapping[str, Any], method: str) -> dict[str, tuple[str, bytes]]:
+    """Return the files that a page offers: a row for each object as CSV, and the scene as GLB.
+
+    method : with which it was inferred; of one draw there are no ranges.
+    """
+    from derender.report.export.glb import glb_bytes
+    from derender.results.table import as_csv, rows_of
+
+    judged = {"trusted": scene.get("trusted", True), "doubts": scene.get("doubts", ())}
+    rows = rows_of(title, {"scene": scene, "method": method, **judged})
+    return {"objects.csv": ("text/csv", as_csv(rows).encode()), "scene.glb": ("model/gltf-binary", glb_bytes(graph))}
 
 
 def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]:

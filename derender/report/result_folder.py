@@ -109,6 +109,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     posterior, report = judged(posterior, seen, likelihood, lost)
     graph, best = posterior.best_graph(), posterior.best_part
     likelihood = likelihood_at_best(likelihood, best)
+    text = document_text(graph, seen.camera, likelihood, made, home or folder)
+    report = report._replace(files={"scene.yaml": ("text/yaml", text.encode()), **report.files})
     doubts, fit = report.doubts, report.fit
     rows = {
         row["address"]: {key: _number(row[key]) for key in row if key not in ("address", "draws", "unit", "scale")}
@@ -130,7 +132,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     with files_together(folder, WRITTEN) as place:
 
         def write_numbers() -> None:
-            write_text(place / "scene.yaml", document_text(graph, seen.camera, likelihood, made, home or folder))
+            write_text(place / "scene.yaml", text)
             posterior.save(place / "posterior.npz")
             if page and can_be_read():
                 blocks = blocks_of(posterior, seen.depth, seen.camera, np.random.default_rng(posterior.seed))

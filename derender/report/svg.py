@@ -58,21 +58,29 @@ def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None
     for name in column:
         x, y = middle(name)
         shown = objects.get(name)
-        fill = colours.get(name, "#cdcbc6") if shown else "#ffffff"
+        fill = colours.get(name, "#cdcbc6")
+        if shown is not None and shown.get("size") is not None:
+            parts.append(f'<g role="button" tabindex="0" aria-pressed="false" data-object="{escape(name)}">')
         parts.append(
             f'<rect x="{x - 0.5 * width:.1f}" y="{y - 0.5 * height:.1f}" width="{width}" height="{height}" rx="6" '
-            f'fill="{fill}" fill-opacity="0.35" stroke="{fill if shown else "#9aa0a8"}" stroke-width="1.6"/>'
+            f'fill="{fill}" fill-opacity="{0.35 if shown else 0}" stroke="{fill if shown else "#9aa0a8"}" '
+            'stroke-width="1.6"/>'
         )
         top = y - 0.5 * height + (19 if shown else 27)  # the root has one line less: it rests on nothing
         parts.append(_text(x, top, name, size=13, weight=600))
-        parts.append(_text(x, top + 17, _node_words(shown), size=11, colour="#4a4f57"))
+        parts.append(_text(x, top + 17, _node_words(shown), size=11))
         if shown:
-            parts.append(_text(x, top + 34, _edge_words(shown), size=10.5, colour="#6a7078"))
+            parts.append(_text(x, top + 34, _edge_words(shown), size=10.5, faint=True))
+        if shown is not None and shown.get("size") is not None:
+            parts.append("</g>")
     scale = min(1.0, 720 / total_width)
-    picture = _svg(total_width, total_height, parts, "The scene graph", scale)
+    picture = _svg(total_width, total_height, parts, "The scene graph", scale, "group")  # with buttons in it
     # in a narrow window it is scrolled before its words get too small to read
     narrowest = f'<svg style="min-width:{0.6 * total_width:.0f}px" '
-    return f'<div class="scroll">{picture.replace("<svg ", narrowest, 1)}</div>'
+    return (
+        '<div class="scroll" role="region" tabindex="0" aria-label="Scene graph">'
+        f'{picture.replace("<svg ", narrowest, 1)}</div><p class="more" hidden>The graph goes on to the right.</p>'
+    )
 
 
 def tree_places(objects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, float], dict[str, int], int]:
@@ -176,15 +184,15 @@ def _chain_colour(chain: int) -> str:
     return CHAIN_COLOURS[chain % len(CHAIN_COLOURS)]
 
 
-def _text(x: float, y: float, words: str, size: float, colour: str = "#22252a", weight: int = 400) -> str:
+def _text(x: float, y: float, words: str, size: float, weight: int = 400, faint: bool = False) -> str:
     return (
         f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-size="{size}" font-weight="{weight}" '
-        f'fill="{colour}">{escape(words)}</text>'
+        f'class="{"faint" if faint else "ink"}">{escape(words)}</text>'
     )
 
 
-def _svg(width: float, height: float, parts: Sequence[str], title: str, scale: float = 1.0) -> str:
+def _svg(width: float, height: float, parts: Sequence[str], title: str, scale: float = 1.0, role: str = "img") -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width * scale:.0f}" '
-        f'height="{height * scale:.0f}" role="img" aria-label="{escape(title)}">{"".join(parts)}</svg>'
+        f'height="{height * scale:.0f}" role="{role}" aria-label="{escape(title)}">{"".join(parts)}</svg>'
     )

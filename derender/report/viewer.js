@@ -42,7 +42,7 @@ function showScene(canvas, scene, switches) {
     if (triangles) { const buffer = gl.createBuffer(); gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer); gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW); }
     return {array, colour, coloured: !!colours, count: triangles ? triangles.length : positions.length / 3};
   }
-  const solids = scene.solids.map(s => upload(floats(s.vertices), s.colour, null, integers(s.triangles)));
+  const solids = scene.solids.map(s => Object.assign(upload(floats(s.vertices), s.colour, null, integers(s.triangles)), {name: s.name}));
   const points = scene.points ? upload(floats(scene.points.positions), null, bytes(scene.points.colours), null) : null;
   const ghosts = scene.ghosts ? upload(floats(scene.ghosts.positions), null, bytes(scene.ghosts.colours), null) : null;
 
@@ -61,11 +61,16 @@ function showScene(canvas, scene, switches) {
   const home = {azimuth: 0, elevation: Math.asin(Math.max(-1, Math.min(1, dot(unit(toCamera), up)))), distance: Math.hypot(...toCamera), target: scene.target};
   let state = {...home};
 
+  // The page's own background, light or dark.
+  const paper = () => getComputedStyle(canvas).backgroundColor.match(/[\d.]+/g).slice(0, 3).map(c => c / 255);
+  let chosen = null;
+  const tint = solid => chosen && solid.name && solid.name !== chosen ? solid.colour.map(c => 0.3 * c + 110) : solid.colour;
+
   function draw() {
     const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth * ratio, height = canvas.clientHeight * ratio;
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
     gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(0.97, 0.97, 0.98, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
+    gl.clearColor(...paper(), 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     const {azimuth: a, elevation: e, distance: d} = state;
     let back = add(add(up.map(x => x * Math.sin(e)), level, Math.cos(e) * Math.cos(a)), side, Math.cos(e) * Math.sin(a));
@@ -77,7 +82,7 @@ function showScene(canvas, scene, switches) {
     gl.uniformMatrix4fv(where.view, false, view); gl.uniformMatrix4fv(where.projection, false, projection);
     const paint = (item, mode, indexed) => {
       gl.bindVertexArray(item.array);
-      if (!item.coloured) { gl.disableVertexAttribArray(slots.colour); gl.vertexAttrib3f(slots.colour, ...item.colour.map(c => c / 255)); }
+      if (!item.coloured) { gl.disableVertexAttribArray(slots.colour); gl.vertexAttrib3f(slots.colour, ...tint(item).map(c => c / 255)); }
       if (indexed) gl.drawElements(mode, item.count, gl.UNSIGNED_INT, 0); else gl.drawArrays(mode, 0, item.count);
     };
     gl.uniform1f(where.pointSize, 2 * ratio); gl.uniform1f(where.lit, 0); gl.uniform1f(where.alpha, 1);
@@ -114,6 +119,17 @@ function showScene(canvas, scene, switches) {
   canvas.addEventListener("wheel", event => { event.preventDefault(); state.distance *= Math.exp(event.deltaY * 0.001); redraw(); }, {passive: false});
   canvas.addEventListener("contextmenu", event => event.preventDefault());
   canvas.addEventListener("dblclick", () => { state = {...home}; redraw(); });
+  canvas.addEventListener("choose", event => { chosen = event.detail; redraw(); });
+  canvas.addEventListener("keydown", event => {
+    const turn = {ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1]}[event.key];
+    if (turn) { state.azimuth += turn[0]; state.elevation = Math.max(-1.55, Math.min(1.55, state.elevation + turn[1])); }
+    else if (event.key === "+" || event.key === "=") state.distance *= 0.9;
+    else if (event.key === "-") state.distance /= 0.9;
+    else if (event.key === "0") state = {...home};
+    else return;
+    event.preventDefault(); redraw();
+  });
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   for (const name of ["points", "ghosts", "solids"]) switches[name].addEventListener("change", redraw);
   if (window.ResizeObserver) new ResizeObserver(redraw).observe(canvas);
   draw();

@@ -31,6 +31,7 @@ def viewer_html(report: Report, colours: np.ndarray) -> str:
                 "vertices": _base64((vertices @ pose[:3, :3].T + pose[:3, 3]).astype("<f4")),
                 "triangles": _base64(triangles.astype("<u4")),
                 "colour": colours[index].tolist(),
+                "name": report.solid_names[index] if kind != kinds.PLANE else None,
             }
         )
     extended = report.solids.kind != kinds.PLANE
@@ -58,12 +59,13 @@ def viewer_html(report: Report, colours: np.ndarray) -> str:
         if report.camera is not None
         else "data:,"
     )
-    return f"""<canvas id="scene" aria-label="The scene in three dimensions"></canvas>
+    return f"""<canvas id="scene" tabindex="0" role="img" aria-label="The scene in three dimensions"></canvas>
 <img id="still" alt="The scene" src="{still}" style="display:none;width:100%">
 <p><label><input type="checkbox" id="show-solids" checked> solids</label>
 <label {"" if len(points) else "hidden"}><input type="checkbox" id="show-points" checked> observed points</label>
 <label {"" if len(lines) else "hidden"}><input type="checkbox" id="show-ghosts"> posterior draws</label>
-<span class="soft">drag to turn, wheel to zoom, shift-drag to move, double click to reset</span></p>
+<span class="soft">drag or arrow keys to turn, wheel or + and − to zoom, shift-drag to move, double click or 0 to go
+back</span></p>
 <script type="application/json" id="scene-data">{text}</script>
 <script>{(HERE / "viewer.js").read_text()}
 (() => {{

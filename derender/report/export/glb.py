@@ -33,6 +33,11 @@ def export(
 
     trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
     """
+    return {path.name: glb_bytes(graph, trajectory)}
+
+
+def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> bytes:
+    """Return the scene as the bytes of a GLB. trajectory : see `export`."""
     solids, names = graph.solids(), graph.solid_names
     colours = colours_of(solids, graph.solid_names) / 255
     tree: dict[str, Any] = {
@@ -68,7 +73,7 @@ def export(
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + bytes(data)
-    return {path.name: struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body}
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body
 
 
 def _mesh_in_object(solids, index: int) -> tuple[np.ndarray, np.ndarray]:
