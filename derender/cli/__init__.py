@@ -34,6 +34,7 @@ COMMANDS = {
     "report": "Write HTML and tables from one or more posteriors.",
     "view": "Open the page about a result in a browser.",
     "export": "Write a scene as GLB, OBJ, MJCF, URDF or BOP JSON.",
+    "calibrate": "Learn a depth camera's noise from frames of a bare table.",
     "types": "List shapes, contacts, distributions and likelihoods.",
     "doctor": "Say which versions and renderers work here.",
 }

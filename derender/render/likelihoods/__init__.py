@@ -3,6 +3,6 @@
 from derender.render.likelihoods.base import Likelihood, likelihoods
 
 # The built-in types register themselves when they are imported.
-from derender.render.likelihoods import gaussian, robust  # isort: skip
+from derender.render.likelihoods import correlated, gaussian, robust  # isort: skip
 
-__all__ = ["Likelihood", "gaussian", "likelihoods", "robust"]
+__all__ = ["Likelihood", "correlated", "gaussian", "likelihoods", "robust"]
