@@ -22,6 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from derender.cli import status_of
+from derender.evaluation.made_scenes import drawn_scene  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -38,33 +39,6 @@ LEAST = 1e-4  # probability that a truth which no structure found has in the log
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
-def make_scene(seed, prior, size=None, sigma=None):
-    """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
-
-    size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
-    """
-    from dataclasses import replace
-
-    from derender import data_path
-    from derender.document import read_document
-    from derender.render.likelihoods import likelihoods
-    from derender.render.raycast.depth import render_depth
-
-    document = read_document(data_path(f"priors/{prior}.yaml"))
-    rng = np.random.default_rng([seed, 2026])
-    graph = document.prior.sample(rng)
-    camera = document.camera
-    if size is not None:
-        times = size[0] / camera.width
-        camera = replace(camera, width=size[0], height=size[1], fx=camera.fx * times, fy=camera.fy * times,
-                         cx=(camera.cx + 0.5) * times - 0.5, cy=(camera.cy + 0.5) * times - 0.5)  # fmt: skip
-    depth, label = render_depth(graph.solids(), camera)
-    values = document.likelihood.sample(rng)
-    if sigma is not None:
-        values["sigma"] = sigma
-    return graph, likelihoods[document.likelihood.type].sample(rng, depth, values), label, camera
-
-
 def one_scene(seed, prior, size=None, sigma=None, twice=False):
     """Return the record of one scene: statements with their truth, intervals with theirs.
 
@@ -72,7 +46,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False):
     """
     from derender.structures.infer import infer_structure
 
-    graph, image, label, camera = make_scene(seed, prior, size, sigma)
+    graph, image, label, camera = drawn_scene(seed, prior, size, sigma)
     start = time.perf_counter()
     posterior = infer_structure(image, camera, None, np.random.default_rng(seed))
     seconds = time.perf_counter() - start

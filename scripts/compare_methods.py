@@ -20,10 +20,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from evaluate import ENOUGH_PIXELS, truth_scene  # noqa: E402
-from scene_makers import SETS, make_scene  # noqa: E402
 
 from derender.cli import status_of
 from derender.document import read_prior_document
+from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.posterior.forward import draw_documents, observe  # noqa: E402
 from derender.render.renderers import find_renderer  # noqa: E402

@@ -20,11 +20,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
-from scene_makers import SETS, make_scene  # noqa: E402
 from sequences import KINDS  # noqa: E402
 from tracking_figures import evaluate_tracking  # noqa: E402
 
 from derender.cli import status_of
+from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.sampling.streams import SCENES, stream  # noqa: E402

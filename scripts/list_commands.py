@@ -1,6 +1,7 @@
 """Write the lists of commands and of kernels into README.md, between their markers: python scripts/list_commands.py"""
 
 import inspect
+import sys
 from pathlib import Path
 
 import click
@@ -56,4 +57,7 @@ def updated(text: str) -> str:
 
 
 if __name__ == "__main__":
-    README.write_text(updated(README.read_text()))
+    fresh = updated(README.read_text())
+    if "--check" in sys.argv:
+        sys.exit(fresh != README.read_text())
+    README.write_text(fresh)

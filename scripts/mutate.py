@@ -58,7 +58,7 @@ MUTATIONS = [
          "log_threshold(rng) + 0.7 < log_ratio", KERNELS),
         ("adapted scale: wrong way", "sampling/metropolis.py", "gain * (rate - wanted)", "gain * (wanted - rate)",
          (*STEPS, *COMPILED)),
-        ("adapted scale: unlimited", "sampling/metropolis.py", "max(-MOST_CHANGE, min(MOST_CHANGE, gain", "(((gain",
+        ("adapted scale: unlimited", "sampling/metropolis.py", "max(-MOST_CHANGE, min(MOST_CHANGE, gain", "((gain",
          STEPS),
         ("smc: mass of the terms x .9", "posterior/smc.py", "np.log(np.mean(weights))",
          "np.log(0.9 * np.mean(weights))",

@@ -19,11 +19,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from scene_makers import camera_of, look_at  # noqa: E402
-
 from derender.atomic import make_folder  # noqa: E402
 from derender.camera.sensor import SENSORS, find_sensor  # noqa: E402
 from derender.cli import status_of  # noqa: E402
+from derender.evaluation.made_scenes import camera_of, look_at  # noqa: E402
 
 KINDS = ("slide", "slope", "bounce", "collide", "topple", "place", "push")
 FRAMES, WIDTH, HEIGHT = 24, 160, 120

@@ -60,6 +60,21 @@ def test_imports_point_from_later_rooms_to_earlier():
     assert not wrong, "\n".join(wrong)
 
 
+def test_neither_package_nor_tests_import_scripts_and_scripts_import_no_tests():
+    """What two of them need is in the package; what a script does is seen by running it."""
+    scripts = {path.stem for path in (ROOT / "scripts").glob("*.py")}
+    tests = {path.stem for path in (ROOT / "tests").rglob("*.py")}
+    assert {"evaluate", "mutate"} <= scripts
+    wrong = []
+    for folder, forbidden in (("derender", scripts | tests), ("tests", scripts), ("scripts", tests)):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            for line, module in imports(path):
+                parts = module.split(".")
+                if parts[0] in forbidden | {"scripts", "tests"}:
+                    wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
+    assert not wrong, "\n".join(wrong)
+
+
 def test_the_check_above_sees_a_wrong_import():
     """Its broken twin: an import of cli in scene would be seen, inside a function too."""
     tree = "def f():\n    from derender.cli import main\n"

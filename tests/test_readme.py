@@ -130,9 +130,8 @@ def test_the_entry_point_group_is_the_registrys(text):
 
 def test_the_list_of_commands_is_fresh():
     """Run scripts/list_commands.py where this fails."""
-    from scripts.list_commands import updated
-
-    assert updated(README) == README
+    command = [sys.executable, str(ROOT / "scripts" / "list_commands.py"), "--check"]
+    assert subprocess.run(command, timeout=120).returncode == 0
 
 
 def test_the_files_named_are_there():

@@ -1,28 +1,23 @@
 """Images that are hard to like: each is explained, or answered in one line."""
 
-import sys
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import camera_of, kinect_noise  # noqa: E402
-
-from derender.camera.intrinsics import Camera  # noqa: E402
-from derender.detection.given_floor import read_floor  # noqa: E402
-from derender.detection.pyramid import reduce  # noqa: E402
-from derender.detection.search import observation  # noqa: E402
-from derender.detection.solids.image import render_floor_scene  # noqa: E402
-from derender.document import read_prior_document  # noqa: E402
-from derender.errors import DerenderError  # noqa: E402
-from derender.posterior.forward import draw_documents  # noqa: E402
-from derender.render.raycast.depth import render_depth  # noqa: E402
-from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation  # noqa: E402
-from derender.structures.infer import infer_structure  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
+from derender.camera.intrinsics import Camera
+from derender.detection.given_floor import read_floor
+from derender.detection.pyramid import reduce
+from derender.detection.search import observation
+from derender.detection.solids.image import render_floor_scene
+from derender.document import read_prior_document
+from derender.errors import DerenderError
+from derender.evaluation.made_scenes import camera_of, kinect_noise
+from derender.posterior.forward import draw_documents
+from derender.render.raycast.depth import render_depth
+from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation
+from derender.structures.infer import infer_structure
+from derender.structures.options import Options
 
 SIZES = np.array([[0.1, 0.08, 0.06], [0.07, 0.07, 0.12]])
 POSES = np.stack([translation(-0.06, 0, 0.03) @ rotation_z(0.3), translation(0.09, 0.04, 0.06) @ rotation_z(0.9)])

@@ -1,27 +1,21 @@
 """Solids found by the whole body of their points: small ones far off, and round ones that slabs would explain."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import photograph  # noqa: E402
-
-from derender.detection.search.bodies import body_hypotheses, find_bodies  # noqa: E402
-from derender.detection.search.greedy import Settings, complexity, settle, sweep, total_energy  # noqa: E402
-from derender.detection.search.moves import explain_anew  # noqa: E402
-from derender.detection.search.places import find_places  # noqa: E402
-from derender.detection.search.shape_moves import appear  # noqa: E402
-from derender.detection.solids.image import make_row  # noqa: E402
-from derender.detection.solids.polish import UPRIGHT  # noqa: E402
-from derender.detection.solids.state import FLOOR, State, held_out, run_polish  # noqa: E402
-from derender.detection.solids.support import assign_supports, concerned  # noqa: E402
-from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
-from derender.structures.graph_posterior import parts_of  # noqa: E402
-from derender.structures.infer import point_estimate  # noqa: E402
+from derender.detection.search.bodies import body_hypotheses, find_bodies
+from derender.detection.search.greedy import Settings, complexity, settle, sweep, total_energy
+from derender.detection.search.moves import explain_anew
+from derender.detection.search.places import find_places
+from derender.detection.search.shape_moves import appear
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+from derender.detection.solids.support import assign_supports, concerned
+from derender.evaluation.made_scenes import photograph
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.graph_posterior import parts_of
+from derender.structures.infer import point_estimate
 
 SHAPES = Settings().shapes
 

@@ -1,30 +1,24 @@
 """More pixels for the sizes of solids that fewer pixels have found, in images of real sensors."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import ndimage
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import camera_of  # noqa: E402
-
-from derender.detection.search.greedy import Settings, sweep  # noqa: E402
-from derender.detection.search.observation import (  # noqa: E402
+from derender.detection.search.greedy import Settings, sweep
+from derender.detection.search.observation import (
     CORRELATED,
     closer_look,
     nearest_pixels,
     observe,
 )
-from derender.detection.solids.image import blank, draw, make_row, render_floor_scene  # noqa: E402
-from derender.detection.solids.misfit import LIMIT, misfit_map  # noqa: E402
-from derender.detection.solids.polish import UPRIGHT  # noqa: E402
-from derender.detection.solids.state import FLOOR, State  # noqa: E402
-from derender.scene.pose import rotation_x, translation  # noqa: E402
-from derender.scene.solids import CYLINDER  # noqa: E402
-from derender.structures.scored_posterior import part_of  # noqa: E402
+from derender.detection.solids.image import blank, draw, make_row, render_floor_scene
+from derender.detection.solids.misfit import LIMIT, misfit_map
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State
+from derender.evaluation.made_scenes import camera_of
+from derender.scene.pose import rotation_x, translation
+from derender.scene.solids import CYLINDER
+from derender.structures.scored_posterior import part_of
 
 HEIGHT, DISTANCE = 0.12, 0.7
 PIXELS_ACROSS = 3.0  # standard deviation in pixels of what the sensor smooths its noise by

@@ -1,17 +1,11 @@
 """The floor beside what stands on it, where another surface behind it lies nearly in its plane."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import camera_of  # noqa: E402
-
-from derender.detection.floor import find_floor, floor_beside  # noqa: E402
-from derender.detection.solids.image import render_floor_scene  # noqa: E402
-from derender.scene.pose import rotation_x, rotation_z, translation  # noqa: E402
+from derender.detection.floor import find_floor, floor_beside
+from derender.detection.solids.image import render_floor_scene
+from derender.evaluation.made_scenes import camera_of
+from derender.scene.pose import rotation_x, rotation_z, translation
 
 LOWER = 0.015  # metres by which what lies behind the table is lower
 BOX = np.array([0.1, 0.08, 0.12])

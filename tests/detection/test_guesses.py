@@ -1,28 +1,22 @@
 """Guesses of solids that show given points: of each way, and of a drum of which little shows."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import photograph  # noqa: E402
-
-import derender.detection.search.moves as moves  # noqa: E402
-from derender.detection.search.greedy import Settings, settle, total_energy  # noqa: E402
-from derender.detection.search.guesses import guess, guesses  # noqa: E402
-from derender.detection.search.observation import observe  # noqa: E402
-from derender.detection.search.searches import repair  # noqa: E402
-from derender.detection.solids.graph import pose_of  # noqa: E402
-from derender.detection.solids.image import ROW, make_row, render_floor_scene  # noqa: E402
-from derender.detection.solids.interpenetration import lowest, reach  # noqa: E402
-from derender.detection.solids.misfit import added_misfit  # noqa: E402
-from derender.detection.solids.polish import FREE, UPRIGHT  # noqa: E402
-from derender.detection.solids.state import FLOOR, State, held_out  # noqa: E402
-from derender.scene.pose import rotation_x  # noqa: E402
-from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
+import derender.detection.search.moves as moves
+from derender.detection.search.greedy import Settings, settle, total_energy
+from derender.detection.search.guesses import guess, guesses
+from derender.detection.search.observation import observe
+from derender.detection.search.searches import repair
+from derender.detection.solids.graph import pose_of
+from derender.detection.solids.image import ROW, make_row, render_floor_scene
+from derender.detection.solids.interpenetration import lowest, reach
+from derender.detection.solids.misfit import added_misfit
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR, State, held_out
+from derender.evaluation.made_scenes import photograph
+from derender.scene.pose import rotation_x
+from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 SHAPES = Settings().shapes
 LYING = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # its own axis along the floor's x

@@ -1,15 +1,9 @@
 """What hides of a solid: a side of a box, a part of a disc, all of it; and the names of solids whose sides hide."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from calibration import make_scene as make_prior_scene
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search.round_proposals import rim_circle
@@ -18,6 +12,7 @@ from derender.detection.solids.naming import matched_names
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
+from derender.evaluation.made_scenes import drawn_scene
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
@@ -113,7 +108,7 @@ def test_the_rim_of_a_disc_is_found_where_a_part_is_hidden():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_pieces_on_both_sides_of_what_hides_it_are_one_box(seed):
     """Of a box 67 pixels show, beside and above another: three small solids explained them, each of them well."""
-    _, image, _, camera = make_prior_scene(9016, "tabletop")
+    _, image, _, camera = drawn_scene(9016, "tabletop")
     state, _ = point_estimate(np.random.default_rng(seed), image, camera)
     assert len(state) == 3
     assert sorted(state.parents).count(FLOOR) == 2

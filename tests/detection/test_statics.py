@@ -1,19 +1,13 @@
 """Who bears a solid's weight, against MuJoCo's contact forces and by the lever rule."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import random_size, settle  # noqa: E402
-
-from derender.detection.solids.image import KINDS, make_row  # noqa: E402
-from derender.detection.solids.state import FLOOR  # noqa: E402
-from derender.detection.solids.statics import push_on, shares_of_load, surface_distance  # noqa: E402
-from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
+from derender.detection.solids.image import KINDS, make_row
+from derender.detection.solids.state import FLOOR
+from derender.detection.solids.statics import push_on, shares_of_load, surface_distance
+from derender.evaluation.made_scenes import random_size, settle
+from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 
 def upright(centre, size, kind=BOX):

@@ -1,36 +1,29 @@
 """From depth images to structures: each step on scenes whose answer is known."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from calibration import make_scene as make_prior_scene  # noqa: E402
-from scene_makers import kinect_noise, make_scene, photograph  # noqa: E402
-
-from derender.detection.floor import find_floor  # noqa: E402
-from derender.detection.pyramid import reduce  # noqa: E402
-from derender.detection.search.observation import (  # noqa: E402
+from derender.detection.floor import find_floor
+from derender.detection.pyramid import reduce
+from derender.detection.search.observation import (
     drawn,
     neighbour_correlation,
     observe,
     patches_of,
     rounding_of,
 )
-from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene  # noqa: E402
-from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration  # noqa: E402
-from derender.detection.solids.misfit import added_misfit, misfit_map  # noqa: E402
-from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk  # noqa: E402
-from derender.detection.solids.state import FLOOR, State  # noqa: E402
-from derender.errors import DerenderError  # noqa: E402
-from derender.evaluation.convex import intersection_volume  # noqa: E402
-from derender.scene.pose import random_rotation, rotation_z  # noqa: E402
-from derender.scene.solids import BOX, CYLINDER, SPHERE  # noqa: E402
-from derender.structures.infer import infer_structure, point_estimate  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
+from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
+from derender.detection.solids.misfit import added_misfit, misfit_map
+from derender.detection.solids.polish import FREE, MOVES, UPRIGHT, size_energy, walk
+from derender.detection.solids.state import FLOOR, State
+from derender.errors import DerenderError
+from derender.evaluation.convex import intersection_volume
+from derender.evaluation.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
+from derender.scene.pose import random_rotation, rotation_z
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.infer import infer_structure, point_estimate
+from derender.structures.options import Options
 
 
 @pytest.fixture
@@ -295,7 +288,7 @@ def test_an_empty_floor_has_no_solids(rng):
 @pytest.mark.parametrize("seed", [1103, 1141])
 def test_blurred_silhouettes_are_not_filled_with_thin_solids(seed):
     """1103 has too few steps to tell its blur before it is explained; 1141 is seen before the horizon."""
-    graph, image, _, camera = make_prior_scene(seed, "tabletop")
+    graph, image, _, camera = drawn_scene(seed, "tabletop")
     state, seen = point_estimate(np.random.default_rng(seed), image, camera)
     assert len(state) == len(graph.names) - 1
     assert seen.image.taps.size == 2  # the blur was half a pixel

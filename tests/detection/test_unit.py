@@ -1,24 +1,18 @@
 """Scenes much larger or smaller than a table are searched in a unit of their own."""
 
-import sys
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from dataclasses import replace  # noqa: E402
-
-from scene_makers import SETS, make_scene, photograph  # noqa: E402
-
-from derender.detection import unit as detection_unit  # noqa: E402
-from derender.detection.solids.beliefs import bare_image  # noqa: E402
-from derender.detection.solids.image import render_floor_scene  # noqa: E402
-from derender.detection.unit import part_in_metres  # noqa: E402
-from derender.scene.pose import rotation_z, translation  # noqa: E402
-from derender.structures.infer import draw_graph, infer_structure  # noqa: E402
-from derender.structures.options import Options  # noqa: E402
+from derender.detection import unit as detection_unit
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.image import render_floor_scene
+from derender.detection.unit import part_in_metres
+from derender.evaluation.made_scenes import SETS, make_scene, photograph
+from derender.scene.pose import rotation_z, translation
+from derender.structures.infer import draw_graph, infer_structure
+from derender.structures.options import Options
 
 
 def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():

@@ -3,16 +3,8 @@
 import numpy as np
 import pytest
 
-from derender.render.blur import blur, blur_taps
-from derender.render.gradient import SmoothLikelihood, antialiased_depth, derivative_image
-from derender.render.raycast.antialias import draw_antialiased
-from derender.render.raycast.canvas import new_canvas
-from derender.render.raycast.depth import render_depth
-from derender.render.raycast.records import MOTION
-from derender.render.raycast.smooth import blur_adjoint, blur_rectangle
-from derender.scene.solids import BOX, CYLINDER, SPHERE, Solids
-from scripts.exact_rows import exact_derivative
-from scripts.measure_gradient import (
+from derender.evaluation.exact_rows import exact_derivative
+from derender.evaluation.gradient_check import (
     BACKGROUND,
     BLUR,
     CAMERA,
@@ -28,6 +20,14 @@ from scripts.measure_gradient import (
     random_scene,
     share,
 )
+from derender.render.blur import blur, blur_taps
+from derender.render.gradient import SmoothLikelihood, antialiased_depth, derivative_image
+from derender.render.raycast.antialias import draw_antialiased
+from derender.render.raycast.canvas import new_canvas
+from derender.render.raycast.depth import render_depth
+from derender.render.raycast.records import MOTION
+from derender.render.raycast.smooth import blur_adjoint, blur_rectangle
+from derender.scene.solids import BOX, CYLINDER, SPHERE, Solids
 
 
 def one_moving(solids: Solids, seed: int = 0):

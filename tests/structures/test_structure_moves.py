@@ -1,29 +1,23 @@
 """The moves of the search over structures, and what they are for."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
-
-from scene_makers import SETS, make_scene, photograph  # noqa: E402
-
-from derender.detection.search.greedy import Settings, settle, total_energy  # noqa: E402
-from derender.detection.search.moves import MOVES, as_cube, as_high, recut  # noqa: E402
-from derender.detection.search.places import find_places  # noqa: E402
-from derender.detection.search.shape_moves import shake, stretch, tilt  # noqa: E402
-from derender.detection.search.support_moves import lift, stand  # noqa: E402
-from derender.detection.search.surface import Hypothesis  # noqa: E402
-from derender.detection.solids.graph import pose_of, scene_graph  # noqa: E402
-from derender.detection.solids.image import make_row  # noqa: E402
-from derender.detection.solids.polish import FREE, UPRIGHT  # noqa: E402
-from derender.detection.solids.state import FLOOR, State  # noqa: E402
-from derender.scene.graph import ROOT  # noqa: E402
-from derender.scene.pose import rotation_x, rotation_z  # noqa: E402
-from derender.scene.solids import BOX  # noqa: E402
-from derender.structures.infer import point_estimate  # noqa: E402
+from derender.detection.search.greedy import Settings, settle, total_energy
+from derender.detection.search.moves import MOVES, as_cube, as_high, recut
+from derender.detection.search.places import find_places
+from derender.detection.search.shape_moves import shake, stretch, tilt
+from derender.detection.search.support_moves import lift, stand
+from derender.detection.search.surface import Hypothesis
+from derender.detection.solids.graph import pose_of, scene_graph
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR, State
+from derender.evaluation.made_scenes import SETS, make_scene, photograph
+from derender.scene.graph import ROOT
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX
+from derender.structures.infer import point_estimate
 
 
 def scene_of(name, seed):

@@ -1,7 +1,8 @@
 """Scenes of a plank that rests on two boxes of equal height: settled by MuJoCo, which also says who bears weight."""
 
 import numpy as np
-from settling import DENSITY, come_to_rest
+
+from derender.physics.settling import DENSITY, come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
 GRAVITY = 9.81

@@ -6,9 +6,12 @@ pose (4, 4) object to camera, parent ("floor" or an index), pixels (how many are
 supports (indices of what else carries it).
 """
 
+from dataclasses import replace
+
 import numpy as np
-from bridge_scenes import settled_bridge
-from settling import come_to_rest
+
+from derender.evaluation.made_bridges import settled_bridge
+from derender.physics.settling import come_to_rest
 
 SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes", "bridge")
 
@@ -209,3 +212,28 @@ def make_groups(rng, count=20):
     if any(penetration(rows[i], rows[j]) > 0.002 for i in range(count) for j in range(i)):
         return make_groups(rng, count)
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
+
+
+def drawn_scene(seed, prior, size=None, sigma=None):
+    """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
+
+    size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
+    """
+    from derender import data_path
+    from derender.document import read_document
+    from derender.render.likelihoods import likelihoods
+    from derender.render.raycast.depth import render_depth
+
+    document = read_document(data_path(f"priors/{prior}.yaml"))
+    rng = np.random.default_rng([seed, 2026])
+    graph = document.prior.sample(rng)
+    camera = document.camera
+    if size is not None:
+        times = size[0] / camera.width
+        camera = replace(camera, width=size[0], height=size[1], fx=camera.fx * times, fy=camera.fy * times,
+                         cx=(camera.cx + 0.5) * times - 0.5, cy=(camera.cy + 0.5) * times - 0.5)  # fmt: skip
+    depth, label = render_depth(graph.solids(), camera)
+    values = document.likelihood.sample(rng)
+    if sigma is not None:
+        values["sigma"] = sigma
+    return graph, likelihoods[document.likelihood.type].sample(rng, depth, values), label, camera
