@@ -87,12 +87,16 @@ class Drawing:
         seen = self.counts[self.planes + k]
         return float((seen[2] + seen[3]) / max(seen[1], 1.0))
 
-    def take_as_usual(self, k) -> None:
-        """Take how well thing k is explained now as how well it usually is."""
+    def take_as_usual(self, k, most=None) -> None:
+        """Take how well thing k is explained now as how well it usually is; most : times by which that may rise."""
+        thing = self.things[k]
         total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
-        self.things[k].usual_misfit = self.wrong_share(k)
-        self.things[k].usual_off = max(off / max(count, 1.0), USUAL_OFF)
-        self.things[k].usual_cost = max(total / max(count, 1.0), USUAL)
+        cost_now, off_now = max(total / max(count, 1.0), USUAL), max(off / max(count, 1.0), USUAL_OFF)
+        if most is None:
+            thing.usual_misfit, thing.usual_off, thing.usual_cost = self.wrong_share(k), off_now, cost_now
+        else:
+            thing.usual_off = max(thing.usual_off, min(off_now, most * thing.usual_off))
+            thing.usual_cost = max(thing.usual_cost, min(cost_now, most * thing.usual_cost))
 
     def unexplained(self, k) -> bool:
         """Whether the cost about thing k, or the number of pixels there that are off, is above what it may be."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from derender.tracking.contact import parent_probabilities
+from derender.tracking.contact import bears, parent_probabilities, rows_of
 from derender.tracking.drawing import OFF
 from derender.tracking.first import start_from, thing_of
 from derender.tracking.thing import MOVING
@@ -114,11 +114,7 @@ class Recorder:
             seen = self.tracker.report(seen.blobs)
         self.seen.append(seen)
         self.sizes.append(np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3))
-        chances = self.parents_of_last()
-        for k, thing in enumerate(self.tracker.things):
-            if np.isfinite(chances[k]).all():
-                words = [None, "floor", *(other.name for other in self.tracker.things)]
-                thing.parent = words[int(np.argmax(chances[k]))]
+        self._tell_parents(seen)
         return True
 
     def _is_cut(self) -> bool:
@@ -162,14 +158,20 @@ class Recorder:
         taken = {thing.name for thing in self.tracker.things}
         return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
 
-    def parents_of_last(self):
-        """Return (N, 2 + N) P(parent) in the last frame, given the frames up to it."""
-        track = self.track(last=6)
-        return track.parent_probability[-1]
+    def _tell_parents(self, seen) -> None:
+        """Let the tracker know what bears the things that move: what nothing bears will fall."""
+        moving = [k for k, thing in enumerate(self.tracker.things) if thing.state == MOVING]
+        if not moving:
+            return
+        things = self.tracker.things
+        floor = seen.view @ (self.tracker.floor if self.tracker.floor is not None else upright(self.gravity))
+        rows = rows_of(seen.poses, [thing.size for thing in things], [thing.kind for thing in things], floor)
+        for k in moving:
+            things[k].parent = bears(rows, k, [thing.name for thing in things])
 
-    def track(self, times=None, frames=None, last=None) -> Track:
-        """Return what was found so far, of the last frames only where `last` says how many."""
-        seen, sizes = (self.seen, self.sizes) if last is None else (self.seen[-last:], self.sizes[-last:])
+    def track(self, times=None, frames=None) -> Track:
+        """Return what was found so far."""
+        seen, sizes = self.seen, self.sizes
         things, count, length = self.tracker.things, len(self.tracker.things), len(seen)
         poses, covariances = np.full((length, count, 4, 4), np.nan), np.full((length, count, 6, 6), np.nan)
         extents = np.tile(np.array([thing.size for thing in things]).reshape(-1, 3), (length, 1, 1))

@@ -17,14 +17,16 @@ from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Thing
 from derender.tracking.unexplained import blobs_of, shifts_to
 
-WAKE = 15.0  # nats that moving a resting thing must gain: noise alone reaches it once in a hundred thousand tests
+WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
 WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
 QUIET = (0.0008, 0.010)  # metres and radians between frames below which a moving thing is quiet
+QUIET_DEVIATIONS = 3.0  # of its pose, within which it may besides jitter from frame to frame
 QUIET_FRAMES = 3  # on end: then it rests
 ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off its prediction, and ...
 ROOM_SHARE = 0.6  # ... of its last motion besides
 GROWING = 1e-4  # metres by which an extent's standard deviation is kept above what the images say, each frame
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
+MORE_THAN_BEFORE = 1.3  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 
@@ -74,8 +76,10 @@ class Tracker(Drawing):
     # ---- one thing ------------------------------------------------------------------------------------------------
 
     def _refine_first(self) -> None:
+        """Move each thing to where the smooth image is explained best; its spread stays that of the posterior."""
         for k, thing in enumerate(self.things):
             self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)
+            thing.pose, thing.size = self.poses[self.planes + k].copy(), self.sizes[self.planes + k].copy()
 
     def _take(self, k, curvature) -> None:
         """Make what is drawn of thing k its pose, size and covariance."""
@@ -99,13 +103,11 @@ class Tracker(Drawing):
 
     def _information(self, thing):
         """Return the precision (P, P) of a moving thing's pose before the image, and of its size."""
-        information = np.linalg.inv(thing.covariance)
-        size = np.linalg.inv(thing.covariance[6:, 6:])
-        information[:] = 0.0
+        information = np.zeros(thing.covariance.shape)
         room = ROOM[0] + ROOM_SHARE * np.linalg.norm(thing.velocity) * self.step
         turn = ROOM[1] + ROOM_SHARE * np.linalg.norm(thing.spin) * self.step
         information[:6, :6] = np.diag([room**-2] * 3 + [turn**-2] * 3)
-        information[6:, 6:] = size
+        information[6:, 6:] = np.linalg.inv(thing.covariance[6:, 6:])
         return information
 
     def _beginnings(self, thing):
@@ -132,6 +134,8 @@ class Tracker(Drawing):
         _, curvature = self.fit(k, expected, information, free=True)
         if self.unexplained(k) or self.left_behind(k):
             curvature = self._search(k, expected, information, curvature)
+            if self.unexplained(k):
+                self.take_as_usual(k, MORE_THAN_BEFORE)
         fitting.pixels_of(self.misfit, self.counts, OFF)
         seen = self.counts[self.planes + k]
         wrong = (seen[2] + seen[3]) / max(seen[1], 1.0)
@@ -165,7 +169,9 @@ class Tracker(Drawing):
         thing.velocity, thing.spin = shift / self.step, turn / self.step
         if thing.type == "sphere":
             thing.spin = np.zeros(3)
-        quiet = np.linalg.norm(shift) < QUIET[0] and np.linalg.norm(turn) < QUIET[1]
+        spread = QUIET_DEVIATIONS * np.sqrt(np.diag(thing.covariance)[:6])
+        quiet = np.linalg.norm(shift) < max(QUIET[0], spread[:3].max())
+        quiet = quiet and np.linalg.norm(turn) < max(QUIET[1], spread[3:].max())
         thing.quiet = thing.quiet + 1 if quiet else 0
         thing.state = MOVING
         if thing.quiet >= QUIET_FRAMES:
@@ -212,6 +218,8 @@ class Tracker(Drawing):
         curvature = self.fit_from_afar(k, thing.pose, self._information(thing))
         if self.unexplained(k):
             curvature = self._search(k, thing.pose, self._information(thing), curvature)
+            if self.unexplained(k):
+                self.take_as_usual(k, MORE_THAN_BEFORE)
         now = inverse(self.view) @ self.poses[index]
         shift, turn = np.linalg.norm(now[:3, 3] - before[:3, 3]), np.linalg.norm(rotation_between(before, now))
         if (shift < WOKEN[0] and turn < WOKEN[1]) or self.wrong_share(k) > thing.usual_misfit + 2 * WRONG:
@@ -332,8 +340,7 @@ class Tracker(Drawing):
         for k, thing in enumerate(self.things):
             if thing.here:
                 poses[k] = self.view @ thing.pose
-                inner = np.linalg.inv(thing.covariance[:6, :6])
-                covariances[k] = np.linalg.inv(self.turned(inner))
+                covariances[k] = self.turned(thing.covariance[:6, :6])
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
         return Seen(poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs)
