@@ -24,7 +24,10 @@ from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.render.raycast.normal_equations import cost  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 from derender.tracking.film import Film  # noqa: E402
-from derender.tracking.run import begin  # noqa: E402
+from derender.tracking.first import start_from  # noqa: E402
+from derender.tracking.passes import Passes  # noqa: E402
+from derender.tracking.run import inferrer  # noqa: E402
+from derender.tracking.track import Recorder  # noqa: E402
 
 LOST = 0.03  # metres
 WITHIN = 3  # frames
@@ -71,9 +74,11 @@ def follow(frames, camera, truth, seed):
     times = np.arange(len(frames)) / camera["fps"]
     film = Film([str(t) for t in range(len(frames))], list(frames.astype(float)), seen, False, times,
                 np.array(camera["gravity"]), False)  # fmt: skip
+    infer, rng = inferrer(Options(seed=seed), seen), np.random.default_rng(seed)
     start = time.perf_counter()
-    recorder = begin(film, Options(seed=seed))
+    posterior = infer(film.frames[0], False)
     first, spent, moving = time.perf_counter() - start, [], []
+    recorder = Recorder(film.frames[0], seen, start_from(posterior, rng), film.gravity, 1 / camera["fps"])
     for frame in film.frames[1:]:
         start = time.perf_counter()
         recorder.advance(frame)
@@ -85,7 +90,8 @@ def follow(frames, camera, truth, seed):
         start = time.perf_counter()
         cost(tracker.misfit, tracker.poses, tracker.sizes)
         full.append(time.perf_counter() - start)
-    return recorder.track(times), first, np.array(spent), float(np.median(full)), np.array(moving)
+    best = Passes(film.frames, seen, film.gravity, 1 / camera["fps"], rng, infer).best(posterior)
+    return best.track(times, film.names), first, np.array(spent), float(np.median(full)), np.array(moving)
 
 
 def compare(track, truth):

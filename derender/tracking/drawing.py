@@ -98,6 +98,11 @@ class Drawing:
             thing.usual_off = max(thing.usual_off, min(off_now, most * thing.usual_off))
             thing.usual_cost = max(thing.usual_cost, min(cost_now, most * thing.usual_cost))
 
+    def excess(self, k) -> float:
+        """Return by how many nats the cost about thing k is above its usual one."""
+        total, count, _ = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
+        return float(total - self.things[k].usual_cost * count)
+
     def unexplained(self, k) -> bool:
         """Whether the cost about thing k, or the number of pixels there that are off, is above what it may be."""
         total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)

@@ -33,6 +33,10 @@ class Start(NamedTuple):
     blur: float
     temper: float
 
+    def copy(self) -> "Start":
+        """Return a copy whose things are its own."""
+        return self._replace(things=[thing.copy() for thing in self.things])
+
 
 def start_from(posterior, rng) -> Start:
     """Return what a posterior of the first frame says is there."""

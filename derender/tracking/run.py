@@ -24,7 +24,9 @@ from derender.tracking.film import (
     read_film,
     read_timing,
 )  # fmt: skip
+from derender.tracking.first import start_from
 from derender.tracking.page import report_page
+from derender.tracking.passes import Passes
 from derender.tracking.result import write_track
 from derender.tracking.track import Recorder, Track
 
@@ -95,21 +97,22 @@ def track_to_folder(
         warn(f"no frame rate is given: taking {FPS:g} frames a second; speeds and free fall are wrong if it is another")
     if film.gravity is None:
         say("no gravity is given: taking it along the floor's normal")
-    recorder = begin(film, options, moving_camera, progress)
-    told = 0
-    frames = [film.frames[0]]
-    incoming = watched(sources, camera, depth_scale, film) if watch else iter(film.frames[1:])
-    names = film.names[:1]
-    for depth in incoming:
-        names.append(film.names[len(names)] if len(names) < len(film.names) else f"frame {len(names)}")
-        if not recorder.advance(depth):
-            break
-        frames.append(depth)
-        if progress and not watch:
-            progress(len(frames) / len(film.frames), f"frame {len(frames)}")
-        if watch:
+    told, names = 0, list(film.names)
+    if watch:
+        frames = [film.frames[0]]
+        start = start_from(inferrer(options, film.camera)(film.frames[0], False), np.random.default_rng(options.seed))
+        recorder = Recorder(film.frames[0], film.camera, start, film.gravity, step_of(film), moving_camera,
+                            lambda depth: inferrer(options, film.camera)(depth, True))  # fmt: skip
+        for depth in watched(sources, camera, depth_scale, film):
+            if not recorder.advance(depth):
+                break
+            frames.append(depth)
+            names.append(f"frame {len(names)}")
             told = tell_events(recorder.track(times_of(film, len(frames))), told, tell, LAG)
-    track = recorder.track(times_of(film, len(frames)), names)
+        track = recorder.track(times_of(film, len(frames)), names)
+    else:
+        track = track_film(film, options, moving_camera, progress)
+        frames = list(film.frames[: len(track.times)])
     for note in track.notes:
         warn(note)
     events = events_of(track)
@@ -122,20 +125,29 @@ def track_to_folder(
     return Outcome(track, folder, events)
 
 
-def begin(film: Film, options: Options, moving_camera=False, progress=None) -> Recorder:
-    """Infer the first frame of a film, and return what follows the others."""
+def track_film(film: Film, options: Options, moving_camera=False, progress=None) -> Track:
+    """Infer the first frame of a film, and follow what is there through the others."""
+    infer, rng = inferrer(options, film.camera, progress), np.random.default_rng(options.seed)
+    passes = Passes(film.frames, film.camera, film.gravity, step_of(film), rng, infer, moving_camera, progress)
+    return passes.best(infer(film.frames[0], False)).track(film.times, film.names)
+
+
+def inferrer(options: Options, camera, progress=None):
+    """Return a function (depth, quick) that infers one frame; quick: its best scene only."""
     from derender.structures.infer import infer_structure
 
-    options = replace(options, may_float=True)  # a film may begin with something in the air
-    rng = np.random.default_rng(options.seed)
-    posterior = infer_structure(film.frames[0], film.camera, options, rng, progress)
+    wanted = replace(options, may_float=True)  # a film may begin with something in the air
 
-    def look(depth):
-        quick = replace(options, method="map")
-        return infer_structure(depth, film.camera, quick, np.random.default_rng(options.seed))
+    def infer(depth, quick):
+        asked = replace(wanted, method="map") if quick else wanted
+        return infer_structure(depth, camera, asked, np.random.default_rng(options.seed), None if quick else progress)
 
-    step = float(np.median(np.diff(film.times))) if len(film.times) > 1 else 1.0 / FPS
-    return Recorder(film.frames[0], film.camera, posterior, film.gravity, step, rng, moving_camera, look)
+    return infer
+
+
+def step_of(film: Film) -> float:
+    """Return the seconds between frames."""
+    return float(np.median(np.diff(film.times))) if len(film.times) > 1 else 1.0 / FPS
 
 
 def times_of(film: Film, count: int) -> np.ndarray:

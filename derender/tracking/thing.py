@@ -1,6 +1,7 @@
 """One thing that is followed: what it is, where it is and how it moves, and how sure that is."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -55,3 +56,8 @@ class Thing:
     def here(self) -> bool:
         """Whether it is drawn: not lost and not gone."""
         return self.state not in (LOST, GONE)
+
+    def copy(self, **changes: Any) -> "Thing":
+        """Return a copy whose arrays are its own."""
+        arrays = {name: getattr(self, name).copy() for name in ("size", "pose", "covariance", "velocity", "spin")}
+        return replace(self, **{**arrays, **changes})

@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.tracking.contact import bears, parent_probabilities, rows_of
 from derender.tracking.drawing import OFF
-from derender.tracking.first import start_from, thing_of
+from derender.tracking.first import thing_of
 from derender.tracking.thing import MOVING
 from derender.tracking.tracker import Seen, Tracker
 
@@ -81,20 +81,17 @@ class Recorder:
 
     Parameters
     ----------
-    depth : (H, W) the first frame. camera : Camera. posterior : of the first frame. gravity : (3,) or None.
+    depth : (H, W) the first frame. camera : Camera. start : first.Start, what is there. gravity : (3,) or None.
     step : seconds between frames. moving_camera : whether the camera may move. infer : (depth) -> Posterior, for what
-    comes in later, or None. rng : for draws of the posterior. start : what is there, in place of a posterior.
+    comes in later, or None.
     """
 
-    def __init__(
-        self, depth, camera, posterior, gravity, step, rng, moving_camera=False, infer=None, start=None
-    ) -> None:
-        start = start_from(posterior, rng) if start is None else start
+    def __init__(self, depth, camera, start, gravity, step, moving_camera=False, infer=None) -> None:
         self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
         self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
         self.seen: list[Seen] = [self.tracker.report([])]
         self.sizes = [np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3)]
-        self.infer, self.rng, self.looks, self.waiting = infer, rng, 0, 0
+        self.infer, self.looks, self.waiting = infer, 0, 0
         self.cut: int | None = None
         self.notes: list[str] = []
 
@@ -169,26 +166,39 @@ class Recorder:
         for k in moving:
             things[k].parent = bears(rows, k, [thing.name for thing in things])
 
-    def track(self, times=None, frames=None) -> Track:
-        """Return what was found so far."""
-        seen, sizes = self.seen, self.sizes
-        things, count, length = self.tracker.things, len(self.tracker.things), len(seen)
+    def track(self, times=None, frames=None, before: "Recorder | None" = None) -> Track:
+        """Return what was found so far; before : what was found going backward from the same first frame."""
+        tracker, things = self.tracker, list(self.tracker.things)
+        own = len(things)
+        late = [] if before is None else before.tracker.things[len(tracker.start.things) :]
+        taken = {thing.name for thing in things}
+        for thing in late:
+            name = next(n for k in range(1, 1000) if (n := f"{thing.type}_{k}") not in taken)
+            taken.add(name)
+            things.append(thing.copy(name=name))
+        shared = len(tracker.start.things)
+        rows = [(frame, size, list(range(own))) for frame, size in zip(self.seen, self.sizes, strict=True)]
+        if before is not None:
+            columns = [*range(shared), *range(own, own + len(late))]
+            back = zip(before.seen[:0:-1], before.sizes[:0:-1], strict=True)
+            rows = [(frame, size, columns) for frame, size in back] + rows
+        count, length = len(things), len(rows)
         poses, covariances = np.full((length, count, 4, 4), np.nan), np.full((length, count, 6, 6), np.nan)
         extents = np.tile(np.array([thing.size for thing in things]).reshape(-1, 3), (length, 1, 1))
-        pixels, states = np.zeros((length, count, 4)), []
-        for t, frame in enumerate(seen):
-            known = len(frame.states)
-            poses[t, :known], covariances[t, :known] = frame.poses, frame.covariances
-            extents[t, :known], pixels[t, :known] = sizes[t], frame.pixels
-            states.append([*frame.states, *["gone"] * (count - known)])
-        views = np.array([frame.view for frame in seen])
+        pixels, states = np.zeros((length, count, 4)), [["gone"] * count for _ in rows]
+        for t, (frame, size, columns) in enumerate(rows):
+            mine = columns[: len(frame.states)]
+            poses[t, mine], covariances[t, mine] = frame.poses, frame.covariances
+            extents[t, mine], pixels[t, mine] = size, frame.pixels
+            for column, state in zip(mine, frame.states, strict=True):
+                states[t][column] = state
         kinds = np.array([thing.kind for thing in things])
         track = Track(
             [thing.name for thing in things], [thing.type for thing in things], kinds,
-            np.arange(length) * self.tracker.step if times is None else np.asarray(times)[:length],
-            list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0), views,
-            self.tracker.floor, self.gravity, np.array([frame.rounds for frame in seen]), pixels,
-            list(self.notes), self.cut,
+            np.arange(length) * tracker.step if times is None else np.asarray(times)[:length],
+            list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0),
+            np.array([row[0].view for row in rows]), tracker.floor, self.gravity,
+            np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
         )  # fmt: skip
         track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors())
         return track

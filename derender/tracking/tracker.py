@@ -24,7 +24,7 @@ QUIET_DEVIATIONS = 3.0  # of its pose, within which it may besides jitter from f
 QUIET_FRAMES = 3  # on end: then it rests
 ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off its prediction, and ...
 ROOM_SHARE = 0.6  # ... of its last motion besides
-GROWING = 1e-4  # metres by which an extent's standard deviation is kept above what the images say, each frame
+BIAS = 0.2  # pixels by which outlines may be off in one direction, frame after frame: sensors lose pixels there
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
 MORE_THAN_BEFORE = 1.3  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
@@ -38,7 +38,8 @@ class Seen(NamedTuple):
     ----------
     poses : (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far. covariances : (N, 6, 6) of
         centre and turn, camera axes. states : (N,) of str. pixels : (N, 4), see fit.pixels_of. view : (4, 4), world to
-        camera. rounds : sets of normal equations. blobs : of what nothing explains.
+        camera. rounds : sets of normal equations. blobs : of what nothing explains. cost, valid : nats of the whole
+        frame, and its pixels with a return.
     """
 
     poses: np.ndarray
@@ -48,6 +49,8 @@ class Seen(NamedTuple):
     view: np.ndarray
     rounds: int
     blobs: list
+    cost: float
+    valid: int
 
 
 class Tracker(Drawing):
@@ -86,13 +89,22 @@ class Tracker(Drawing):
         thing, index = self.things[k], self.planes + k
         thing.pose = inverse(self.view) @ self.poses[index]
         covariance = np.linalg.inv(self.turned(curvature, back=True) + 1e-6 * np.eye(len(curvature)))
-        if len(covariance) == len(thing.covariance):
+        if self.unexplained(k):  # wrong fits must not tell what size it is
+            thing.covariance[:6, :6] = covariance[:6, :6]
+            thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
+        elif len(covariance) == len(thing.covariance):
             thing.covariance = covariance
-            thing.covariance[6:, 6:] += GROWING**2 * np.eye(len(covariance) - 6)
+            least = self._bias(thing) ** 2
+            for p in range(6, len(covariance)):
+                covariance[p, p] = max(covariance[p, p], least)
             thing.size = self.sizes[index].copy()
         else:
             thing.covariance[:6, :6] = covariance
             thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
+
+    def _bias(self, thing) -> float:
+        """Return the metres at a thing's depth that outlines may be off by in all frames alike."""
+        return BIAS * max(float((self.view @ thing.pose)[2, 3]), 0.0) / self.camera.fx
 
     def _expected(self, thing):
         """Return where constant velocity leads a thing, (4, 4)."""
@@ -284,8 +296,9 @@ class Tracker(Drawing):
             self._follow(k)
         cost(self.misfit, self.poses, self.sizes)
         resting = [k for k, thing in enumerate(self.things) if thing.state == STILL]
-        for k in resting:
+        for k in sorted(resting, key=self.excess, reverse=True):  # what moved itself before what it uncovers
             self._wake(k)
+        moving += [k for k in resting if self.things[k].state == MOVING]
         if self._close(moving):
             for k in moving:
                 if self.things[k].state == MOVING:
@@ -295,8 +308,10 @@ class Tracker(Drawing):
     def _polish(self, k) -> None:
         """Fit a moving thing again, now that what moves beside it has been found."""
         thing = self.things[k]
-        before = thing.pose[:3, 3].copy()
-        _, curvature = self.fit(k, thing.pose, self._information(thing), True, 3)
+        before, information = thing.pose[:3, 3].copy(), self._information(thing)
+        _, curvature = self.fit(k, thing.pose, information, True, 3)
+        if self.unexplained(k):
+            curvature = self._search(k, thing.pose, information, curvature)
         self._take(k, curvature)
         thing.velocity = thing.velocity + (thing.pose[:3, 3] - before) / self.step
 
@@ -341,9 +356,14 @@ class Tracker(Drawing):
             if thing.here:
                 poses[k] = self.view @ thing.pose
                 covariances[k] = self.turned(thing.covariance[:6, :6])
+                covariances[k, :3, :3] += self._bias(thing) ** 2 * np.eye(3)
         fitting.pixels_of(self.misfit, self.counts, OFF)
         states = [thing.state for thing in self.things]
-        return Seen(poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs)
+        total = float(cost(self.misfit, self.poses, self.sizes))
+        return Seen(
+            poses, covariances, states, self.counts[self.planes :].copy(), self.view.copy(), self.rounds, blobs, total,
+            int(np.count_nonzero(self.observed)),
+        )  # fmt: skip
 
     def add(self, thing: Thing, depth) -> None:
         """Follow another thing from now on."""

@@ -17,7 +17,7 @@ def made():
     paths = [[films.at(0.01 * t, 0, 0.035)] for t in range(4)]
     frames, poses = films.film(np.random.default_rng(0), ["box"], [[0.08, 0.06, 0.07]], paths)
     start = films.start(["box"], [[0.08, 0.06, 0.07]], poses[0])
-    recorder = Recorder(frames[0], films.CAMERA, None, [0, 9, 4], 1 / films.FPS, None, start=start)
+    recorder = Recorder(frames[0], films.CAMERA, start, [0, 9, 4], 1 / films.FPS)
     for frame in frames[1:]:
         recorder.advance(frame)
     return recorder.track(frames=[f"{t}" for t in range(4)]), frames

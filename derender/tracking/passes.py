@@ -1,0 +1,135 @@
+"""Which passes over a film are made: forward; again once sizes are known; and from another frame where that fails.
+
+Things that stand flush or hide each other in the first frame may be told apart only later. Where a pass leaves frames
+unexplained, another frame is inferred and followed both ways, and the pass that explains the film better is kept: by
+the sum of its costs, under one noise for all.
+"""
+
+import numpy as np
+
+from derender.tracking.drawing import DEVIATION
+from derender.tracking.first import Start, start_from
+from derender.tracking.thing import LOST
+from derender.tracking.track import Recorder, Track
+
+GROWN = 0.002  # metres by which an extent must have changed for the film to be gone through again with what is known
+POSE_ROOM = (0.005, 0.05)  # metres and radians: what the first pose may change by when the sizes have
+UNEXPLAINED = (
+    5.0,
+    0.02,
+)  # standard deviations, and share, above the least cost of a frame from which it is not explained
+MOST_UNEXPLAINED = 1  # frames; noise and dropouts make so many
+BETTER = 50.0  # nats by which another pass must be better in sum
+
+
+class Passes:
+    """Passes over a whole film.
+
+    Parameters
+    ----------
+    frames : sequence of (H, W). camera : Camera. gravity : (3,) or None. step : seconds. moving_camera : bool.
+    infer : (depth, quick) -> Posterior of one frame. rng : for draws of posteriors. progress : called after each frame
+    with the share done, or None.
+    """
+
+    def __init__(self, frames, camera, gravity, step, rng, infer, moving_camera=False, progress=None) -> None:
+        self.frames, self.camera, self.gravity, self.step = frames, camera, gravity, step
+        self.rng, self.infer, self.moving_camera, self.progress = rng, infer, moving_camera, progress
+
+    def best(self, posterior) -> "Pass":
+        """Return the best pass, beginning with one from the first frame's posterior."""
+        found = self.improved(self.go(0, start_from(posterior, self.rng)))
+        if self.moving_camera or found.explained() or found.cut is not None:
+            return found
+        noise = found.start
+        for anchor in (len(self.frames) - 1, len(self.frames) // 2):
+            start = start_from(self.infer(self.frames[anchor], False), self.rng)
+            start = start._replace(sigma=noise.sigma, growth=noise.growth, blur=noise.blur, temper=noise.temper)
+            if not start.things:
+                continue
+            other = self.improved(self.go(anchor, start))
+            if other.cut is None and other.cost() < found.cost() - BETTER:
+                found = other
+            if found.explained():
+                break
+        return found
+
+    def improved(self, found: "Pass") -> "Pass":
+        """Return the pass, or one with the sizes that it ended with, where they differ from those of its beginning."""
+        if found.cut is not None or not found.start.things:
+            return found
+        last = {thing.name: thing for thing in found.forward.tracker.things}
+        things, changed = [], 0.0
+        for thing in found.start.things:
+            known = last[thing.name]
+            changed = max(changed, float(np.abs(known.size - thing.size).max()))
+            covariance = np.zeros(thing.covariance.shape)
+            covariance[:6, :6] = np.diag(np.repeat(POSE_ROOM, 3) ** 2)
+            covariance[6:, 6:] = known.covariance[6:, 6:]
+            things.append(thing.copy(size=known.size.copy(), covariance=covariance))
+        if changed < GROWN:
+            return found
+        again = self.go(found.anchor, found.start._replace(things=things))
+        return again if again.cut is None and again.cost() < found.cost() else found
+
+    def go(self, anchor, start: Start) -> "Pass":
+        """Follow what is there in frame `anchor` to the end of the film and to its beginning."""
+        both = []
+        for frames in (self.frames[anchor:], self.frames[anchor::-1] if anchor else []):
+            if not len(frames):
+                continue
+            recorder = Recorder(
+                frames[0], self.camera, start.copy(), self.gravity, self.step, self.moving_camera, self._look
+            )
+            for n, frame in enumerate(frames[1:]):
+                if not recorder.advance(frame):
+                    break
+                if self.progress:
+                    self.progress((n + 1) / len(self.frames), f"frame {n + 1}")
+            both.append(recorder)
+        return Pass(anchor, start, both[0], both[1] if anchor else None)
+
+    def _look(self, depth):
+        return self.infer(depth, True)
+
+
+class Pass:
+    """One pass over a film: from a frame, forward and, where that is not the first one, backward.
+
+    Attributes
+    ----------
+    anchor : the frame. start : what is there. forward, backward : Recorder, Recorder or None.
+    cut : the frame of a cut, or None.
+    """
+
+    def __init__(self, anchor, start, forward, backward) -> None:
+        self.anchor, self.start, self.forward, self.backward = anchor, start, forward, backward
+        self.cut = next(
+            (anchor + way * r.cut for way, r in ((1, forward), (-1, backward)) if r and r.cut is not None), None
+        )
+
+    def costs(self) -> np.ndarray:
+        """Return the cost of each frame in nats, and its pixels, (2, T)."""
+        seen = [*(self.backward.seen[:0:-1] if self.backward else []), *self.forward.seen]
+        return np.array([[frame.cost for frame in seen], [frame.valid for frame in seen]])
+
+    def cost(self) -> float:
+        """Return the sum of the costs."""
+        return float(self.costs()[0].sum())
+
+    def explained(self) -> bool:
+        """Whether nothing is lost and no frame costs much more than the cheapest one."""
+        for recorder in (self.forward, self.backward):
+            if recorder and any(LOST in frame.states for frame in recorder.seen):
+                return False
+        cost, pixels = self.costs()
+        each = cost / np.maximum(pixels, 1.0)
+        least = float(np.min(each))
+        limit = least * (1 + UNEXPLAINED[1]) * pixels + UNEXPLAINED[0] * DEVIATION * np.sqrt(pixels)
+        return int((cost > limit).sum()) <= MOST_UNEXPLAINED
+
+    def track(self, times, names) -> Track:
+        """Return the track of the film."""
+        if self.backward is None:
+            return self.forward.track(times, names)
+        return self.forward.track(times, names, self.backward)
