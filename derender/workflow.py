@@ -267,7 +267,6 @@ def _given(seen, document, options, gradient, progress, warn, command) -> tuple[
 def _bare(seen, document, options, progress, warn) -> tuple[Posterior, LikelihoodPrior]:
     """Infer what there is; a document is a prior of open structure."""
     from derender.structures.infer import infer_structure
-    from derender.structures.jumps.run import infer_by_jumps
     from derender.structures.known.library import read_library
 
     precompile("draws")
@@ -275,6 +274,8 @@ def _bare(seen, document, options, progress, warn) -> tuple[Posterior, Likelihoo
     if options.known is not None and isinstance(options.known, str | Path):
         options = replace(options, known=read_library(options.known))
     if document is not None and options.method in ("mcmc", "smc"):
+        from derender.structures.jumps.run import infer_by_jumps
+
         posterior = infer_by_jumps(seen.depth, seen.camera, options, document, rng, told)
     else:
         if document is not None:

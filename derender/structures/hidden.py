@@ -3,7 +3,7 @@
 import numpy as np
 
 from derender.detection.solids.beliefs import MOST, bare_image
-from derender.detection.solids.image import make_row
+from derender.detection.solids.image import CENTRE, ROTATION, SIZE, make_row
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.sizes import CUBE, FIRST, HIGH, LOW, NODES
 from derender.scene.pose import rotation_z
@@ -12,6 +12,8 @@ from derender.structures.draws.sensor import model_depth
 
 TRIES = 400  # solids of the prior that are put down behind what is seen
 MARGIN = 0.01  # metres by which all of one has to lie behind what is seen in front of it
+LEAST_DEPTH = 1e-3  # metres before the camera: what lies nearer, or behind it, is not in the image
+GRID = np.array([[a, b, c] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) for c in (-1.0, 0.0, 1.0)])
 LEAST_AREA = 1e-4  # square metres of hidden floor that are worth a look
 
 
@@ -38,7 +40,9 @@ def hidden_expected(rng, refined, beliefs=None):
         return 0.0
     chosen = rng.choice(len(z), size=TRIES, p=area / total)
     places = (ray[chosen] * z[chosen, None] - floor[:3, 3]) @ floor[:3, :3]
-    count = sum(unseen(rng, place, beliefs, refined, depth) for place in places)
+    drawn = drawn_rows(rng, places, beliefs)
+    drawn = drawn[out_of_sight(drawn, floor, camera, depth)]
+    count = sum(all(penetration(row, other) <= 0.0 for other in refined.state.rows) for row in drawn)
     return rate_on_floor(beliefs, len(refined.state)) * total * count / TRIES
 
 
@@ -58,34 +62,46 @@ def floor_depth(floor, camera):
     return np.where(depth > 0.0, depth, np.inf)
 
 
-def unseen(rng, place, beliefs, refined, depth):
-    """Whether a solid drawn from the prior at a place (3,) on the floor shows nowhere and enters nothing."""
-    kinds = np.exp(beliefs.kinds)
-    kind = int(rng.choice(len(kinds), p=kinds / kinds.sum()))
-    extents = np.array([drawn_extent(rng, beliefs.sizes[kind, axis]) for axis in range(3)])
-    if kind in (CUBE, SPHERE):
-        extents[:] = extents[0]
-    elif kind == CYLINDER:
-        extents[1] = extents[0]
-    turned = rotation_z(rng.uniform(0.0, np.pi))[:3, :3]
-    row = make_row(BOX if kind == CUBE else kind, turned, place + [0.0, 0.0, 0.5 * extents[2]], extents)
-    if any(penetration(row, other) > 0.0 for other in refined.state.rows):
-        return False
-    signs = np.array([[a, b, c] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) for c in (-1.0, 0.0, 1.0)])
-    points = (row[10:13] + 0.5 * signs * extents @ turned.T) @ refined.chart.floor[:3, :3].T + refined.chart.floor[
-        :3, 3
-    ]
-    camera = refined.sensor.camera
-    columns = np.rint(points[:, 0] / points[:, 2] * camera.fx + camera.cx).astype(int)
-    rows = np.rint(points[:, 1] / points[:, 2] * camera.fy + camera.cy).astype(int)
-    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height) & (points[:, 2] > 0.0)
-    if not inside.all():
-        return False  # what leaves the image is not hidden by what is seen
-    return bool((depth[rows, columns] < points[:, 2] - 0.1 * MARGIN).all())
+def drawn_rows(rng, places, beliefs):
+    """Return rows (n, ROW) of solids drawn from the prior, each standing at a place (n, 3) on the floor."""
+    shares = np.exp(beliefs.kinds)
+    kinds = rng.choice(len(shares), size=len(places), p=shares / shares.sum())
+    extents = np.empty((len(places), 3))
+    for kind in np.unique(kinds):
+        of_kind = kinds == kind
+        for axis in range(3):
+            extents[of_kind, axis] = drawn_extents(rng, beliefs.sizes[kind, axis], int(of_kind.sum()))
+    one_size, one_width = np.isin(kinds, (CUBE, SPHERE)), kinds == CYLINDER
+    extents[one_size] = extents[one_size, :1]
+    extents[one_width, 1] = extents[one_width, 0]
+    centres = places + np.array([0.0, 0.0, 0.5]) * extents
+    turns = rng.uniform(0.0, np.pi, len(places))
+    return np.array([
+        make_row(BOX if kind == CUBE else kind, rotation_z(turn)[:3, :3], centre, extent)
+        for kind, turn, centre, extent in zip(kinds.tolist(), turns, centres, extents, strict=True)
+    ])  # fmt: skip
 
 
-def drawn_extent(rng, row):
-    """Return an extent drawn from a row of a table of sizes, to its grid."""
+def out_of_sight(rows, floor, camera, depth):
+    """Return (n,) bool: which solids lie in the image and all behind its depth (H, W), told by points of their boxes.
+
+    floor : (4, 4) pose, floor frame to camera.
+    """
+    turned = rows[:, ROTATION:CENTRE].reshape(-1, 3, 3)
+    points = rows[:, None, CENTRE:SIZE] + np.einsum("nij,kj->nki", turned * 0.5 * rows[:, None, SIZE:], GRID)
+    points = points @ floor[:3, :3].T + floor[:3, 3]
+    z = np.maximum(points[..., 2], LEAST_DEPTH)
+    columns = np.rint(points[..., 0] / z * camera.fx + camera.cx)
+    lines = np.rint(points[..., 1] / z * camera.fy + camera.cy)
+    inside = (columns >= 0) & (columns < camera.width) & (lines >= 0) & (lines < camera.height)
+    inside &= points[..., 2] > LEAST_DEPTH
+    # What leaves the image is not hidden by what is seen.
+    seen = depth[np.where(inside, lines, 0).astype(int), np.where(inside, columns, 0).astype(int)]
+    return (inside & (seen < points[..., 2] - 0.1 * MARGIN)).all(axis=1)
+
+
+def drawn_extents(rng, row, count):
+    """Return extents (count,) drawn from a row of a table of sizes, to its grid."""
     grid = np.exp(np.linspace(row[LOW], row[HIGH], NODES))
     share = np.exp(row[FIRST:] - row[FIRST:].max()) * np.gradient(grid)
-    return float(rng.choice(grid, p=share / share.sum()))
+    return rng.choice(grid, size=count, p=share / share.sum())

@@ -1,0 +1,61 @@
+"""Solids that nothing shows: what is said to be out of sight changes no pixel, and the prior's are drawn as it says."""
+
+import numpy as np
+from test_graph_posterior import camera, floor_pose, row
+
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.scene.solids import BOX
+from derender.structures.draws.chart import make_chart
+from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.hidden import drawn_extents, drawn_rows, hidden_expected, out_of_sight
+
+VIEW = camera(96, 72)
+
+
+def wide_box(height=0.2):
+    return State().add(row(BOX, 0.0, 0.0, 0.05, 0.0, (0.4, 0.05, height)), UPRIGHT, False, FLOOR, 0.0)
+
+
+def test_what_is_out_of_sight_changes_no_pixel_and_the_rest_does():
+    rng, state = np.random.default_rng(0), wide_box()
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    depth = model_depth(chart, values, VIEW)
+    places = np.column_stack([rng.uniform(-0.2, 0.2, 300), rng.uniform(-0.4, 0.4, 300), np.zeros(300)])
+    drawn = drawn_rows(rng, places, bare_image())
+    hidden = out_of_sight(drawn, floor_pose(), VIEW, depth)
+    assert 5 < hidden.sum() < 200
+    shown = []
+    for each in drawn:
+        both = state.add(each, UPRIGHT, False, FLOOR, 0.0)
+        chart, values = make_chart(both, floor_pose(), Rules(0.0015))
+        shown.append(bool((model_depth(chart, values, VIEW) < depth - 1e-9).any()))
+    shown = np.array(shown)
+    assert not (hidden & shown).any()
+    # Points of a box stand for all of it, with a margin: of what changes no pixel some few do not count.
+    inside = np.abs(places[:, 0]) < 0.1
+    assert (hidden | shown)[inside].mean() > 0.9
+
+
+def test_more_is_expected_behind_a_higher_box_and_nothing_where_all_is_seen():
+    rng = np.random.default_rng(1)
+
+    class Found:
+        def __init__(self, state):
+            self.state = state
+            self.chart, self.values = make_chart(state, floor_pose(), Rules(0.0015))
+            self.sensor = Sensor(VIEW, np.zeros((72, 96)), None, {})
+
+    low, high = (hidden_expected(rng, Found(wide_box(height))) for height in (0.06, 0.3))
+    assert 0.0 <= low < 0.5 * high
+    assert hidden_expected(rng, Found(State())) == 0.0
+
+
+def test_extents_are_drawn_as_their_table_says():
+    rng, beliefs = np.random.default_rng(2), bare_image()
+    drawn = np.log(drawn_extents(rng, beliefs.sizes[BOX, 0], 20_000))
+    # data/priors: log-normal about 8.5 cm with a log spread of .45; four standard errors of mean and spread.
+    assert abs(drawn.mean() - np.log(0.085)) < 4 * 0.45 / np.sqrt(20_000) + 0.01
+    assert abs(drawn.std() - 0.45) < 4 * 0.45 / np.sqrt(2 * 20_000) + 0.01
