@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, neighbourhood
+from derender.results.kind import wrong_kind
 from derender.results.regions import LETTERS, Region, components, opened
 from derender.results.trust import Doubt
 
@@ -30,7 +31,8 @@ MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without retur
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
 FEW_PIXELS = 12  # of a solid say nothing of it as a whole
 FILLING = 0.5  # share of the image that one solid may fill
-CUT = 0.1  # share of a solid's outline that lies on the image's border
+CUT, MOST_CUT = 0.1, 0.25  # share of a solid's outline that lies on the image's border, to be told and to be serious
+ALONE, SEEN, NO_THING = 0.97, 0.9, 1.0  # share of the depths on one plane, of the pixels with one; metres it is wide
 NOISY = 4.0  # times the noise of flat patches, from which on a fitted noise hides something
 
 
@@ -52,8 +54,10 @@ def check_fit(
         *unexplained(fit, valid),
         *too_much_background(fit, valid),
         *too_noisy(fit, observed, likelihood),
+        *wrong_kind(observed, camera, fit.noise),
         *unborne_solids(graph, fit, valid),
         *at_the_border(graph, fit),
+        *nothing_but_a_plane(graph, fit, camera, observed),
     ]
     return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
 
@@ -145,8 +149,22 @@ def at_the_border(graph: "SceneGraph", fit: Fit) -> list[Doubt]:
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         if cut > CUT * (outline + cut):
             words = f"{vertex.name} is cut by the image's border: how big it is beyond is a guess"
-            doubts.append(Doubt(words, False, (region,)))
+            doubts.append(Doubt(words, cut > MOST_CUT * (outline + cut), (region,)))
     return doubts
+
+
+def nothing_but_a_plane(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
+    """Return a doubt where one surface fills the view, no wider than a thing may be: a box's side would look so too."""
+    valid = np.isfinite(observed)
+    alone = float(fit.explained[valid].mean()) >= ALONE and float(valid.mean()) >= SEEN
+    if not alone or any(vertex.body.size() is not None for vertex in graph.vertices):
+        return []
+    corners = camera.points(observed)[valid]
+    wide = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if wide > NO_THING:
+        return []
+    words = f"nothing is seen but one surface of {wide:.2g} m: a thing that fills the view would look the same"
+    return [Doubt(words)]
 
 
 def percent(share: float) -> str:

@@ -82,9 +82,11 @@ def test_background_is_no_explanation():
 
 
 def test_what_the_border_cuts_is_worth_knowing_and_what_fills_the_view_is_serious():
-    cut = scene(cube("cut", 0.5, 0.0, 0.15))
+    cut = scene(cube("cut", 0.4, 0.0, 0.15))
     (doubt,) = doubts_of(cut, image(cut))
     assert not doubt.serious and "cut by the image's border" in doubt.words and trusted([doubt])
+    half = scene(cube("half", 0.62, 0.0, 0.25))
+    assert any(d.serious and "half is cut" in d.words for d in doubts_of(half, image(half)))
     filling = scene(cube("huge", 0.0, 0.0, 0.6))
     assert any(d.serious and "huge fills" in d.words for d in doubts_of(filling, image(filling)))
 
@@ -93,3 +95,19 @@ def test_what_the_border_cuts_is_worth_knowing_and_what_fills_the_view_is_seriou
 def test_a_shift_within_the_sensors_own_is_none(shift):
     moved = replace(TRUE, root_pose=translation(0.0, 0.0, shift) @ TRUE.root_pose)
     assert bool(doubts_of(moved, image(TRUE))) == (shift > 0.02)
+
+
+def test_one_surface_that_fills_the_view_may_be_a_things():
+    near = SceneGraph(translation(0.0, 0.0, 0.4) @ rotation_x(np.deg2rad(160)), (FLOOR,))
+    (doubt,) = doubts_of(near, image(near))
+    assert doubt.serious and "nothing is seen but one surface" in doubt.words
+    far = SceneGraph(translation(0.0, 0.0, 1.8) @ rotation_x(np.deg2rad(160)), (FLOOR,))
+    assert doubts_of(far, image(far)) == ()  # nothing is so wide
+    assert doubts_of(TRUE, image(TRUE)) == ()
+
+
+def test_range_instead_of_depth_is_told():
+    seen = image(TRUE)
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    ray = np.sqrt(1.0 + ((columns - CAMERA.cx) / CAMERA.fx) ** 2 + ((rows - CAMERA.cy) / CAMERA.fy) ** 2)
+    assert any("range" in d.words for d in doubts_of(TRUE, seen * ray))

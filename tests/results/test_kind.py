@@ -1,0 +1,58 @@
+"""Range and disparity are told from depth by the plane that fills most of an image; depth is never taken for them."""
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.render.raycast.depth import render_depth
+from derender.results.kind import plane_shares, wrong_kind
+from derender.results.noise import flat_noise
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, translation
+
+CAMERA = Camera.from_field_of_view(160, 120)
+SIZES = {"length": 0.1, "width": 0.14, "height": 0.12}
+
+
+def image(elevation, sigma=0.003, boxes=3):
+    face = [Contact("face-to-face", "+z", "-z", {"x": 0.2 * k - 0.2, "y": 0.0, "theta": 0.5}) for k in range(boxes)]
+    solids = [Vertex(f"box_{k}", "box", SIZES, "floor", contact) for k, contact in enumerate(face)]
+    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
+    graph = SceneGraph(translation(0.0, 0.05, 0.9) @ rotation_x(np.deg2rad(90 + elevation)), (floor, *solids))
+    depth = render_depth(graph.solids(), CAMERA)[0]
+    depth = np.where(depth < 4.0, depth, np.nan)
+    return depth * (1.0 + np.random.default_rng(0).normal(0.0, sigma, depth.shape))
+
+
+def rays():
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    across, down = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
+    return np.sqrt(1.0 + across**2 + down**2)
+
+
+def words_of(seen):
+    return [doubt.words for doubt in wrong_kind(seen, CAMERA, flat_noise(seen))]
+
+
+@pytest.mark.parametrize("elevation", [20, 40, 60, 90])
+def test_depth_is_depth(elevation):
+    assert words_of(image(elevation)) == [] and words_of(image(elevation, 0.02)) == []
+
+
+@pytest.mark.parametrize("elevation", [40, 60, 90])
+def test_range_is_told(elevation):
+    (words,) = words_of(image(elevation) * rays())
+    assert words.startswith("the numbers look like distances along the rays (range)")
+
+
+@pytest.mark.parametrize("elevation", [20, 40, 60])
+def test_disparity_is_told(elevation):
+    (words,) = words_of(0.5 / image(elevation))
+    assert words.startswith("the numbers look like disparities")
+
+
+def test_a_plane_has_its_share_in_any_units():
+    seen = image(40, 0.0, 0)
+    assert plane_shares(seen, CAMERA, flat_noise(seen))["depth"] == 1.0
+    assert plane_shares(7.0 * seen, CAMERA, flat_noise(7.0 * seen))["depth"] == 1.0
+    assert words_of(np.full((120, 160), np.nan)) == []
