@@ -15,8 +15,11 @@ import numpy as np
 from derender.camera.camera_file import camera_from_tree, read_camera
 from derender.camera.depth_formats import (
     DAMAGE,
+    FEW_STEPS,
     MOST_BYTES,
+    RAW,
     SATURATED,
+    STRETCHED,
     SUFFIXES,
     Decoded,
     decode_npz,
@@ -182,9 +185,11 @@ def _two_dimensional(array: np.ndarray, path: str | Path) -> np.ndarray:
     if array.size > MOST_PIXELS:
         raise DerenderError("too many pixels", path)
     if array.dtype == np.uint8 or array.dtype == np.int8 or array.dtype == bool:
-        raise DerenderError("8 bits a pixel are too coarse for depth", path, "give 16-bit units or float metres")
+        raise DerenderError("8 bits a pixel are too coarse for depth", path, RAW)
     if array.dtype.kind not in "fiu":
         raise DerenderError(f"the array holds {array.dtype}", path, "give 16-bit units or float metres")
+    if array.dtype == np.uint16 and not (array % STRETCHED).any() and len(np.unique(array)) > FEW_STEPS:
+        raise DerenderError("this is a picture of 8 bits a pixel, stretched to 16", path, RAW)
     return array
 
 

@@ -20,6 +20,10 @@ from derender.json_text import parse_json
 
 SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
 MOST_BYTES = 2**30
+RAW = "give the raw depth image: one channel of 16-bit units or float metres, no picture to look at"
+# A picture is taken for a colourised one where most of its pixels that are not dark have vivid colours.
+DARK, VIVID, MOSTLY = 30, 0.6, 0.9  # of 255; share of the brightest channel that the darkest is below; of the pixels
+STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
 SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
 # What decoders raise on damaged files; anything else is a bug and shows its traceback.
 DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
@@ -112,6 +116,20 @@ def decode_npz(data: bytes) -> Decoded:
     return Decoded(array, camera, meta if isinstance(meta, dict) else {})
 
 
+def _colour_words(picture: Any) -> str:
+    """Return what a picture of several channels seems to be, before it is refused."""
+    what = f"this is a colour image ({picture.mode})"
+    if picture.mode not in ("RGB", "RGBA"):
+        return what
+    small = np.asarray(picture.convert("RGB").resize((64, 48)), int)
+    away = small.max(axis=-1) - small.min(axis=-1)
+    if away.max() == 0:
+        return f"this is a grey picture of 8 bits in a colour image ({picture.mode})"
+    lit = small.max(axis=-1) > DARK
+    vivid = bool(lit.any()) and float(np.mean(away[lit] > VIVID * small.max(axis=-1)[lit])) > MOSTLY
+    return f"{what}, of colours that stand for depth as it seems" if vivid else what
+
+
 def _decode_picture(data: bytes) -> Decoded:
     """Decode a .png or .tiff; what its mode says about depth is checked before a pixel is read."""
     import warnings
@@ -132,10 +150,9 @@ def _decode_picture(data: bytes) -> Decoded:
         if picture.width * picture.height > MOST_PIXELS:
             raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
         if picture.mode in ("1", "L", "P"):
-            raise DerenderError("8 bits a pixel are too coarse for depth", remedy="save 16 bits a pixel")
+            raise DerenderError("8 bits a pixel are too coarse for depth", remedy=RAW)
         if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
-            what = f"this is a colour image ({picture.mode})"
-            raise DerenderError(what, remedy="give the depth image: one channel of 16-bit units or float metres")
+            raise DerenderError(_colour_words(picture), remedy=RAW)
         pages = getattr(picture, "n_frames", 1)
         if pages > 1:
             raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")

@@ -125,6 +125,17 @@ def save(path, array):
     np.save(path, np.asarray(array), allow_pickle=True)
 
 
+def colourised():
+    """Return a picture (48, 64, 3) of a depth ramp in the colours of a rainbow."""
+    hue = np.linspace(0.0, 4.0, 64) * np.ones((48, 1))
+    return (255 * np.clip(np.stack([hue - 1.5, 2.0 - abs(hue - 2.0), 2.5 - hue], axis=-1), 0.0, 1.0)).astype(np.uint8)
+
+
+def photograph():
+    """Return a picture (48, 64, 3) of dull colours."""
+    return np.random.default_rng(0).integers(90, 160, (48, 64, 3)).astype(np.uint8)
+
+
 FAULTS = {
     "missing": (lambda path: None, "No such file"),
     "a folder": (lambda path: path.mkdir(), "Is a directory"),
@@ -142,6 +153,22 @@ FAULTS = {
     "16-bit colour": (
         lambda path: path.write_bytes((FILES / "opencv_colour_16bit.png").read_bytes()),
         "a colour image",
+    ),
+    "colourised": (
+        lambda path: Image.fromarray(colourised()).save(path, "PNG"),
+        "colours that stand for depth as it seems; give the raw depth image",
+    ),
+    "photograph": (
+        lambda path: Image.fromarray(photograph()).save(path, "PNG"),
+        r"a colour image \(RGB\); give the raw",
+    ),
+    "grey in colour": (
+        lambda path: Image.fromarray(np.repeat(photograph()[..., :1], 3, axis=2)).save(path, "PNG"),
+        "a grey picture of 8 bits in a colour image",
+    ),
+    "stretched": (
+        lambda path: save(path, np.arange(48, dtype=np.uint16).reshape(6, 8) * 257),
+        "8 bits a pixel, stretched to 16",
     ),
     "double tiff": (lambda path: path.write_bytes((FILES / "tifffile_double.tiff").read_bytes()), "float32 .tiff"),
     "colour array": (lambda path: save(path, np.zeros((3, 4, 3), np.uint16)), "3 x 4 x 3; this looks like a colour"),
