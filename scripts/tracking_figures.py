@@ -90,7 +90,12 @@ def follow(frames, camera, truth, seed):
         start = time.perf_counter()
         cost(tracker.misfit, tracker.poses, tracker.sizes)
         full.append(time.perf_counter() - start)
-    best = Passes(film.frames, seen, film.gravity, 1 / camera["fps"], rng, infer).best(posterior)
+    known = {film.frames[0].tobytes(): posterior}  # inferred once
+
+    def first_of(depth):
+        return start_from(known.get(depth.tobytes()) or infer(depth, False), np.random.default_rng(seed))
+
+    best = Passes(film.frames, seen, film.gravity, 1 / camera["fps"], first_of, lambda d: infer(d, True)).best()
     return best.track(times, film.names), first, np.array(spent), float(np.median(full)), np.array(moving)
 
 

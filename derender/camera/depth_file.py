@@ -124,7 +124,8 @@ def _at_its_size(camera: Camera, shape: tuple[int, int]) -> str:
     if abs(camera.height - factor * shape[0]) > 0.5 * factor:  # another aspect
         return ""
     small = camera.downscaled(factor).to_dict() | {"height": shape[0], "width": shape[1]}
-    return f"; scaled to its size the same would be {json.dumps({key: round(n, 3) for key, n in small.items()})}"
+    numbers = {key: round(n, 3) for key, n in small.items() if isinstance(n, int | float)}
+    return f"; scaled to its size the same would be {json.dumps(numbers)}"
 
 
 def write_depth(

@@ -13,6 +13,7 @@ from derender.scene.pose import inverse
 
 NOTHING, FLOOR = 0, 1  # columns before those of the things
 SLACK = 0.0015  # metres by which a contact may be off besides the poses' errors: sizes, and the sensor's bias
+SLACK_AT_REST = 0.004  # metres: what rests stands on something, however wrong its size is
 ANYWHERE = 0.15  # metres over which the height of what hangs in the air is uniform
 STEADY, UNSTEADY = 0.0012, 0.015  # metres a frame by which a gap changes in contact, and in the air
 MOST_TOLD = 6.0  # nats that the change of a gap says at most
@@ -63,15 +64,17 @@ def bears(rows, k, names) -> str | None:
     return None if abs(gaps[best]) > AFLOAT else "floor" if best == FLOOR else names[best - 2]
 
 
-def evidence(gaps, spread):
+def evidence(gaps, spread, resting):
     """Return (T, N, 2 + N) log densities of the gaps by what each thing rests on.
 
     gaps : (T, N, 2 + N) metres. spread : (T, N) standard deviation of each thing's height, metres.
+    resting : (T, N) bool, what does not move.
     """
     told = np.full(gaps.shape, NO_SUPPORT)
     told[:, :, NOTHING] = 0.0
     near = np.isfinite(gaps)
-    sigma = np.sqrt(spread[:, :, None] ** 2 + SLACK**2)
+    slack = np.where(resting, SLACK_AT_REST, SLACK)
+    sigma = np.sqrt(spread**2 + slack**2)[:, :, None]
     with np.errstate(invalid="ignore"):
         here = -0.5 * (gaps / sigma) ** 2 - np.log(sigma * np.sqrt(2 * np.pi)) + np.log(ANYWHERE)
         change = np.abs(np.diff(gaps, axis=0))
@@ -108,11 +111,11 @@ def smoothed(told, start=None):
     return both / both.sum(axis=1, keepdims=True)
 
 
-def parent_probabilities(poses, covariances, sizes, kinds, floors):
+def parent_probabilities(poses, covariances, sizes, kinds, floors, resting):
     """Return P(parent) (T, N, 2 + N): nothing, the floor, each thing; NaN where a thing is not there.
 
     poses : (T, N, 4, 4) to camera, NaN where not there. covariances : (T, N, 6, 6). sizes : (T, N, 3). kinds : (N,).
-    floors : (T, 4, 4) to camera, z up; has_floor is whether they are finite.
+    floors : (T, 4, 4) to camera, z up. resting : (T, N) bool, what does not move.
     """
     frames, count = poses.shape[:2]
     gaps, spread = np.full((frames, count, 2 + count), np.inf), np.full((frames, count), SLACK)
@@ -122,7 +125,7 @@ def parent_probabilities(poses, covariances, sizes, kinds, floors):
         for k in range(count):
             if np.isfinite(covariances[t, k]).all():
                 spread[t, k] = np.sqrt(max(up @ covariances[t, k, :3, :3] @ up, 0.0))
-    told = evidence(gaps, spread)
+    told = evidence(gaps, spread, np.asarray(resting))
     chances = np.full((frames, count, 2 + count), np.nan)
     there = np.isfinite(poses[:, :, 0, 0])
     for k in range(count):

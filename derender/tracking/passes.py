@@ -8,7 +8,7 @@ the sum of its costs, under one noise for all.
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
-from derender.tracking.first import Start, start_from
+from derender.tracking.first import Start
 from derender.tracking.thing import LOST
 from derender.tracking.track import Recorder, Track
 
@@ -28,22 +28,22 @@ class Passes:
     Parameters
     ----------
     frames : sequence of (H, W). camera : Camera. gravity : (3,) or None. step : seconds. moving_camera : bool.
-    infer : (depth, quick) -> Posterior of one frame. rng : for draws of posteriors. progress : called after each frame
-    with the share done, or None.
+    begin : (depth) -> Start, what one frame shows. look : (depth) -> Posterior, of the best scene only, for what
+    comes in later, or None. progress : called after each frame with the share done, or None.
     """
 
-    def __init__(self, frames, camera, gravity, step, rng, infer, moving_camera=False, progress=None) -> None:
+    def __init__(self, frames, camera, gravity, step, begin, look=None, moving_camera=False, progress=None) -> None:
         self.frames, self.camera, self.gravity, self.step = frames, camera, gravity, step
-        self.rng, self.infer, self.moving_camera, self.progress = rng, infer, moving_camera, progress
+        self.begin, self.look, self.moving_camera, self.progress = begin, look, moving_camera, progress
 
-    def best(self, posterior) -> "Pass":
-        """Return the best pass, beginning with one from the first frame's posterior."""
-        found = self.improved(self.go(0, start_from(posterior, self.rng)))
+    def best(self) -> "Pass":
+        """Return the best pass, beginning with one from the first frame."""
+        found = self.improved(self.go(0, self.begin(self.frames[0])))
         if self.moving_camera or found.explained() or found.cut is not None:
             return found
         noise = found.start
         for anchor in (len(self.frames) - 1, len(self.frames) // 2):
-            start = start_from(self.infer(self.frames[anchor], False), self.rng)
+            start = self.begin(self.frames[anchor])
             start = start._replace(sigma=noise.sigma, growth=noise.growth, blur=noise.blur, temper=noise.temper)
             if not start.things:
                 continue
@@ -79,7 +79,7 @@ class Passes:
             if not len(frames):
                 continue
             recorder = Recorder(
-                frames[0], self.camera, start.copy(), self.gravity, self.step, self.moving_camera, self._look
+                frames[0], self.camera, start.copy(), self.gravity, self.step, self.moving_camera, self.look
             )
             for n, frame in enumerate(frames[1:]):
                 if not recorder.advance(frame):
@@ -88,9 +88,6 @@ class Passes:
                     self.progress((n + 1) / len(self.frames), f"frame {n + 1}")
             both.append(recorder)
         return Pass(anchor, start, both[0], both[1] if anchor else None)
-
-    def _look(self, depth):
-        return self.infer(depth, True)
 
 
 class Pass:

@@ -128,8 +128,11 @@ def track_to_folder(
 def track_film(film: Film, options: Options, moving_camera=False, progress=None) -> Track:
     """Infer the first frame of a film, and follow what is there through the others."""
     infer, rng = inferrer(options, film.camera, progress), np.random.default_rng(options.seed)
-    passes = Passes(film.frames, film.camera, film.gravity, step_of(film), rng, infer, moving_camera, progress)
-    return passes.best(infer(film.frames[0], False)).track(film.times, film.names)
+    passes = Passes(
+        film.frames, film.camera, film.gravity, step_of(film), lambda depth: start_from(infer(depth, False), rng),
+        lambda depth: infer(depth, True), moving_camera, progress,
+    )  # fmt: skip
+    return passes.best().track(film.times, film.names)
 
 
 def inferrer(options: Options, camera, progress=None):

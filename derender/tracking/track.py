@@ -7,7 +7,7 @@ import numpy as np
 from derender.tracking.contact import bears, parent_probabilities, rows_of
 from derender.tracking.drawing import OFF
 from derender.tracking.first import thing_of
-from derender.tracking.thing import MOVING
+from derender.tracking.thing import MOVING, STILL
 from derender.tracking.tracker import Seen, Tracker
 
 CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
@@ -200,5 +200,6 @@ class Recorder:
             np.array([row[0].view for row in rows]), tracker.floor, self.gravity,
             np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
         )  # fmt: skip
-        track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors())
+        resting = np.array([[state == STILL for state in row] for row in states]).reshape(length, count)
+        track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors(), resting)
         return track

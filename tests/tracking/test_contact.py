@@ -45,7 +45,9 @@ def test_a_box_that_is_lifted_changes_its_parent_when_it_leaves():
             poses[t, k] = floor @ pose
     sizes = np.tile([[0.1, 0.1, 0.1], [0.06, 0.06, 0.06]], (frames, 1, 1))
     spread = np.tile(np.eye(6) * 1e-6, (frames, 2, 1, 1))
-    chances = parent_probabilities(poses, spread, sizes, np.array([BOX, BOX]), np.tile(floor, (frames, 1, 1)))
+    chances = parent_probabilities(
+        poses, spread, sizes, np.array([BOX, BOX]), np.tile(floor, (frames, 1, 1)), np.zeros((frames, 2), bool)
+    )
     assert np.allclose(chances.sum(axis=2), 1)
     assert (chances[:, 0, FLOOR] > 0.95).all()
     assert (chances[:5, 1, 2] > 0.9).all() and (chances[8:, 1, 0] > 0.9).all()
@@ -54,4 +56,4 @@ def test_a_box_that_is_lifted_changes_its_parent_when_it_leaves():
 def test_what_is_not_there_has_no_parent():
     poses = np.full((3, 1, 4, 4), np.nan)
     spread, sizes, floors = np.full((3, 1, 6, 6), np.nan), np.full((3, 1, 3), 0.1), np.tile(np.eye(4), (3, 1, 1))
-    assert np.isnan(parent_probabilities(poses, spread, sizes, np.array([BOX]), floors)).all()
+    assert np.isnan(parent_probabilities(poses, spread, sizes, np.array([BOX]), floors, np.zeros((3, 1), bool))).all()
