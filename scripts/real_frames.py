@@ -13,7 +13,7 @@ import numpy as np
 from derender.detection.solids.image import render_floor_scene
 from derender.evaluation.matching import assign
 from derender.report.scene_json import scene_json
-from derender.structures.infer import draw_graph, infer_structure
+from derender.structures.infer import infer_structure
 
 GRASPNET = {"sugar": (0.045, 0.092, 0.176), "cheezit": (0.051, 0.153, 0.194), "cylinder": (0.0664, 0.0664, 0.151)}
 WHOLE = 0.95  # share of an object's pixels that shows: then its measured length and width are no lower bounds
@@ -36,10 +36,13 @@ def read_frame(folder, stem, camera_name=None):
     return np.where(depth > 0, depth, np.nan), camera
 
 
-def predicted_labels(graph, depth, camera):
-    """Return (H, W) int: 1 + the solid that each pixel with a return shows within 3 cm, 0 for none, and their names."""
-    drawn, label, names = draw_graph(graph, depth.shape, camera)
-    return np.where((label >= 0) & (np.abs(np.nan_to_num(depth) - drawn) < 0.03), label + 1, 0), names
+def predicted_labels(told, depth):
+    """Return (H, W) int: 1 + the solid that each pixel with a return shows within 3 cm, 0 for none, and their names.
+
+    told : Explanation.
+    """
+    shown = (told.label >= 0) & (np.abs(np.nan_to_num(depth) - told.depth) < 0.03)
+    return np.where(shown, told.label + 1, 0), told.names
 
 
 def evaluate_mosd(folder, options, verbose):
@@ -55,10 +58,11 @@ def evaluate_mosd(folder, options, verbose):
     for path in sorted((folder / "depth").glob("*.png")):
         depth, camera = read_frame(folder, path.stem, "camera.json")
         start = time.perf_counter()
-        graph = infer_structure(depth, camera, options, np.random.default_rng(0)).best_graph()
+        posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
+        graph = posterior.best_graph()
         seconds.append(time.perf_counter() - start)
         label = imageio.imread(folder / "label" / path.name) // 10
-        predicted, names = predicted_labels(graph, depth, camera)
+        predicted, names = predicted_labels(posterior.explanation, depth)
         ids = [k for k in np.unique(label) if k >= 2]
         overlap = np.array([[np.sum((predicted == j + 1) & (label == k)) / np.sum((predicted == j + 1) | (label == k))
                              for k in ids] for j in range(len(names))]).reshape(len(names), len(ids))  # fmt: skip
@@ -92,7 +96,8 @@ def size_errors(solid, floor, truth, pixels, camera):
     truth : of reference_measurements.json: height of the top over the table, visible length L and width W.
     """
     floor_pose, pose, size = np.array(floor["pose"]), np.array(solid["pose"]), np.array(solid["size"])
-    _, label = render_floor_scene([solid["type"]], pose[None], size[None], floor_pose, camera)
+    drawn = "box" if solid["type"] == "thing" else solid["type"]
+    _, label = render_floor_scene([drawn], pose[None], size[None], floor_pose, camera)
     partly = pixels < WHOLE * np.sum(label == 0)
     pose = np.linalg.inv(floor_pose) @ pose
     up = np.abs(pose[2, :3])

@@ -93,12 +93,17 @@ def plane_at_origin(values, place, about, within):
     return min(max(1.0 / a, low), high) if a > 0.0 else about
 
 
+def reduced_by(depth, widest):
+    """Return the whole factor by which `reduce` makes an image (H, W) smaller."""
+    return max(1, int(round(depth.shape[1] / widest)))
+
+
 def reduce(depth, camera, widest):
     """Return (depth, camera dict, factor) of the image reduced by a whole factor to about `widest` pixels across.
 
     depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
     """
-    factor = max(1, int(round(depth.shape[1] / widest)))
+    factor = reduced_by(depth, widest)
     filled = np.nan_to_num(np.ascontiguousarray(depth, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     if factor > 1:
         filled = sampled_blocks(filled, factor, max(2, factor * factor // 5))

@@ -17,9 +17,11 @@ CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
 TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece
-CLOSE = 0.015  # metres between pieces of one thing, with nothing between but what returned nothing
+RIM = 40  # pixels of a piece that may be the inside or the outside of another
+CLOSE = 0.03  # metres between pieces of one thing, with nothing between but what returned nothing
 SAME_TOP = 0.02  # metres between their highest points
-FILLED = 1.12  # most times the pieces' outlines, seen from above, that their common outline may hold
+BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
+FILLED = 1.2  # most times the pieces' outlines, seen from above, that their common outline may hold
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -110,10 +112,10 @@ def segments(points, mask, normal, jump, footprint):
     return label, count, common_edges(points, label, count, jump, footprint)
 
 
-def joined(points, label, count, edges, price, nats):
+def joined(points, label, count, edges, price, nats, origin):
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
-    price : nats of one more thing. nats : of each metre of edge within a thing.
+    price : nats of one more thing. nats : of each metre of edge within a thing. origin : (3,) the camera's centre.
     """
     owner = np.arange(count)
     edges = edges.copy()
@@ -129,19 +131,29 @@ def joined(points, label, count, edges, price, nats):
     clouds = {k: points[np.isin(label, np.flatnonzero(owner == k))] for k in np.unique(owner)}
     for a in sorted(clouds):
         for b in sorted(clouds):
-            if a < b and a in clouds and b in clouds and one_rim(clouds[a], clouds[b]):
+            if (
+                a < b
+                and a in clouds
+                and b in clouds
+                and min(len(clouds[a]), len(clouds[b])) >= RIM
+                and one_rim(clouds[a], clouds[b], origin)
+            ):
                 owner[owner == b] = a
                 clouds[a] = np.vstack([clouds[a], clouds.pop(b)])
     return owner
 
 
-def one_rim(first, second):
+def one_rim(first, second, origin):
     """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
 
-    They are close, equally high, and complement each other seen from above: their common outline holds hardly more
-    than theirs do.
+    They are close, one behind the other as the camera sees them, equally high, and complement each other seen from
+    above: their common outline holds hardly more than theirs do.
     """
     if abs(np.quantile(first[:, 2], 0.98) - np.quantile(second[:, 2], 0.98)) > SAME_TOP:
+        return False
+    middle, other = first[:, :2].mean(axis=0), second[:, :2].mean(axis=0)
+    away, apart = 0.5 * (middle + other) - origin[:2], other - middle
+    if abs(away @ apart) < BEHIND * np.linalg.norm(away) * np.linalg.norm(apart):
         return False
     a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
     apart = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)

@@ -19,7 +19,7 @@ from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest
-from derender.detection.solids.misfit import LIMIT
+from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
 from derender.detection.solids.support import flat_top
@@ -29,9 +29,11 @@ from derender.scene.solids import BOX
 
 PATCH = 0.03  # metres over which household surfaces bend little
 NUMBER = 2.3  # nats: log 10
-EDGE = 14.0  # nats: the odds against PATCH metres of a concave edge within one thing, a million to one
+EDGE = 23.0  # nats against PATCH metres of a concave edge within one thing: handles and necks have less than twice that
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
+LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
+LEFT_PIXELS, LEFT_HEIGHT, LEFT_SHARE = 40, 0.02, 0.7  # that it has at least: pixels, metres, of its body
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
 LARGEST = 0.6  # metres: what is larger is furniture or a wall
@@ -67,24 +69,56 @@ class Cost(NamedTuple):
     normal: np.ndarray
 
 
-def find_things(seen, state, settings):
+def take_things(seen, state, settings, reluctance=0.0):
     """Return (State of the solids that stay, [(mask, gain)] of what is free-form) that explain the image best.
 
-    A mask is (H, W) bool, a gain what `Thing` says of it.
+    A mask is (H, W) bool, a gain what `Thing` says of it. What is free-form explains its pixels from then on: the image
+    has them as they are seen, so that solids leave them alone.
 
-    seen : Observation. state : State of the solids that the search found.
+    seen : Observation; its image is changed. state : State of the solids that the search found.
+    reluctance : nats by which a free-form thing must be better than the solids that it takes the place of.
     """
     image = seen.image
-    jump = APART * seen.footprint + 3.0 * seen.sigma
+    as_seen = np.abs(image.floor - image.depth) < AS_SEEN
+    seen = seen._replace(mask=seen.mask & ~as_seen)
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     body, count = label_bodies(seen.points, seen.mask, jump)
     if count == 0:
         return state, []
     cost = cost_of(seen, jump)
     keep = set(range(len(state)))
     for members in groups_of(image, state, body, count):
-        keep = best_subset(seen, state, keep, members, cost, jump, settings)
+        keep = best_subset(seen, state, keep, members, cost, jump, settings, reluctance)
     kept = subset(state, keep)
-    return kept, pieces_of(seen, kept, cost, jump, settings)[0]
+    things, _ = pieces_of(seen, kept, cost, jump, settings)
+    for mask, _ in things:
+        image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
+    return kept, things
+
+
+def leftovers(seen, state, settings):
+    """Return [(mask, gain)] of whole bodies clearly over the support that neither solids nor dearer things explain.
+
+    That something is there is beyond doubt, whatever it is: of a body far off the support the misfit, which counts a
+    pixel as an outlier at most, says too little. So such a thing costs LEFT_PRICE only. The image is changed as by
+    `take_things`.
+    """
+    image = seen.image
+    if settings.temper == 1.0 or not seen.mask.any():
+        return []
+    body, count = label_bodies(seen.points, seen.mask, np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma))
+    depth, _, misfit, _ = held_out(image, state, -1)
+    left = seen.mask & (misfit > BAD) & (image.depth < depth)
+    pixels, missed = (np.bincount(body[mask & (body >= 0)], minlength=count) for mask in (seen.mask, left))
+    found = []
+    for k in np.flatnonzero((missed >= LEFT_PIXELS) & (missed > LEFT_SHARE * pixels)):
+        mask = left & (body == k)
+        low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
+        gain = float(misfit[mask].sum()) - settings.temper * LEFT_PRICE
+        if gain > 0.0 and high[2] > max(LEFT_HEIGHT, 2.0 * settings.uneven) and max(high[:2] - low[:2]) < LARGEST:
+            found.append((mask, gain))
+            image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
+    return found
 
 
 def cost_of(seen, jump):
@@ -150,14 +184,14 @@ def groups_of(image, state, body, count):
     return groups
 
 
-def best_subset(seen, state, keep, members, cost, jump, settings):
+def best_subset(seen, state, keep, members, cost, jump, settings, reluctance):
     """Return which solids stay: `keep` without those of `members` that a free-form surface explains better."""
 
     def value(chosen):
         trial = subset(state, chosen)
         return total_energy(seen.image, trial, settings) - pieces_of(seen, trial, cost, jump, settings)[1]
 
-    best, least = keep, value(keep)
+    best, least = keep, value(keep) - settings.temper * reluctance
     none = keep - set(members)
     if (energy := value(none)) < least:
         best, least = none, energy
@@ -189,7 +223,7 @@ def pieces_of(seen, state, cost, jump, settings):
         return [], 0.0
     price = complexity(BOX, UPRIGHT, False, settings)
     nats = settings.temper * EDGE / PATCH
-    owner = joined(seen.points, label, count, edges, price, nats)
+    owner = joined(seen.points, label, count, edges, price, nats, image.origin)
     thing = np.append(owner, -1)[label]  # of each pixel
     within = 0.5 * np.array([edges[np.ix_(owner == k, owner == k)].sum() for k in range(count)])
     inside = thing >= 0

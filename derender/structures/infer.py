@@ -6,35 +6,42 @@ from dataclasses import replace
 import numpy as np
 
 from derender.detection.given_floor import read_floor
+from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle
 from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
-from derender.detection.search.searches import Interrupted, search
+from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.image import make_image
 from derender.detection.solids.support import final_parents
-from derender.detection.things import find_things, made_thing
+from derender.detection.things import leftovers, made_thing, take_things
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.priors.bare_image import BareImagePrior
 from derender.structures.options import Options
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
+# Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent; by
+# how many times more columns than usual are looked at for them.
+ENOUGH, FEW, FINEST = 2500, 500, 2.0
+WIDEST = 160  # columns of the image that is searched
+RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
 
-def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, plane=None):
+def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, plane=None):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
 
     plane : the floor as it is given, see bottom_up.given_floor; None: find it.
     """
     settings = Settings() if settings is None else settings
-    seen = observe(rng, depth, camera, widest, plane)
-    if seen.mask.mean() > FILLED and seen.camera["width"] > widest // 2:  # as sharp an image of it has fewer pixels
-        seen = observe(rng, depth, camera, widest // 2, plane)
-    settings = settings.for_correlation(seen.correlation)
+    seen = observe(rng, depth, camera, widest, plane, settings.may_float)
+    wanted = width_wanted(seen, widest)
+    if reduced_by(depth, wanted) != seen.factor:
+        seen = observe(rng, depth, camera, wanted, plane, settings.may_float)
+    settings = settings_for(settings, seen)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
     noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
@@ -43,22 +50,48 @@ def point_estimate(rng, depth, camera, settings=None, widest=160, pool=None, pla
     hypotheses = all_hypotheses(surface, settings.shapes)
     for body in find_bodies(seen.points, seen.mask, seen.footprint):
         hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
+    masks: list = []
     try:
-        state, image = search(rng, seen.image, hypotheses, settings, pool)
+        if settings.free_forms and seen.correlation > CORRELATED:
+            first = first_search(rng, seen.image, hypotheses, settings)
+            first, masks = take_things(seen, first, settings, RELUCTANT)
+            state, image = search(rng, seen.image, hypotheses, settings, pool, first)
+        else:
+            state, image = search(rng, seen.image, hypotheses, settings, pool)
         seen = seen._replace(image=image)
     except Interrupted as stopped:
         state, image = stopped.state, stopped.image
         seen = seen._replace(image=image, interrupted=True)
-    masks: list = []
     if settings.free_forms:
-        state, masks = find_things(seen, state, settings)
-        for mask, _ in masks:  # they explain what they show, so that solids leave it alone
-            image.floor[mask] = image.depth[mask] + 1e-9
-        if masks and len(state):
+        state, more = take_things(seen, state, settings)
+        masks += more
+        if more and len(state):
             state = settle(rng, image, state, settings)
+        masks += leftovers(seen, state, settings)
     state.parents = final_parents(state)
     state = state.ordered()
     return state, seen._replace(things=tuple(made_thing(seen, state, *each) for each in masks))
+
+
+def settings_for(settings, seen):
+    """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
+    settings = settings.for_correlation(seen.correlation)
+    if seen.correlation > CORRELATED and seen.camera["width"] > WIDEST:
+        settings = settings.for_pixels((seen.camera["width"] / WIDEST) ** 2)
+    return settings
+
+
+def width_wanted(seen, widest):
+    """Return how many columns an image should have in which what stands on the floor has as many pixels as it takes.
+
+    Where it fills the image, half as many tell as much; where it is small, more columns tell what it is. A sensor's
+    neighbouring pixels say little of their own, so that its images take more of them.
+    """
+    pixels = int(seen.mask.sum())
+    if seen.mask.mean() > FILLED:
+        return widest // 2
+    enough = ENOUGH if seen.correlation > CORRELATED else FEW
+    return int(widest * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))
 
 
 def settings_of(options):
@@ -138,7 +171,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     pool: list = []
     library = chosen_library(options.known) if options.known else ()
     state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
-    settings = settings.for_correlation(seen.correlation)
+    settings = settings_for(settings, seen)
     if progress:
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = options.chains or 2, options.draws or 100

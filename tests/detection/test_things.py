@@ -3,19 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
+from table_scenes import CAMERA, seen_on_the_table
 
-from derender.camera.intrinsics import Camera
 from derender.detection.closing import closed_surface, surface_of
 from derender.detection.search.bodies import APART
 from derender.detection.segments import joined, one_rim
-from derender.render.raycast.depth import render_depth
-from derender.scene.solids import BOX, MESH, PLANE, Solids
+from derender.scene.solids import BOX, MESH
 from derender.structures.infer import infer_structure, point_estimate
 from derender.structures.options import Options
-
-CAMERA = Camera.from_field_of_view(160, 120)
-TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0.5, 0.75], [0, 0, 0, 1]])
-SIGMA = 0.001
 
 
 def bowl(radius=0.07, height=0.06):
@@ -24,23 +19,6 @@ def bowl(radius=0.07, height=0.06):
     line = [(0, 0), (0.5 * radius, 0), (radius, height), (inner, height), (0.45 * radius, 0.006), (0, 0.006)]
     mesh = trimesh.creation.revolve(np.array(line), sections=48)
     return mesh.vertices - [0, 0, 0.5 * height], np.ascontiguousarray(mesh.faces, np.int32)
-
-
-def seen_on_the_table(solids, seed=0):
-    """Return a noisy depth image of (kind, x, y, size, mesh or None) that stand on the table."""
-    kinds, poses, sizes, which, meshes = [PLANE], [TABLE], [np.zeros(3)], [-1], []
-    for kind, x, y, size, mesh in solids:
-        pose = np.eye(4)
-        pose[:3, 3] = x, y, 0.5 * size[2]
-        kinds.append(kind), poses.append(TABLE @ pose), sizes.append(np.array(size, float))
-        which.append(-1 if mesh is None else len(meshes))
-        if mesh is not None:
-            meshes.append((mesh[0] / np.ptp(mesh[0], axis=0), mesh[1]))
-    scene = Solids(
-        np.array(kinds, np.int32), np.array(poses), np.array(sizes), np.array(which, np.int32), tuple(meshes)
-    )
-    depth, _ = render_depth(scene, CAMERA)
-    return depth + SIGMA * np.random.default_rng(seed).standard_normal(depth.shape)
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +66,9 @@ def test_a_closed_surface_is_watertight_and_hides_nothing_that_is_seen():
 def test_pieces_are_joined_where_their_edge_is_short():
     points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
     points[:, 2:, 2] = 0.5  # far apart in height: not the two sides of one rim
-    for metres, things in ((0.05, 1), (0.2, 2)):
+    for metres, things in ((0.04, 1), (0.2, 2)):
         edges = np.array([[0.0, metres], [metres, 0.0]])
-        assert len(np.unique(joined(points, label, 2, edges, price=47.0, nats=14.0 / 0.03))) == things
+        assert len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3)))) == things
 
 
 def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
@@ -99,6 +77,8 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     rise = np.linspace(0.05, 0.1, 6)
     outside = np.array([[x, -y, z] for x, y in ring for z in rise])
     inside = np.array([[x, y, z] for x, y in ring for z in rise])
-    assert one_rim(outside, inside)
-    assert not one_rim(outside, outside + [0.09, 0.0, 0.0])
-    assert not one_rim(outside, inside + [0.0, 0.0, 0.05])
+    camera = np.array([0.0, -0.6, 0.5])
+    assert one_rim(outside, inside, camera)
+    assert not one_rim(outside, outside + [0.09, 0.0, 0.0], camera)  # beside it
+    assert not one_rim(outside, inside + [0.0, 0.1, 0.0], camera)  # behind it
+    assert not one_rim(outside, inside + [0.0, 0.0, 0.05], camera)  # higher

@@ -4,13 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.detection.background import standing_bodies
 from derender.detection.floor import Floor, back_project, find_floor, floor_beside
 from derender.detection.foreground import joined_to_floor
 from derender.detection.given_floor import find_backdrop, given_floor
+from derender.detection.local_planes import local_planes
 from derender.detection.noise import noise_of
 from derender.detection.outline import convex_outline, outline_planes
 from derender.detection.patches import Patches, find_patches
 from derender.detection.pyramid import reduce, sampled
+from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.sharpness import estimate_blur
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.detection.solids.misfit import AS_SEEN
@@ -23,6 +26,12 @@ REAL_DISCREPANCY = 0.003
 CLOSER = 2  # times as many columns and rows as the search looks at
 AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
+HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
+MAIN = 0.1  # of the floor's largest piece in pixels: smaller pieces of its plane lie there by chance
+MARGIN = 0.01  # metres beyond the outline of the visible floor that still count as over it
+# Noise of the worst sensors (stereo, Kinect v1): metres, and metres a square metre. A floor that is off its plane by
+# more is no plane, or not the floor; but where neighbours scatter so, by ROUGHER times less, it is noise.
+SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
 LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
 
 
@@ -67,23 +76,26 @@ class Closer(NamedTuple):
     times: float
 
 
-def observe(rng, depth, camera, widest=160, plane=None):
+def observe(rng, depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see given_floor.read_floor; None: find it.
+    floating : whether solids may hang in the air.
     """
     rounding = rounding_of(depth)
     depth, camera, factor = reduce(depth, camera, widest)
     floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
-    seen = tell_apart(depth, camera, factor, floor, backdrop, rounding)
+    seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
     if plane is None and seen.correlation > CORRELATED and seen.mask.any():
-        seen = tell_apart(depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding)
+        seen = tell_apart(
+            depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding, floating
+        )
     return seen
 
 
-def tell_apart(depth, camera, factor, floor, backdrop, rounding):
+def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
     backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
@@ -99,14 +111,22 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding):
     points = back_project(depth, camera) - floor.pose[:3, 3]
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
-    inside = inside_hull(points, floor.inliers, good, image.origin)
     footprint = np.nan_to_num(depth) / camera["fx"]
+    beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint), good, image.origin)
+    inside = good & (beyond_edge < MARGIN)
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
     beyond |= walls_behind(points, good, above, sigma, image.origin)
-    inside |= joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
+    held = np.zeros(good.shape, bool)
+    if floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
+        held = joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
+        inside |= held
     mask = above & inside & ~beyond
+    if floor.inliers.any():
+        mask = standing_bodies(
+            points, above & ~beyond, beyond_edge, good, footprint, sigma, image.origin, held, floating
+        )
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
-    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | (~inside & (image.depth > 0)))
+    background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
     background = (background & ~wall) | beyond
     image.floor[background] = image.depth[background] + 1e-9
 
@@ -195,7 +215,25 @@ def noise_map(depth, floor, camera):
     sigma, growth = noise_of((points - floor.pose[:3, 3]) @ normal / slope, z)
     close = np.median(z)
     deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
-    return np.maximum(sigma + growth * deep**2, LEAST_SIGMA)
+    noise = sigma + growth * deep**2
+    most = np.maximum(SENSOR_SIGMA + SENSOR_GROWTH * deep**2, ROUGHER * local_noise(depth, camera))
+    return np.maximum(np.minimum(noise, most), LEAST_SIGMA)
+
+
+def local_noise(depth, camera):
+    """Return the standard deviation of the noise about the planes through each pixel's neighbours, metres, the median.
+
+    Noise that neighbours share shows in it by a third or so; solids, walls and bent floors do not show.
+    """
+    good = np.isfinite(depth) & (depth > 0)
+    points = np.ascontiguousarray(np.nan_to_num(back_project(depth, camera)))
+    jump = np.ascontiguousarray(np.nan_to_num(0.02 * depth))
+    normal, offset, error = local_planes(points, good, np.zeros(3), jump, 2)
+    fitted = good & (error < 1e8)
+    if not fitted.any():
+        return 0.0
+    slope = np.abs(np.einsum("ij,ij->i", normal[fitted], points[fitted])) / np.linalg.norm(points[fitted], axis=1)
+    return float(np.median(np.sqrt(error[fitted]) / np.maximum(slope, GRAZING)))
 
 
 def rounding_of(depth):
@@ -238,19 +276,28 @@ def neighbour_correlation(depth, floor, camera):
     return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
 
 
-def inside_hull(points, inliers, good, origin, margin=0.01):
-    """Return (H, W) bool: which points lie over the convex hull of the floor's visible part and the camera's foot.
+def main_part(points, inliers, footprint):
+    """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
+    part, count = label_bodies(points, inliers, APART * footprint)
+    pixels = np.bincount(part[part >= 0], minlength=max(count, 1))
+    return inliers & (pixels[part] > MAIN * pixels.max())
+
+
+def beyond_outline(points, inliers, good, origin):
+    """Return (H, W) metres by which points lie beyond the hull of the floor's visible part and the camera's foot.
+
+    Negative over the hull, and -inf everywhere where there is none.
 
     origin : (3,) the camera's centre: what stands before the visible floor is no background.
     """
     flat = points[inliers][:, :2]
     outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
     if outline is None:
-        return good.copy()
+        return np.full(good.shape, -np.inf)
     planes = outline_planes(outline)
-    inside = good.copy()
-    inside[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1) < margin
-    return inside
+    beyond = np.full(good.shape, -np.inf)
+    beyond[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1)
+    return beyond
 
 
 def patches_of(seen: Observation) -> Patches:

@@ -4,8 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import njit
 from derender.detection.search.bodies import find_bodies
 from derender.detection.solids.state import held_out
+
+NEAR = 2  # pixels from a bad one to the solids that share it
 
 
 class Places(NamedTuple):
@@ -38,27 +41,45 @@ def find_places(image, state, limit=4.5):
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
     depth, label, misfit, _ = held_out(image, state, -1)
     bad = misfit > limit
-    crowd = np.zeros(bad.shape, int)
-    crowd[1:] += bad[:-1]
-    crowd[:-1] += bad[1:]
-    crowd[:, 1:] += bad[:, :-1]
-    crowd[:, :-1] += bad[:, 1:]
-    rows, columns = np.nonzero(bad & (crowd > 0))
+    crowded = np.zeros(bad.shape, bool)
+    crowded[1:] |= bad[:-1]
+    crowded[:-1] |= bad[1:]
+    crowded[:, 1:] |= bad[:, :-1]
+    crowded[:, :-1] |= bad[:, 1:]
+    rows, columns = np.nonzero(bad & crowded)
     count = len(state)
-    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
-    for j, i in zip(rows, columns, strict=True):
-        near = np.unique(label[max(j - 2, 0) : j + 3, max(i - 2, 0) : i + 3])
-        near = near[near >= 0]
-        if len(near) == 0:
-            near = np.array([count])
-        blame[near] += 1.0 / len(near)
-        pairs[np.ix_(near, near)] += 1
-    np.fill_diagonal(pairs, 0)
+    blame, pairs = blame_of(rows, columns, label, count)
     seen = image.origin + image.depth[..., None] * image.direction
     footprint = image.depth * np.linalg.norm(image.direction[0, 1] - image.direction[0, 0])
     bodies = find_bodies(seen, bad & (image.depth < depth), footprint)
     blame[count] = min(blame[count], sum(map(len, bodies)))  # a new solid could not explain the others
     return Places(blame, pairs, neighbours(label, count), seen[rows, columns], bodies, label, seen)
+
+
+@njit(cache=True, nogil=True)
+def blame_of(rows, columns, label, count):
+    """Return blame (N + 1,) and pairs (N + 1, N + 1) of bad pixels: each is shared by the solids NEAR it."""
+    height, width = label.shape
+    blame, pairs = np.zeros(count + 1), np.zeros((count + 1, count + 1))
+    near = np.empty((2 * NEAR + 1) ** 2, np.int64)
+    for k in range(len(rows)):
+        found = 0
+        for v in range(max(rows[k] - NEAR, 0), min(rows[k] + NEAR + 1, height)):
+            for u in range(max(columns[k] - NEAR, 0), min(columns[k] + NEAR + 1, width)):
+                new = label[v, u] >= 0
+                for other in range(found):
+                    new = new and near[other] != label[v, u]
+                if new:
+                    near[found] = label[v, u]
+                    found += 1
+        if found == 0:
+            near[0], found = count, 1
+        for a in range(found):
+            blame[near[a]] += 1.0 / found
+            for b in range(found):
+                if a != b:
+                    pairs[near[a], near[b]] += 1
+    return blame, pairs
 
 
 def neighbours(label, count):

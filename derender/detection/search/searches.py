@@ -19,24 +19,28 @@ from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 
 ROUNDS = 2  # of as many searches as there are threads, at most
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
+ON_REPAIRS = 24  # moves between structures of a search that goes on where free-form things are known
 HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
-def search(rng, image, hypotheses, settings, pool=None):
+def search(rng, image, hypotheses, settings, pool=None, start=None):
     """Return (best State found, Image with the blur that it shows).
 
     Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
-    have not. (state, energy) of all that were tried are appended to the list `pool`.
+    have not. (state, energy) of all that were tried are appended to the list `pool`. From a State `start` one pair goes
+    on, for ON_REPAIRS moves.
 
     Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
     found: list[Found] = []
     early: list[Found] = []
-    for _ in range(ROUNDS):
-        task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early)
+    if start is not None:
+        settings = settings._replace(repairs=ON_REPAIRS)
+    task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
+    for _ in range(ROUNDS if start is None else 1):
         try:
             found += in_threads(rng, [task] * THREADS)
         except KeyboardInterrupt:
@@ -62,6 +66,18 @@ class Interrupted(KeyboardInterrupt):
         self.state, self.image = state, image
 
 
+def first_search(rng, image, hypotheses, settings):
+    """Return the best State of two greedy searches, settled: what is plain to see, in a tenth of a whole search."""
+    task = partial(settled_greedy, image=image, hypotheses=hypotheses, settings=settings)
+    return min(in_threads(rng, [task] * THREADS), key=lambda found: found[1])[0]
+
+
+def settled_greedy(rng, image, hypotheses, settings):
+    """Return (State, energy) of one greedy search, settled."""
+    state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
+    return state, total_energy(image, state, settings)
+
+
 class Found(NamedTuple):
     """What one search found: the best State, its energy, the Image in focus, and (state, energy) of all it tried."""
 
@@ -71,19 +87,21 @@ class Found(NamedTuple):
     pool: list
 
 
-def one_search(rng, image, hypotheses, settings, early):
+def one_search(rng, image, hypotheses, settings, early, state=None):
     """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case.
 
     early : list to which it appends the Found of what was settled before the moves.
+    state : to begin with instead of a greedy search.
     """
     pool: list = []
-    state = greedy(rng, image, hypotheses, settings)
-    image, gained = refocused(image, state.rows, settings.price)
-    if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
+    if state is None:
         state = greedy(rng, image, hypotheses, settings)
+        image, gained = refocused(image, state.rows, settings.price)
+        if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
+            state = greedy(rng, image, hypotheses, settings)
+            image, _ = refocused(image, state.rows, settings.price)
+        state = settle(rng, image, state, settings)
         image, _ = refocused(image, state.rows, settings.price)
-    state = settle(rng, image, state, settings)
-    image, _ = refocused(image, state.rows, settings.price)
     early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
     state = repair(rng, image, state, hypotheses, settings, pool)
     state = support_all(rng, image, state, settings)
@@ -130,11 +148,11 @@ def repair(rng, image, state, hypotheses, settings, pool):
 def support_all(rng, image, state, settings):
     """Try to put something under each solid that floats, or to raise what is below it, while that lowers the energy."""
     best = total_energy(image, state, settings)
-    tries = 0
-    while floats(state) and tries < SUPPORTING * len(state):
+    places, tries = find_places(image, state), 0
+    while floats(state) and tries < min(SUPPORTING * len(state), settings.repairs):
         move = (raise_support, put_under, stand)[tries % 3]
         tries += 1
-        proposed = move(rng, image, state, [], settings, find_places(image, state))
+        proposed = move(rng, image, state, [], settings, places)
         if proposed is None:
             continue
         new, changed = proposed
@@ -142,6 +160,7 @@ def support_all(rng, image, state, settings):
         value = total_energy(image, new, settings)
         if value < best:
             state, best, tries = new, value, 0
+            places = find_places(image, state)
     return state
 
 

@@ -1,0 +1,137 @@
+"""Which bodies of pixels over the support stand on it, and which are background: walls, clutter, what is cut off.
+
+A body stands on the support where it rises from the visible part of it. One that is long, or cut by the image's border
+so that its top is not seen, or that floats, or lies beyond the support's outline, is a wall, a shelf, a person or the
+room behind: explained as it is seen, and no solid.
+"""
+
+import numpy as np
+
+from derender.detection.local_planes import local_planes
+from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.segments import segments
+
+LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
+CUT = 0.35  # share of a body's width or height in pixels along which a border cuts it
+OUTSIDE = 0.5  # share of a body's pixels beyond the support's outline from which on it stands beyond
+FLOATS = 0.1  # metres between the support and the lowest point of what hangs over it
+HANGS = 0.6  # share of a floating body's lower edge under which the support or what is behind it shows
+FEWEST = 8  # pixels of a body that is told apart; smaller ones are as their pixels are
+DIRECTIONS = 8  # in which a body's length along the support is taken
+MARGIN = 0.01  # metres beyond the outline that still count as over it
+WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and how near the edge how much of it stands
+# Over the support that the lowest point of a piece of a longer body may be: metres, and standard deviations of noise.
+FOOT, FOOT_NOISES = 0.03, 4.0
+JOINED = 0.25  # of the outline of such a piece, along which it may be joined to others
+PIECE = 60  # pixels of such a piece, at least
+ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
+
+
+def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held, floating=False):
+    """Return (H, W) bool: pixels of `above` that stand on the support.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, floor frame. above : (H, W) bool, pixels over the support's plane.
+    beyond : (H, W) metres by which points lie beyond the outline of its visible part, negative over it.
+    good : (H, W) bool, pixels with a depth.
+    footprint, sigma : (H, W) metres across a pixel, and of noise.
+    origin : (3,) the camera's centre.
+    held : (H, W) bool, pixels of what surely stands on it, such as what fills the view.
+    floating : whether solids may hang in the air.
+    """
+    jump = np.ascontiguousarray(APART * footprint + 3.0 * sigma)
+    body, count = label_bodies(points, above, jump)
+    rows, columns = np.nonzero(good)
+    if count == 0 or len(rows) == 0:
+        return above & (beyond < MARGIN)
+    frame = rows.min(), rows.max(), columns.min(), columns.max()
+    normal, _, _ = local_planes(points, above, origin, jump, 2)
+
+    def stands(mask):
+        """Return whether the pixels of a body or of a piece of one show what stands on the support."""
+        if held[mask].mean() > OUTSIDE:
+            return True
+        return not (
+            np.mean(beyond[mask] > MARGIN) > OUTSIDE
+            or along_edge(points[mask], beyond[mask])
+            or cut_off(points, mask, frame)
+            or (not floating and floats(points, mask, good, jump, origin))
+        )
+
+    standing = above & (beyond < MARGIN)
+    pixels = np.bincount(body[above], minlength=count)
+    for k in np.flatnonzero(pixels >= FEWEST):
+        mask = body == k
+        standing[mask] = stands(mask)
+        if not standing[mask].any() and length(points[mask]) > LONG:  # something may stand against a wall
+            piece, pieces, edges = segments(points, mask, normal, jump, footprint)
+            for number in range(pieces):
+                part = piece == number
+                on_floor = np.quantile(points[part][:, 2], ENDS) < max(FOOT, FOOT_NOISES * np.median(sigma[part]))
+                whole = length(points[part]) < LONG and not at_border(part, frame)
+                whole = whole and edges[number].sum() < JOINED * outline_length(part, footprint)
+                if part.sum() >= PIECE and on_floor and whole and stands(part):
+                    standing[part] = True
+    return standing
+
+
+def outline_length(mask, footprint):
+    """Return the metres around a body's silhouette."""
+    inner = mask.copy()
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        inner &= np.roll(mask, way, axis)
+    return float(footprint[mask & ~inner].sum())
+
+
+def at_border(mask, frame):
+    """Return whether a body reaches the border of what has a depth."""
+    top, bottom, left, right = frame
+    rows, columns = np.nonzero(mask)
+    return bool(rows.min() <= top + 1 or rows.max() >= bottom - 1 or columns.min() <= left + 1
+                or columns.max() >= right - 1)  # fmt: skip
+
+
+def along_edge(points, beyond):
+    """Return whether a body (K, 3) stands along the edge of the support, as the wall of a bin does.
+
+    beyond : (K,) metres by which its points lie beyond the support's outline.
+    """
+    return length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY
+
+
+def cut_off(points, mask, frame):
+    """Return whether a body is cut by the image's border so that it may go on as a wall does.
+
+    frame : first and last row and column that have a depth.
+    """
+    top, bottom, left, right = frame
+    rows, columns = np.nonzero(mask)
+    high, wide = np.ptp(rows) + 1, np.ptp(columns) + 1
+    over = len(np.unique(columns[rows <= top + 1])) / wide
+    under = len(np.unique(columns[rows >= bottom - 1])) / wide
+    beside = max(len(np.unique(rows[columns <= left + 1])), len(np.unique(rows[columns >= right - 1]))) / high
+    if max(over, beside) > CUT:
+        return True
+    return max(over, under, beside) > 0.0 and length(points[mask]) > LONG
+
+
+def length(points):
+    """Return the greatest extent of points (K, 3) along the support, in metres."""
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    along = points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
+    low, high = np.quantile(along, [ENDS, 1.0 - ENDS], axis=0)
+    return float((high - low).max())
+
+
+def floats(points, mask, good, jump, origin):
+    """Return whether a body hangs over the support with nothing under it."""
+    if np.quantile(points[mask][:, 2], ENDS) < FLOATS:
+        return False
+    lower = mask[:-1] & ~mask[1:] & good[1:]
+    if not lower.any():
+        return False
+    apart = np.linalg.norm(points[1:] - points[:-1], axis=2)[lower]
+    far = np.linalg.norm(points - origin, axis=2)
+    lies_deeper = (far[1:] > far[:-1])[lower]
+    return float(np.mean((apart > jump[:-1][lower]) & lies_deeper)) > HANGS

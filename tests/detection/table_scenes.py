@@ -1,0 +1,28 @@
+"""Small scenes on a table, drawn with noise: for the tests of things and of the background."""
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.render.raycast.depth import render_depth
+from derender.scene.solids import PLANE, Solids
+
+CAMERA = Camera.from_field_of_view(160, 120)
+TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0.5, 0.75], [0, 0, 0, 1]])
+SIGMA = 0.001
+
+
+def seen_on_the_table(solids, seed=0):
+    """Return a noisy depth image of (kind, x, y, size, mesh or None) that stand on the table."""
+    kinds, poses, sizes, which, meshes = [PLANE], [TABLE], [np.zeros(3)], [-1], []
+    for kind, x, y, size, mesh in solids:
+        pose = np.eye(4)
+        pose[:3, 3] = x, y, 0.5 * size[2]
+        kinds.append(kind), poses.append(TABLE @ pose), sizes.append(np.array(size, float))
+        which.append(-1 if mesh is None else len(meshes))
+        if mesh is not None:
+            meshes.append((mesh[0] / np.ptp(mesh[0], axis=0), mesh[1]))
+    scene = Solids(
+        np.array(kinds, np.int32), np.array(poses), np.array(sizes), np.array(which, np.int32), tuple(meshes)
+    )
+    depth, _ = render_depth(scene, CAMERA)
+    return depth + SIGMA * np.random.default_rng(seed).standard_normal(depth.shape)

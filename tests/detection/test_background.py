@@ -1,0 +1,60 @@
+"""What stands on the table and what is background; how rough an image is by itself."""
+
+import numpy as np
+import pytest
+from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
+
+from derender.detection.background import along_edge, length
+from derender.detection.search.observation import local_noise, observe
+from derender.render.raycast.depth import render_depth
+from derender.scene.solids import BOX, PLANE, Solids
+
+
+def told_apart(solids):
+    """Return (Observation, label (H, W) of the solids behind it) of boxes (x, y, bottom, size) about the table."""
+    poses, sizes = [TABLE], [np.zeros(3)]
+    for x, y, bottom, size in solids:
+        pose = np.eye(4)
+        pose[:3, 3] = x, y, bottom + 0.5 * size[2]
+        poses.append(TABLE @ pose), sizes.append(np.array(size, float))
+    kinds = np.array([PLANE] + [BOX] * len(solids), np.int32)
+    scene = Solids(kinds, np.array(poses), np.array(sizes), np.full(len(kinds), -1, np.int32))
+    depth, label = render_depth(scene, CAMERA)
+    depth = depth + SIGMA * np.random.default_rng(0).standard_normal(depth.shape)
+    return observe(np.random.default_rng(0), depth, CAMERA), label
+
+
+CARTON = (0.0, 0.0, 0.0, (0.1, 0.08, 0.12))
+
+
+@pytest.mark.parametrize(
+    "clutter",
+    [(0.0, 0.45, 0.0, (1.6, 0.05, 0.7)), (-0.42, 0.2, 0.0, (0.05, 0.8, 0.3)), (0.15, 0.1, 0.2, (0.12, 0.1, 0.05))],
+    ids=["a wall behind", "a wall at the side", "something that hangs in the air"],
+)
+def test_a_carton_stands_on_the_table_and_clutter_does_not(clutter):
+    seen, label = told_apart([CARTON, clutter])
+    assert seen.mask[label == 1].mean() > 0.9
+    assert seen.mask[label == 2].mean() < 0.1
+    assert seen.behind[label == 2].mean() > 0.9
+
+
+def test_a_small_thing_at_the_edge_of_the_image_stands_there():
+    seen, label = told_apart([CARTON, (0.1, -0.19, 0.0, (0.08, 0.08, 0.08))])
+    assert (label == 2).sum() > 100 and seen.mask[label == 2].mean() > 0.9
+
+
+def test_length_and_edge():
+    wall = np.column_stack([np.linspace(-0.2, 0.2, 50), np.zeros(50), np.linspace(0, 0.1, 50)])
+    turn = np.array([[np.cos(0.4), -np.sin(0.4), 0], [np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+    assert length(wall @ turn.T) == pytest.approx(0.4, rel=0.05)
+    assert along_edge(wall, np.full(50, -0.01))
+    assert not along_edge(wall, np.full(50, -0.1))
+    assert not along_edge(0.3 * wall, np.full(50, -0.01))
+
+
+def test_roughness_is_that_of_the_noise_whatever_stands_there():
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.2, 0.15, 0.15), None)])
+    assert local_noise(image, {"fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy}) == pytest.approx(
+        SIGMA, rel=0.3
+    )
