@@ -112,7 +112,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     points = np.ascontiguousarray(np.nan_to_num(points @ floor.pose[:3, :3]))
     good = image.weight > 0
     footprint = np.nan_to_num(depth) / camera["fx"]
-    beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint), good, image.origin)
+    beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint, image.origin), good, image.origin)
     inside = good & (beyond_edge < MARGIN)
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
     beyond |= walls_behind(points, good, above, sigma, image.origin)
@@ -276,9 +276,10 @@ def neighbour_correlation(depth, floor, camera):
     return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
 
 
-def main_part(points, inliers, footprint):
+def main_part(points, inliers, footprint, origin):
     """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
-    part, count = label_bodies(points, inliers, APART * footprint)
+    slope = np.abs(points[..., 2] - origin[2]) / np.linalg.norm(points - origin, axis=-1)  # of the rays to the floor
+    part, count = label_bodies(points, inliers, np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3)))
     pixels = np.bincount(part[part >= 0], minlength=max(count, 1))
     return inliers & (pixels[part] > MAIN * pixels.max())
 
