@@ -94,6 +94,7 @@ def one_search(rng, image, hypotheses, settings, early, state=None):
     state : to begin with instead of a greedy search.
     """
     pool: list = []
+    state = None if state is None else state.copy()  # the other search goes on from the same
     if state is None:
         state = greedy(rng, image, hypotheses, settings)
         image, gained = refocused(image, state.rows, settings.price)
