@@ -61,13 +61,13 @@ def assert_both_boxes(graph, tolerance=0.008):
 
 @pytest.mark.parametrize("rounding", [None, 3], ids=["floats", "whole millimetres"])
 def test_a_rendering_without_noise_hides_no_solid(rounding, monkeypatch):
-    """Where its rounding passes for a sensor's bends, a cube of 5 cm is not worth what it explains."""
+    """A cube of 5 cm, also where the image's rounding passes for a sensor's bends."""
     scene = next(islice(draw_documents(read_prior_document("tabletop"), 8, 100, {}), 7, None))
     depth, _ = render_depth(scene.graph.solids(), scene.camera)
     depth = depth if rounding is None else np.round(depth, rounding)
     assert answer(depth, scene.camera).names == ("floor", "cube_1")
     monkeypatch.setattr(observation, "drawn", lambda *_: False)
-    assert "cube_1" not in answer(depth, scene.camera).names
+    assert len(answer(depth, scene.camera).names) == 2  # taken for a sensor's, it is there all the same
 
 
 def test_an_empty_table_is_a_floor_alone():
