@@ -39,16 +39,21 @@ LEAST = 1e-4  # probability that a truth which no structure found has in the log
 BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
-def one_scene(seed, prior, size=None, sigma=None, twice=False):
+def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
     """Return the record of one scene: statements with their truth, intervals with theirs.
 
-    twice : infer again with another seed, and say how far the two answers are apart.
+    twice : infer again with another seed, and say how far the two answers are apart. told : infer under the prior that
+    the scenes come from, not that of bare images.
     """
+    from derender import data_path
+    from derender.document import read_document
     from derender.structures.infer import infer_structure
+    from derender.structures.options import Options
 
     graph, image, label, camera = drawn_scene(seed, prior, size, sigma)
     start = time.perf_counter()
-    posterior = infer_structure(image, camera, None, np.random.default_rng(seed))
+    options = Options(prior=read_document(data_path(f"priors/{prior}.yaml")).prior) if told else None
+    posterior = infer_structure(image, camera, options, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     truth = scene_json(graph)
     found = {item["name"]: (number, item) for number, part in reversed(list(enumerate(posterior.parts)))
@@ -58,7 +63,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False):
     answer = structures_of(posterior, truth)
     record["structures"] = [[share, error, key == true_structure(truth)] for key, (share, error) in answer.items()]
     if twice:
-        other = structures_of(infer_structure(image, camera, None, np.random.default_rng([seed, 7])), truth)
+        other = structures_of(infer_structure(image, camera, options, np.random.default_rng([seed, 7])), truth)
         shares = {key: (answer.get(key, (0.0, 0.0)), other.get(key, (0.0, 0.0))) for key in {*answer, *other}}
         record["variation"] = 0.5 * sum(abs(a[0] - b[0]) for a, b in shares.values())
         likeliest = max(answer, key=lambda key: answer[key][0])
@@ -283,6 +288,7 @@ def main():
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), help="of the images, as 64x48")
     parser.add_argument("--sigma", type=float, help="metres of noise, where it is not the prior's")
     parser.add_argument("--twice", action="store_true", help="infer with a second seed too")
+    parser.add_argument("--told", action="store_true", help="infer under the prior that scenes are drawn from")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--keep", type=Path, help="file of records, one line of JSON for each scene")
     parser.add_argument("-o", "--output", type=Path, help="reliability diagram, PNG")
@@ -293,7 +299,7 @@ def main():
         records = [json.loads(line) for line in arguments.keep.read_text().splitlines()]
         records = [r for r in records if r["seed"] in wanted]
     todo = [seed for seed in wanted if seed not in {r["seed"] for r in records}]
-    chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice
+    chosen = arguments.prior, arguments.size, arguments.sigma, arguments.twice, arguments.told
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
         for record in pool.map(one_scene, todo, *map(repeat, chosen)):
             records.append(record)

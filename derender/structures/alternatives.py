@@ -44,6 +44,9 @@ HOPELESS = 25.0  # nats below the best mode at which a change is not looked at a
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
 WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed again
 YAWS = tuple(np.radians([0.0, 30.0, 60.0]))  # in which a solid that was round is tried as a box
+PROPPING = 200.0  # nats below the best at which what hangs in the air is not given a support: that costs some too
+NARROWER, BEHIND = 0.7, 0.3  # times as wide as what it bears is a support, and how far behind its middle it may be
+LEAST_TALL = 0.01  # metres: what is lower is no solid that was found lying
 SQUARER = 0.87  # times as wide as a circle is a square of about the same outline
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
@@ -127,6 +130,28 @@ def other_shapes(best, i, shapes):
         new.rows[i, 12] += lowest(row) - lowest(new.rows[i])
         new.forms[i] = form
         states.append(new)
+    return states + stood_up(state, i, shapes)
+
+
+def stood_up(state, i, shapes):
+    """Return the states in which a solid that lies or leans is a box or a cube that stands, as high and as wide."""
+    row, parent = state.rows[i], state.parents[i]
+    if state.forms[i] != FREE or int(row[0]) == SPHERE:
+        return []
+    bottom = 0.0 if parent == FLOOR else highest(state.rows[parent])
+    tall = highest(row) - bottom
+    if tall < LEAST_TALL:
+        return []
+    wide = np.sqrt(np.prod(row[13:16]) / tall)
+    states = []
+    for yaw in YAWS:
+        for cube in (False, True):
+            if ("cube" if cube else "box") in shapes:
+                extents = [tall] * 3 if cube else [wide, wide, tall]
+                centre = [row[10], row[11], bottom + 0.5 * tall]
+                new = changed(state, i, make_row(BOX, rotation_z(yaw)[:3, :3], centre, extents), cube)
+                new.forms[i], new.bottoms[i] = UPRIGHT, bottom
+                states.append(new)
     return states
 
 
@@ -143,13 +168,43 @@ def of_one_solid(rng, best, i, rules, shapes=()):
             trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
         if height(trial) > height(best) - HOPELESS and all_seen(trial):
             found.append(trial)
+    propped = []
+    for state in [] if rules.floating else propped_up(best, i, shapes):
+        places = [i, len(best.state)]
+        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, places)
+        if height(trial) > height(best) - PROPPING:
+            propped.append(with_own_sensor(rng, trial, places, WORTHWHILE))
     removed = without(best, i, floor, rules)
     if height(removed) > height(best) - PROMISING:
         removed = refitted(removed)
     candidates = [(trial, [i]) for trial in likeliest_of_each(found)]
+    candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
     if height(removed) > height(best) - HOPELESS:
         candidates.append((removed, []))
     return weighed_blocks(rng, best, candidates, [i], rules)
+
+
+def propped_up(best, i, shapes):
+    """Return the states in which a solid that stands on nothing has a box or a cube under it, hidden by it or by
+    others: as high as it hangs, below its middle or somewhat behind."""
+    state, row = best.state, best.state.rows[i]
+    gap = lowest(row)
+    if state.forms[i] != UPRIGHT or not np.isnan(state.bottoms[i]) or gap < LEAST_TALL or state.parents[i] != FLOOR:
+        return []
+    away = row[10:12] + (best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3])[:2]  # from the camera
+    behind = BEHIND * row[13:15].min() * away / max(float(np.linalg.norm(away)), 1e-9)
+    states = []
+    for place in (row[10:12], row[10:12] + behind):
+        for cube in (False, True):
+            if ("cube" if cube else "box") in shapes:
+                extents = [gap] * 3 if cube else [*(NARROWER * row[13:15]), gap]
+                under = make_row(
+                    BOX, rotation_of(row) if int(row[0]) == BOX else np.eye(3), [*place, 0.5 * gap], extents
+                )
+                new = state.add(under, UPRIGHT, cube, FLOOR, 0.0)
+                new.parents[i], new.bottoms[i] = len(state), gap
+                states.append(new)
+    return states
 
 
 def weighed_blocks(rng, best, candidates, own_places, rules):

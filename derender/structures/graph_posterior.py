@@ -144,10 +144,10 @@ def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence,
         best = with_sensor_refitted(rng, best)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0, names, 0.0)}
-    for other in others:
+    for other in sorted(others, key=lambda each: each.places is None):  # those against this best before those of others
         own = matched_names(other.trial.state, best.state, names)
         key = structure_key(other.trial.state, own)
-        if key not in found or other.odds > found[key][1]:
+        if key not in found or (other.places is not None and other.odds > found[key][1]):
             found[key] = (other.trial, other.odds, own, other.error)
     return sorted(found.values(), key=lambda each: -each[1])
 

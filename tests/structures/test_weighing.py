@@ -8,10 +8,12 @@ import pytest
 from test_graph_posterior import camera, floor_pose, observe, row
 
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.interpenetration import lowest
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX, CYLINDER
+from derender.structures.alternatives import of_one_solid, stood_up
 from derender.structures.draws.metropolis import engine_of, evaluate, load
 from derender.structures.draws.refined import at_mode, members_of, refitted
 from derender.structures.weighing import Weighed, averaged, made_sure, of_block, with_own_sensor
@@ -125,3 +127,28 @@ def test_a_structure_that_others_noise_and_blur_speak_against_is_weighed_by_its_
     assert own.log_likelihood > frozen.log_likelihood + 500.0
     again = with_own_sensor(rng, own, [0], 0.0)
     assert again.log_likelihood >= own.log_likelihood - 1.0
+
+
+def test_what_hangs_in_the_air_is_given_a_hidden_support():
+    """A cube high above a floor, nothing under it: rivals have a box or a cube there, and are far more probable."""
+    rng = np.random.default_rng(6)
+    hanging = State().add(row(BOX, 0.3, 0.0, 0.0, 0.05, (0.1,) * 3), UPRIGHT, True, FLOOR, np.nan)
+    sensor, chart, values = observe(rng, hanging, {"sigma": 0.004, "blur": 0.5}, camera(48, 36))
+    best = at_mode(rng, hanging, floor_pose(), sensor, RULES)
+    found = [each for each in of_one_solid(rng, best, 0, RULES, ("box", "cube")) if len(each.trial.state) == 2]
+    assert found and all(each.trial.state.parents[0] == 1 and each.places == ((0, 1), (0,)) for each in found)
+    assert not [each for each in of_one_solid(rng, best, 0, RULES._replace(floating=True), ("box", "cube"))
+                if len(each.trial.state) == 2]  # fmt: skip
+
+
+def test_a_can_that_lies_is_tried_as_a_box_that_stands():
+    lying = State().add(row(CYLINDER, 0.0, 0.0, 0.0, 0.0, (0.06, 0.06, 0.1)), FREE, False, FLOOR, np.nan)
+    lying.rows[0, 1:10] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]).ravel()
+    lying.rows[0, 12] = 0.03
+    states = stood_up(lying, 0, ("box", "cube", "cylinder"))
+    assert states and {state.cubes[0] for state in states} == {True, False}
+    assert all(state.forms[0] == UPRIGHT and state.bottoms[0] == 0.0 for state in states)
+    assert all(
+        state.rows[0, 15] == pytest.approx(0.06) and lowest(state.rows[0]) == pytest.approx(0.0) for state in states
+    )
+    assert stood_up(solid(CYLINDER, (0.06, 0.06, 0.1)), 0, ("box",)) == []  # it stands already
