@@ -84,8 +84,9 @@ class Kernel:
         if key not in self._versions:
             with _lock:
                 if key not in self._versions:  # another thread may have been faster
-                    self._versions[key] = self._new_version(key, arguments)
-                    self._calls[key] = self._versions[key].call
+                    found = self._versions[key] = self._new_version(key, arguments)
+                    if found.call is not None:
+                        self._calls[key] = found.call
         return self._versions[key]
 
     def _new_version(self, key, arguments) -> Version:

@@ -15,13 +15,21 @@ FORMAT = 4  # of an entry
 DIGEST = hashlib.sha256
 
 
+def numba_folder() -> Path:
+    """Return where numba is, which is not imported for it."""
+    found = importlib.util.find_spec("numba")
+    if found is None or found.origin is None:
+        raise ImportError("numba is not installed")
+    return Path(found.origin).parent
+
+
 @functools.cache
 def machine() -> tuple:
     """Return what compiled code depends on besides its sources and types: the compiler, its settings, the processor."""
     import llvmlite
     import llvmlite.binding as llvm
 
-    version = Path(importlib.util.find_spec("numba").origin).with_name("_version.py").read_bytes()
+    version = (numba_folder() / "_version.py").read_bytes()
     settings = {key: value for key, value in os.environ.items() if key.startswith("NUMBA_") and "CACHE" not in key}
     return (hashlib.sha256(version).hexdigest(), llvmlite.__version__, sorted(settings.items()),
             llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())  # fmt: skip

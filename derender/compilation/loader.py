@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.compilation.entries import read_entry
+from derender.compilation.entries import numba_folder, read_entry
 
 
 class Version(NamedTuple):
@@ -124,7 +124,7 @@ def _parts(*names: str) -> list[ModuleType]:
     """Return C modules of numba, numba itself not imported: packages without contents stand in for it meanwhile."""
     stand_ins = []
     if "numba" not in sys.modules:
-        root = Path(importlib.util.find_spec("numba").origin).parent
+        root = numba_folder()
         for package, folder in (("numba", root), ("numba.core", root / "core"),
                                 ("numba.core.runtime", root / "core" / "runtime")):  # fmt: skip
             sys.modules[package] = ModuleType(package)

@@ -75,16 +75,16 @@ def period_of(graph: SceneGraph, address: str, distribution: Distribution) -> fl
 def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
     """Return (vertex, face): the lowest face below an object that stays parallel to the one that it stands on."""
     vertex = graph.vertex(name)
-    base, face = vertex.parent, vertex.contact.parent_face
+    base, face = vertex.parent, vertex.contact.faces[0]
     while True:
         below = graph.vertex(base)
         contact = below.contact
         tilted = any(
             contact.values.get(key, 0.0) != 0.0 or f"{base}.contact.{key}" in unknown for key in ("tilt_x", "tilt_y")
         )
-        if contact.type != "face-to-face" or tilted or not _opposite(contact.child_face, face):
+        if contact.type != "face-to-face" or tilted or not _opposite(contact.faces[1], face):
             return base, face
-        base, face = below.parent, contact.parent_face
+        base, face = below.parent, contact.faces[0]
 
 
 def bases_of(graph: SceneGraph, relocations: Sequence[str], unknown: set[str]) -> dict[str, tuple[str, str]]:

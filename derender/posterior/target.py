@@ -93,6 +93,7 @@ class SceneTarget:
                 size = unknown.distribution.size
                 value = tuple(float(v) for v in values[start : start + size]) if size > 1 else float(values[start])
                 coordinates[unknown.address] = value
+        assert self.root_prior is not None, "a root with unknowns has a prior"
         return self.root_prior.pose(coordinates)
 
     def graph(self, values: Sequence[float] | np.ndarray) -> SceneGraph:
@@ -168,7 +169,7 @@ class SceneTarget:
             for key, value in phi.items():
                 kept[self._index[f"{name}.contact.{key}"]] = value
             if "u" in phi:
-                outlines = on.face(contact.parent_face).outline, by.face(contact.child_face).outline
+                outlines = on.face(contact.faces[0]).outline, by.face(contact.faces[1]).outline
                 log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *outlines))
                 log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
         return kept, log_jacobian
@@ -182,7 +183,7 @@ class SceneTarget:
         base, face = self.bases[name]
         vertex, poses = graph.vertex(name), graph.poses()
         below = poses[base] @ graph.body(base).face(face).frame
-        return below, poses[name] @ vertex.body.face(vertex.contact.child_face).frame @ TURNED
+        return below, poses[name] @ vertex.body.face(vertex.contact.faces[1]).frame @ TURNED
 
     def placement(self, values: np.ndarray, name: str) -> np.ndarray:
         """Return w = (angle, x, y) of an object on the lowest parallel face below it."""
@@ -216,7 +217,7 @@ class SceneTarget:
         for name, place in places.items():
             below, own = self._frames(graph, name)
             height = (inverse(below) @ own)[2, 3]
-            face = graph.vertex(name).body.face(graph.vertex(name).contact.child_face)
+            face = graph.vertex(name).body.face(graph.vertex(name).contact.faces[1])
             put = below @ translation(place[1], place[2], height) @ rotation_z(place[0])
             there[name] = put @ TURNED @ inverse(face.frame)
         return self._touching_anew(graph, values, there)

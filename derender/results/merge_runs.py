@@ -33,12 +33,13 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
                                 "report them one by one")  # fmt: skip
     draws = min(part.values.shape[1] for part in parts)
     parts = [as_seen_from(first, part) for part in parts]
+    roots = [part.root_pose for part in parts if part.root_pose is not None]
     joined = replace(
         first,
         values=np.concatenate([part.values[:, :draws] for part in parts]),
         log_prior=np.concatenate([part.log_prior[:, :draws] for part in parts]),
         log_likelihood=np.concatenate([part.log_likelihood[:, :draws] for part in parts]),
-        root_pose=None if first.root_pose is None else np.concatenate([part.root_pose[:, :draws] for part in parts]),
+        root_pose=np.concatenate([pose[:, :draws] for pose in roots]) if len(roots) == len(parts) else None,
         weight=1.0,
     )
     return replace(posteriors[0], parts=(joined,))

@@ -175,6 +175,7 @@ class _Processes:
         if kind == "progress":
             self.progress(*content)
             return
+        assert number is not None, "only a process that is on a chain answers"
         if kind == "done":
             self.records[number] = content
         elif kind == "fault":

@@ -34,6 +34,12 @@ class Contact:
     child_face: str | None = None
     values: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def faces(self) -> tuple[str, str]:
+        """The parent's and the child's, of a contact that has them."""
+        assert self.parent_face is not None and self.child_face is not None, self.type
+        return self.parent_face, self.child_face
+
 
 @dataclass(frozen=True)
 class Vertex:
@@ -123,6 +129,7 @@ def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids
     for index, vertex in enumerate(vertices):
         body = vertex.body
         pose[index] = poses[vertex.name]
+        assert body.shape.solid_kind is not None, "a frame is no solid"
         kind[index] = body.shape.solid_kind
         extents = body.size()
         size[index] = 0.0 if extents is None else extents

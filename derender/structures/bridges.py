@@ -144,7 +144,7 @@ def closed(part: StructurePosterior, candidate: Candidate) -> StructurePosterior
     if contact.type != "face-to-face" or part.graph.vertex(candidate.other).shape not in ("box", "cylinder"):
         return part
     residual = support_residual(part.graph, candidate.name, candidate.other)
-    face = contact.child_face
+    face = contact.faces[1]
     opposite = ("-" if face[0] == "+" else "+") + face[1]
     address = f"{candidate.other}.{EXTENTS[face[1]]}"
     if residual.parent_face != opposite or address not in part.addresses:

@@ -90,6 +90,7 @@ def steps_of_chains() -> None:
 
     document, rng = read_prior_document("figure-4"), np.random.default_rng(0)
     camera = document.camera
+    assert camera is not None
     image = np.full(camera.shape, 0.9)
     target, _ = targets(document, image, camera, 0)[0]
     values = target.space.sample(rng)

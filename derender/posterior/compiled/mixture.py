@@ -52,7 +52,9 @@ def kernels_of(target, parts: list[Part], tuning: Tuning, readable: frozenset[in
             moved = [unknown for triple in flips_of(space) for unknown in triple]
         weight += part.weight
         keep = names.index(part.block.objects[0]) if kind.keeps_children else -1
-        proposes = {steps.RELOCATE: addresses.relocate, steps.TURN: addresses.turn}.get(kind.code, addresses.propose)
+        proposes = {steps.RELOCATE: addresses.relocate, steps.TURN: addresses.turn}.get(
+            kind.code or 0, addresses.propose
+        )
         table.append((code, first, factor_first, keep, proposes, addresses.keep))
         numbers.append((weight, scale, count, reach))
         members += moved

@@ -129,7 +129,9 @@ class Part(NamedTuple):
         return f"{self.type} {self.block.name}"
 
 
-def mixture(space: Space, entries: list[dict[str, Mapping[str, Any] | None]], where: object = None) -> list[Part]:
+def mixture(
+    space: Space, entries: Sequence[Mapping[str, Mapping[str, Any] | None]], where: object = None
+) -> list[Part]:
     """Return the parts of a mixture given as data; an entry's weight is shared by its blocks according to their size.
 
     Parameters

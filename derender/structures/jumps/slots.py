@@ -46,6 +46,7 @@ class SlotImage:
         if here is None:
             self._make(names, solids)
             here = self._assign(names, solids)
+        assert here is not None and self._evaluator is not None, "the engine was made for as many"
         poses, sizes = self._poses, self._sizes
         moved, new_poses, new_sizes = [], [], []
         for place, pose, size in zip(here.values(), solids.pose, solids.size, strict=True):
@@ -74,13 +75,13 @@ class SlotImage:
         here, moved, poses, sizes, self._density = self._next
         for place, pose, size in zip(moved, poses, sizes, strict=True):
             self._poses[place], self._sizes[place] = pose, size
-        if moved:
+        if moved and self._evaluator is not None:
             self._evaluator.accept()
         self._here = here
 
     def reject(self) -> None:
         """Forget the scene proposed."""
-        if self._next and self._next[1]:
+        if self._next and self._next[1] and self._evaluator is not None:
             self._evaluator.reject()
 
     def _propose_whole(self, solids: Solids) -> float:

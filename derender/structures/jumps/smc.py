@@ -33,11 +33,13 @@ STAY = 0.5  # probability that a particle that could take one more object does n
 
 
 class Particle(NamedTuple):
-    """state : of the scene with the object; born : its name, or None; without : the scene before, with densities."""
+    """state : of the scene with the object; born : its name, or None; without : the scene before, with densities;
+    possible : whether there was an object to be born where one was to be."""
 
     state: State
     born: str | None
     without: State
+    possible: bool = True
 
 
 class Limited:
@@ -62,6 +64,8 @@ class Limited:
 
 def log_increment(words: Vocabulary, particle: Particle, most: int) -> float:
     """Return the log of a particle's whole increment of weight (see above)."""
+    if not particle.possible:
+        return -math.inf
     if particle.born is None:
         return -math.log(STAY) if len(words.grown(particle.state.graph)) == most - 1 else 0.0
     graph, before = particle.state.graph, particle.without
@@ -121,6 +125,8 @@ def _forth(rng, target: Target, words: Vocabulary, state: State, size: int) -> P
     if len(words.grown(state.graph)) != size - 1 or rng.random() < STAY:
         return stays
     vertex = words.proposal.sample(rng, words, state.graph)
+    if vertex is None:
+        return stays._replace(possible=False)
     graph = state.graph.add(vertex)
     return Particle(evaluate(target, graph), vertex.name, state)
 
@@ -137,8 +143,10 @@ def _rejuvenate(rng, target: Target, words: Vocabulary, particle: Particle, size
     if not laws:
         return particle
 
+    born = particle.born
+
     def density(p: Particle) -> float:
-        proposal = words.proposal.log_density(words, p.without.graph, p.state.graph.vertex(p.born))
+        proposal = words.proposal.log_density(words, p.without.graph, p.state.graph.vertex(born))
         if proposal == -math.inf or p.state.log_prior == -math.inf:
             return -math.inf
         return proposal + exponent * log_increment(words, p, size)

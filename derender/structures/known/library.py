@@ -56,7 +56,8 @@ class Known:
     @cached_property
     def proxy(self) -> int:
         """The kind of solid that stands for it where solids must not enter each other: a mesh's oriented box."""
-        return PROXIES.get(self.body.shape.solid_kind, BOX)
+        kind = self.body.shape.solid_kind
+        return BOX if kind is None else PROXIES.get(kind, BOX)
 
     @cached_property
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
