@@ -1,18 +1,15 @@
-"""Write the lists of commands and of kernels into README.md, between their markers: python scripts/list_commands.py"""
+"""Write the list of commands into README.md, between its markers: python scripts/list_commands.py"""
 
-import inspect
 import sys
 from pathlib import Path
 
 import click
 
 from derender.cli import COMMANDS, group
-from derender.posterior.kernels import kernels
-from derender.posterior.target import default_parts
 
 README = Path(__file__).parent.parent / "README.md"
-BEGIN = "<!-- {}: written by scripts/list_commands.py -->\n"
-END = "<!-- end of {} -->\n"
+BEGIN = "<!-- commands: written by scripts/list_commands.py -->\n"
+END = "<!-- end of commands -->\n"
 
 
 def command_list() -> str:
@@ -36,24 +33,10 @@ def _option(option: click.Option) -> str:
     return " ".join([*short, "/".join([*long, *option.secondary_opts])])
 
 
-def kernel_list() -> str:
-    """Return the Markdown table of all kernels with their options and their share in the default mixture."""
-    weights = {name: given["weight"] for entry in default_parts() for name, given in entry.items()}
-    lines = ["| kernel | does | options | default weight |", "|---|---|---|---|"]
-    for name in kernels:
-        does = (inspect.getdoc(type(kernels[name])) or "").partition("\n\n")[0].replace("\n", " ")
-        options = " ".join(f"`{key}: {value:g}`" for key, value in kernels[name].options.items())
-        lines.append(f"| `{name}` | {does} | {options} | {weights.get(name, '')} |")
-    return "\n".join(lines) + "\n"
-
-
 def updated(text: str) -> str:
-    """Return README's text with fresh lists."""
-    for name, fresh in (("commands", command_list()), ("kernels", kernel_list())):
-        begin, end = BEGIN.format(name), END.format(name)
-        before, rest = text.split(begin)
-        text = before + begin + "\n" + fresh + "\n" + end + rest.split(end)[1]
-    return text
+    """Return README's text with a fresh list."""
+    before, rest = text.split(BEGIN)
+    return before + BEGIN + "\n" + command_list() + "\n" + END + rest.split(END)[1]
 
 
 if __name__ == "__main__":
