@@ -28,6 +28,7 @@ from derender.tracking.first import start_from
 from derender.tracking.page import report_page
 from derender.tracking.passes import Passes
 from derender.tracking.result import write_track
+from derender.tracking.thing import GONE
 from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows
@@ -47,12 +48,13 @@ class Outcome(NamedTuple):
         lines = []
         for k, name in enumerate(self.track.names):
             words: list[str] = []
-            for row in self.track.parents():
-                word = row[k] or "nothing"
+            for row, states in zip(self.track.parents(), self.track.states, strict=True):
+                word = "away" if states[k] == GONE else row[k] or "nothing"
                 if not words or words[-1] != word:
                     words.append(word)
             lost = [t for t, row in enumerate(self.track.states) if row[k] == "lost"]
-            lines.append(f"{name:<14} on {', then '.join(words)}" + (f"; lost in {len(lost)} frames" if lost else ""))
+            told = ", then ".join(word if word == "away" else f"on {word}" for word in words)
+            lines.append(f"{name:<14} {told}" + (f"; lost in {len(lost)} frames" if lost else ""))
         return "\n".join(lines)
 
 

@@ -26,7 +26,7 @@ ROOM = (0.012, 0.12)  # metres and radians by which a moving thing may be off it
 ROOM_SHARE = 0.6  # ... of its last motion besides
 BIAS = 0.2  # pixels by which outlines may be off in one direction, frame after frame: sensors lose pixels there
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
-MORE_THAN_BEFORE = 1.3  # times at once that the usual cost rises where no beginning led to a better one
+MORE_THAN_BEFORE = 2.0  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 
