@@ -1,8 +1,8 @@
 """Pilot chains: before any draw is kept, all chains look together for where the posterior is and how to walk on it.
 
 Tempered populations find good places; scouts turn one object of the best at a time. From there each chain climbs a
-ladder of temperatures (Geyer 1991): on the rungs above the first the likelihood is raised to a power below one, narrow
-modes are wide there, and neighbours exchange their places by the Metropolis rule. What the first rung has seen by the
+ladder of temperatures (Geyer 1991): on the levels above the first the likelihood is raised to a power below one, narrow
+modes are wide there, and neighbours exchange their places by the Metropolis rule. What the first level has seen by the
 end fixes the tuning that every chain starts with. What one chain missed another found: only together do they know all
 modes.
 """
@@ -28,11 +28,11 @@ ANGLES = 8  # at which a scout sets an object down
 HEATS = (0.03, 0.03, 0.06, 0.06, 0.12, 0.25, 0.5, 1.0)  # temperatures at which it then walks
 SCOUT_STEPS, MOST_SCOUTS = 20, 3  # at each of them; and how often scouts set out again from a better place
 LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
-STAGES = (10, 20, 40, 80)  # rounds of each; then all rungs are fitted anew to what all chains saw in its later half
+STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
 STRETCH = 5  # rounds between two exchanges
 RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
 MOST_STAGES = 6
-COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first rung's, others', and from each hotter rung
+COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level's, others', and from each hotter level
 
 
 class Found(NamedTuple):
@@ -43,8 +43,8 @@ class Found(NamedTuple):
 
 
 class Climb(NamedTuple):
-    """One chain's stage. last : (R, P), where each rung ended; seen : (R, n, P); density : mean log posterior of the
-    first rung; scales : step scales of each rung.
+    """One chain's stage. last : (R, P), where each level ended; seen : (R, n, P); density : mean log posterior of the
+    first level; scales : step scales of each level.
     """
 
     last: np.ndarray
@@ -84,24 +84,24 @@ def fly(space: Space, backends: list, parts: list[Part], movers: list, singles: 
         return None
     pools = [np.concatenate([found.stops[-1 - r].values for found in explored]) for r in range(len(LADDER))]
     pools[0] = np.concatenate([found.values for found in explored])[good]
-    rungs = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
-    rungs = refitted(space, rungs, pools, [[{}]] * len(rungs))
+    levels = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
+    levels = refitted(space, levels, pools, [[{}]] * len(levels))
     rngs = [np.random.default_rng([seed, 4, number]) for number in range(len(backends))]
     starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
     stage, density, rising = 0, -math.inf, True
     while stage < len(STAGES) or (rising and stage < MOST_STAGES):
         with ThreadPoolExecutor(jobs) as pool:
-            list(pool.map(backends[0].program, rungs))
+            list(pool.map(backends[0].program, levels))
         rounds = STAGES[min(stage, len(STAGES) - 1)]
-        climbs = each(lambda n, rng, start, rounds=rounds, rungs=rungs:
-                      climb(rng, backends[n], parts, rungs, start, rounds, thin), rngs, starts)  # fmt: skip
+        climbs = each(lambda n, rng, start, rounds=rounds, levels=levels:
+                      climb(rng, backends[n], parts, levels, start, rounds, thin), rngs, starts)  # fmt: skip
         starts = [one.last for one in climbs]
-        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(rungs))]
-        rungs = refitted(space, rungs, pools, [[one.scales[r] for one in climbs] for r in range(len(rungs))])
+        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(levels))]
+        levels = refitted(space, levels, pools, [[one.scales[r] for one in climbs] for r in range(len(levels))])
         stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
         rising = density > former + RISE
-    backends[0].program(rungs[0])
-    return Found(pools[0], rungs[0])
+    backends[0].program(levels[0])
+    return Found(pools[0], levels[0])
 
 
 def scouted(rng, space: Space, singles: dict[str, Any], values, density) -> tuple[np.ndarray, np.ndarray]:
@@ -141,14 +141,14 @@ def turned(rng, space: Space, name: str, backend: Any, values: np.ndarray) -> li
     return ends
 
 
-def climb(rng, backend: Any, parts: list[Part], rungs: list[Tuning], start, rounds: int, thin: int) -> Climb:
-    """Walk on all rungs from `start` (R, P) and let neighbours exchange places, with
+def climb(rng, backend: Any, parts: list[Part], levels: list[Tuning], start, rounds: int, thin: int) -> Climb:
+    """Walk on all levels from `start` (R, P) and let neighbours exchange places, with
 
     log ratio = (temperature - temperature') * (log likelihood' - log likelihood).
     """
-    places, logs = start.copy(), np.zeros((len(rungs), 2))
-    seen: list[list[np.ndarray]] = [[] for _ in rungs]
-    tunings, densities = list(rungs), []
+    places, logs = start.copy(), np.zeros((len(levels), 2))
+    seen: list[list[np.ndarray]] = [[] for _ in levels]
+    tunings, densities = list(levels), []
     for turn in range(0, rounds, STRETCH):
         gain = 3.0 / math.sqrt(1.0 + turn / STRETCH)
         for r, tuning in enumerate(tunings):
@@ -158,26 +158,26 @@ def climb(rng, backend: Any, parts: list[Part], rungs: list[Tuning], start, roun
             seen[r].append(stretch.values)
             if r == 0:
                 densities.append(stretch.densities.sum(axis=1).mean())
-        for r in range(len(rungs) - 1):
-            log_ratio = (rungs[r].temperature - rungs[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
+        for r in range(len(levels) - 1):
+            log_ratio = (levels[r].temperature - levels[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
             if log_threshold(rng) < log_ratio:
                 places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
     later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
     return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])
 
 
-def refitted(space: Space, rungs: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
-    """Return the rungs' tunings as fitted to the places (n, P) and step scales that all chains found on each.
+def refitted(space: Space, levels: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
+    """Return the levels' tunings as fitted to the places (n, P) and step scales that all chains found on each.
 
-    A rung's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
+    A level's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
     time, which is far likelier than by an exchange of whole scenes.
     """
     result = []
-    for r, rung in enumerate(rungs):
+    for r, level in enumerate(levels):
         archive = [spread_out(pools[r], HOT if r else COLD), *(spread_out(pool, BORROWED) for pool in pools[r + 1 :])]
         names = {name for scale in scales[r] for name in scale}
         means = {n: float(np.exp(np.mean([np.log(scale.get(n, 1.0)) for scale in scales[r]]))) for n in sorted(names)}
-        result.append(shaped(space, rung._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
+        result.append(shaped(space, level._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
     return result
 
 

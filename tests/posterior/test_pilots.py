@@ -123,7 +123,7 @@ def test_place_mixture_is_a_density_around_the_seam(size):
 
 @pytest.mark.parametrize("better", [0, 1])
 def test_neighbours_exchange_places_by_the_metropolis_rule(better):
-    """The colder rung takes the better place, whoever has it; here nothing else moves and the rule leaves no doubt."""
+    """The colder level takes the better place, whoever has it; here nothing else moves and the rule leaves no doubt."""
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
     parts = mixture(world.space, [{"drift": {"scale": 1e-12}}])

@@ -82,7 +82,7 @@ def _form(shape: Shape) -> tuple[np.ndarray, float]:
     return np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 1.0], [1.0, -1.0, -1.0]]), math.log(3.0)
 
 
-def castable(shape: Shape) -> bool:
+def scales_with_extents(shape: Shape) -> bool:
     """Return whether a shape's parameters are lengths that scale extents as `_form` says."""
     return shape.name in ("box", "cylinder") or len(shape.parameters) == 1
 

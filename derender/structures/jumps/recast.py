@@ -38,13 +38,13 @@ from derender.structures.jumps.charts import (
     TILTED,
     Rest,
     all_numbers,
-    castable,
     chartable,
     extents_into,
     extents_of,
     free_names,
     log_extents_element,
     log_pose_element,
+    scales_with_extents,
 )
 
 ROUND = np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])])
@@ -59,7 +59,7 @@ class Slot(NamedTuple):
     choice: tuple
 
 
-class Cast(NamedTuple):
+class PosedBox(NamedTuple):
     """A posed box. extents : (3,) metres; pose : (4, 4) object to camera; log_element : of the chart it came from."""
 
     extents: np.ndarray
@@ -77,12 +77,16 @@ def slot_of(words, graph: SceneGraph, name: str) -> Slot:
 def table_of(words, graph: SceneGraph, slot: Slot):
     """Return the table of a slot's contact; None where the prior has none or jumps do not know its chart."""
     table = words.table(*words.seat(graph, slot.parent), words.shapes[slot.kind].type, slot.choice)
-    if table is None or not chartable(slot.choice[0], table) or not castable(shapes[words.shapes[slot.kind].type]):
+    if (
+        table is None
+        or not chartable(slot.choice[0], table)
+        or not scales_with_extents(shapes[words.shapes[slot.kind].type])
+    ):
         return None
     return table
 
 
-def release(words, graph: SceneGraph, vertex: Vertex, rest: Rest) -> Cast:
+def release(words, graph: SceneGraph, vertex: Vertex, rest: Rest) -> PosedBox:
     """Return the posed box of a vertex and its rest."""
     entry = words.shapes[words.kind_of(vertex)]
     parent, contact = graph.body(vertex.parent), vertex.contact
@@ -93,7 +97,7 @@ def release(words, graph: SceneGraph, vertex: Vertex, rest: Rest) -> Cast:
     element = log_pose_element(contact.type, numbers, parent, vertex.body, faces) + log_extents_element(entry, psi)
     extents = extents_of(entry, psi, rest.shape)
     pose = graph.poses()[vertex.parent] @ relative
-    return Cast(extents, _on_its_foot(graph, pose, contact, parent, vertex, extents), element)
+    return PosedBox(extents, _on_its_foot(graph, pose, contact, parent, vertex, extents), element)
 
 
 def _on_its_foot(graph, pose, contact, parent, vertex, extents, sign=1.0):
@@ -110,14 +114,16 @@ def _on_its_foot(graph, pose, contact, parent, vertex, extents, sign=1.0):
     return shifted
 
 
-def seize(words, graph: SceneGraph, name: str, slot: Slot, table, cast: Cast) -> tuple[Vertex, Rest, float] | None:
+def hung_from(
+    words, graph: SceneGraph, name: str, slot: Slot, table, posed: PosedBox
+) -> tuple[Vertex, Rest, float] | None:
     """Return (vertex, rest, log element) of a posed box in a slot, the inverse of `release`; None if out of range."""
     entry = words.shapes[slot.kind]
     parent = graph.body(slot.parent)
-    psi, rest_shape = extents_into(entry, cast.extents)
+    psi, rest_shape = extents_into(entry, posed.extents)
     parameters = {key: float(x) for (key, _), x in zip(entry._table, psi, strict=True)}
     bare = Vertex(name, entry.type, parameters, slot.parent, Contact(*slot.choice), dict(entry.options))
-    pose = _on_its_foot(graph, cast.pose, bare.contact, parent, bare, cast.extents, -1.0)
+    pose = _on_its_foot(graph, posed.pose, bare.contact, parent, bare, posed.extents, -1.0)
     body = bare.body
     relative = inverse(graph.poses()[slot.parent]) @ pose
     found = contacts[slot.choice[0]].invert(relative, parent, body, *slot.choice[1:])

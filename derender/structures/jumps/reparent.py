@@ -12,9 +12,9 @@ from derender.structures.jumps.recast import (
     allowed,
     carry,
     group,
+    hung_from,
     release,
     renamed,
-    seize,
     slot_of,
     table_of,
 )
@@ -76,13 +76,13 @@ class Recast(Move):
         """Return the posed box, the group, and the indices of the rotations that the slot allows."""
         rotations = self.rotations(words, graph, name, slot)
         table = table_of(words, graph, slot)
-        cast = release(words, graph, graph.vertex(name), rest)
+        posed = release(words, graph, graph.vertex(name), rest)
         if table is None:
-            return cast, rotations, np.zeros(0, int)
-        good = allowed(words, graph, slot, table, cast.pose, rotations)
+            return posed, rotations, np.zeros(0, int)
+        good = allowed(words, graph, slot, table, posed.pose, rotations)
         if self.keeps_axes(graph, name):
             good &= np.array([np.array_equal(r, np.eye(3)) for r in rotations])
-        return cast, rotations, np.flatnonzero(good)
+        return posed, rotations, np.flatnonzero(good)
 
     def log_choice(self, words, graph, choice):
         names = words.grown(graph)
@@ -98,13 +98,13 @@ class Recast(Move):
 
     def apply(self, words, graph, choice):
         name, slot = choice.name, choice.slot
-        cast, rotations, _ = self._places(words, graph, name, slot, choice.rest)
+        posed, rotations, _ = self._places(words, graph, name, slot, choice.rest)
         rotation = rotations[choice.rotation]
-        pose, extents = renamed(cast.pose, cast.extents, rotation)
+        pose, extents = renamed(posed.pose, posed.extents, rotation)
         table = table_of(words, graph, slot)
         if table is None:
             return None
-        found = seize(words, graph, name, slot, table, cast._replace(pose=pose, extents=extents))
+        found = hung_from(words, graph, name, slot, table, posed._replace(pose=pose, extents=extents))
         if found is None:
             return None
         vertex, rest, element = found
@@ -114,7 +114,7 @@ class Recast(Move):
         new, log_jacobian = carried
         undo = int(np.argmin(np.abs(rotations - rotation.T).sum(axis=(1, 2))))
         back = Rehang(name, slot_of(words, graph, name), rest, undo)
-        return Applied(new, back, cast.log_element - element + log_jacobian)
+        return Applied(new, back, posed.log_element - element + log_jacobian)
 
 
 def own_chart(words, graph, name):
