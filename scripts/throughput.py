@@ -1,0 +1,73 @@
+"""Measure many frames: frames a second with one process and with two, the best scene only and whole posteriors.
+
+    python scripts/throughput.py                40 frames of the set `settled` at 160 x 120
+    python scripts/throughput.py -n 200
+
+Times are of `derender infer FRAMES` as a user runs it, start-up and all files included (report pages are made on demand).
+CPU seconds a frame are those of all its processes: on a busy machine they tell more than the wall clock.
+"""
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from scene_makers import SETS, make_scene  # noqa: E402
+
+from derender.camera.depth_file import write_depth  # noqa: E402
+from derender.camera.intrinsics import Camera  # noqa: E402
+
+
+def write_frames(folder, count):
+    """Write frames of the set `settled`; return their folder."""
+    for number in range(count):
+        scene = make_scene(np.random.default_rng([number, SETS.index("settled")]), "settled")
+        height, width = scene["depth"].shape
+        camera = scene["camera"]
+        if not isinstance(camera, Camera):
+            camera = Camera(**{**camera, "width": width, "height": height})
+        write_depth(folder / f"frame_{number:04d}.npz", scene["depth"], camera)
+    return f"{width} x {height}"
+
+
+def run(folder, output, *options):
+    """Infer the frames of a folder; return (wall, CPU) seconds."""
+    before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    command = [sys.executable, "-m", "derender", "infer", str(folder), "-q", "-o", str(output), *options]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - started, cpu
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-n", type=int, default=40, help="frames")
+    parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as place:
+        frames = Path(place) / "frames"
+        frames.mkdir()
+        size = write_frames(frames, arguments.n)
+        print(f"{arguments.n} frames of {size} pixels; load of the machine {os.getloadavg()[0]:.1f}")
+        print("| mode | processes | frames a second | CPU s a frame | times one process |\n|---|---|---|---|---|")
+        for mode, options in (("--quick", ["--quick"]), ("whole", [])):
+            run(frames, Path(place) / f"{mode}_warm", *options, "-j", "1")
+            one = None
+            for processes in arguments.processes:
+                wall, cpu = run(frames, Path(place) / f"{mode}_{processes}", *options, "-j", str(processes))
+                one = one or wall
+                figures = f"{arguments.n / wall:.2f} | {cpu / arguments.n:.3f} | {one / wall:.2f}"
+                print(f"| {mode} | {processes} | {figures} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
