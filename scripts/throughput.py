@@ -3,7 +3,7 @@
     python scripts/throughput.py                40 frames of the set `settled` at 160 x 120
     python scripts/throughput.py -n 200
 
-Times are of `derender infer FRAMES` as a user runs it, start-up and all files included (report pages are made on demand).
+Times are of `derender infer FRAMES` as a user runs it, start-up and files included; report pages are made on demand.
 CPU seconds a frame are those of all its processes: on a busy machine they tell more than the wall clock.
 """
 
@@ -18,12 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from scene_makers import SETS, make_scene  # noqa: E402
-
-from derender.camera.depth_file import write_depth  # noqa: E402
-from derender.camera.intrinsics import Camera  # noqa: E402
+from derender.camera.depth_file import write_depth
+from derender.camera.intrinsics import Camera
+from derender.evaluation.made_scenes import SETS, make_scene
 
 
 def write_frames(folder, count):
