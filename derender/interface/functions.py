@@ -170,7 +170,7 @@ def infer(
     if quick and method not in ("auto", "map"):
         raise TypeError("infer(): quick=True is method='map'; leave one of them out")
     options = Options(
-        method="map" if quick else method, seed=seed, chains=chains, draws=draws, warmup=warmup,
+        method="map" if quick else method, quick=quick, seed=seed, chains=chains, draws=draws, warmup=warmup,
         budget=budget, jobs=jobs, shapes=shapes, max_objects=max_objects, floor=floor, known=known,
         only_known=only_known, may_overlap=allow_interpenetration, may_float=allow_floating,
     )  # fmt: skip

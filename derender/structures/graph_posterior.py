@@ -66,7 +66,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
 def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
     """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
-    first = refine(rng, seen, state, settings.rules)
+    first = refine(rng, seen, state, settings.rules, settings.tries)
     if only_best:
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
     made = DrawsOfOne(chains, draws)

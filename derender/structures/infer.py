@@ -124,6 +124,8 @@ def settings_of(options):
     said = options.shapes or options.known or not isinstance(prior, BareImagePrior | None)
     if said or (isinstance(options.floor, str) and options.floor == "none"):
         settings = settings._replace(free_forms=False)  # what there may be is said, or nothing that it could stand on
+    if options.quick:
+        settings = settings._replace(tries=1)
     return settings._replace(
         may_overlap=settings.may_overlap or options.may_overlap, may_float=settings.may_float or options.may_float
     )

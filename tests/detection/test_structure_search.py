@@ -22,7 +22,7 @@ from derender.evaluation.convex import intersection_volume
 from derender.evaluation.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
 from derender.scene.pose import random_rotation, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.infer import infer_structure, point_estimate
+from derender.structures.infer import infer_structure, point_estimate, settings_of
 from derender.structures.options import Options
 
 
@@ -304,3 +304,13 @@ def test_what_a_floor_is_uneven_by_is_no_solid(rng):
     depth, _ = render_floor_scene(["box", "box"], floor @ poses, sizes, floor, camera)
     state, _ = point_estimate(rng, depth + 0.001 * rng.normal(size=depth.shape), camera)
     assert len(state) == 1 and state.rows[0, 13:16] == pytest.approx(sizes[1], abs=0.004)
+
+
+def test_a_quick_look_searches_once():
+    """With one try there is no second search to agree with, and the scene is found nevertheless."""
+    scene = make_scene(np.random.default_rng(4), "cubes")
+    assert settings_of(Options(method="map", quick=True)).tries == 1 < settings_of(Options(method="map")).tries
+    graph = infer_structure(
+        scene["depth"], scene["camera"], Options(method="map", quick=True), np.random.default_rng(0)
+    ).best_graph()
+    assert len(graph.names) == len(scene["objects"]) + 1

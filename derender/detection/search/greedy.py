@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED, REAL_DISCREPANCY
 from derender.detection.solids.beliefs import Beliefs, bare_image
 from derender.detection.solids.interpenetration import highest
@@ -45,6 +46,7 @@ class Settings(NamedTuple):
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
+    tries : searches side by side, and climbs to the mode, of which the best counts; 1 is quick and sometimes wrong.
     until : time.monotonic() from which on draws that do not agree yet are not gone on with; None: while it is worth it.
     """
 
@@ -63,6 +65,7 @@ class Settings(NamedTuple):
     temper: float = 1.0
     uneven: float = 0.01
     discrepancy: float = 0.0
+    tries: int = THREADS
     may_overlap: bool = False
     may_float: bool = False
     free_forms: bool = True

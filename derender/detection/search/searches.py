@@ -30,8 +30,8 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
     """Return (best State found, Image with the blur that it shows).
 
     Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
-    have not. (state, energy) of all that were tried are appended to the list `pool`. From a State `start` one pair goes
-    on, for ON_REPAIRS moves.
+    have not; where `settings` allow one try there is one. (state, energy) of all that were tried are appended to the
+    list `pool`. From a State `start` one pair goes on, for ON_REPAIRS moves.
 
     Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
@@ -42,13 +42,15 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
     task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
     for _ in range(ROUNDS if start is None else 1):
         try:
-            found += in_threads(rng, [task] * THREADS)
+            found += in_threads(rng, [task] * settings.tries)
         except KeyboardInterrupt:
             if not (found or early):
                 raise
             best = min([*found, *early], key=lambda each: each.energy)
             raise Interrupted(best.state, best.image) from None
         found.sort(key=lambda each: each.energy)
+        if len(found) == 1:  # nothing to hold it against
+            break
         if found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state)):
             break
     if pool is not None:

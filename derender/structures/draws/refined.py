@@ -85,10 +85,10 @@ def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=T
     return refined_at(state, chart, found[0], sensor, *found[1:])
 
 
-def best_climb(rng, state, chart, values, sensor, **options):
-    """As `climb`, the better of two walks: one alone may end beside the mode."""
+def best_climb(rng, state, chart, values, sensor, tries=THREADS, **options):
+    """As `climb`, the best of some walks: one alone may end beside the mode."""
     task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING, **options)
-    tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(THREADS)])
+    tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(tries)])
     return max(tries, key=lambda each: each.log_prior + each.log_likelihood)
 
 
@@ -101,19 +101,19 @@ def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
     return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
 
 
-def refine(rng, seen, state, rules):
-    """Return the Refined of the search's best state, the sensor fitted on the way."""
+def refine(rng, seen, state, rules, tries=THREADS):
+    """Return the Refined of the search's best state, the sensor fitted on the way; tries : see greedy.Settings."""
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
     observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
     chart, values = make_chart(state, seen.floor.pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
     sensor = first_sensor(camera, observed, chart, values, beliefs.sensor)
-    refined = settled(rng, best_climb(rng, state, chart, values, sensor))
+    refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
         return refined
     chart, values = make_chart(kept, floor_pose_of(refined), rules)
-    return settled(rng, best_climb(rng, kept, chart, values, refined.sensor))
+    return settled(rng, best_climb(rng, kept, chart, values, refined.sensor, tries), tries)
 
 
 def without_unseen(state, refined):
@@ -129,13 +129,13 @@ def without_unseen(state, refined):
     return state
 
 
-def settled(rng, refined):
+def settled(rng, refined, tries=THREADS):
     """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
 
     Not where the noise grows with depth: such sensors have outliers at edges of their own.
     """
     best = with_sensor_refitted(rng, refined)
-    if best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
+    if tries == 1 or best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
         return best
 
     def hot(stream):
