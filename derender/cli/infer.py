@@ -94,6 +94,9 @@ OF_THE_RUN = frozenset(
 @click.option(
     "--fps", type=float, metavar="N", help="With --track: frames a second. Default: the camera file's, or 30."
 )
+@click.option(
+    "--dynamics", is_flag=True, help="With --track: friction, restitution, mass ratios and velocities, by simulation."
+)
 @click.option("--moving-camera", is_flag=True, help="With --track: the camera may move.")
 @options.jobs
 @click.option("--watch", is_flag=True, help="Go on with frames as they come into the folders, until Ctrl-C.")
@@ -138,7 +141,8 @@ def command(talk: Talk, **arguments) -> int | None:
 
     With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz with depth (T, H, W). The camera
     file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
-    DIR/report.html with a time line.
+    DIR/report.html with a time line. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
+    and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells.
 
     \b
     Examples:
@@ -159,7 +163,9 @@ def command(talk: Talk, **arguments) -> int | None:
         arguments["method"] = "map"
     if arguments["shapes"] is not None:
         arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
-    film = {key: arguments.pop(key) for key in ("track", "fps", "moving_camera")}
+    film = {key: arguments.pop(key) for key in ("track", "fps", "moving_camera", "dynamics")}
+    if film["dynamics"] and not film["track"]:
+        raise click.UsageError("--dynamics goes with --track")
     if film["track"]:
         from derender.cli.tracking import follow
 

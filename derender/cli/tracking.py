@@ -34,5 +34,10 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
             bar.close()
     if not watch:
         click.echo(outcome.table())
+    if arguments["dynamics"]:
+        from derender.tracking.materials import materials_to_folder
+
+        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line()):
+            click.echo(line)
     talk.say(f"wrote {outcome.folder}/")
     return None

@@ -13,6 +13,7 @@ from derender.dynamics.errors import LOG_SPREAD, MEDIAN, Scales, log_prior
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.shooting import Errors, Path, Shooting
+from derender.dynamics.states import CHANGE
 from derender.physics.mujoco_model import Diverged
 
 # Where Levenberg-Marquardt may start: friction and restitution; masses as densities say. Films from all of them are
@@ -31,7 +32,9 @@ DONE = 0.05
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 # Importance sampling: the least and the most rounds, draws of each, how many equally weighted draws are enough, the
 # share of draws from the prior (where the motion tells nothing), and the proposal's degrees of freedom and widening.
+# Then how many draws the weights are made to be worth at least, and how many draws are kept.
 ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 100, 60.0, 0.15, 5.0, 1.2
+FEWEST = 30.0
 KEPT = 1000
 
 
@@ -46,6 +49,7 @@ class Mode(NamedTuple):
     scales : learnt there.
     log_marginal : with all unknowns integrated out, linear about this mode.
     covariance : (P, P) of the coordinates.
+    first : (12 N, 12 N), covariance of the states in the first frame.
     """
 
     path: Path
@@ -55,6 +59,7 @@ class Mode(NamedTuple):
     scales: Scales
     log_marginal: float
     covariance: np.ndarray
+    first: np.ndarray
 
 
 class Draws(NamedTuple):
@@ -165,9 +170,11 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
     scales, value = learn_scales(shooting, path, derivatives, scales, robust)
     errors = shooting.errors(path, scales, robust)
     precision = log_marginal(shooting, path, derivatives, errors, False)[1]
-    covariance = np.linalg.inv(precision)[shooting.size :, shooting.size :]
+    covariance = np.linalg.inv(precision)
+    first = covariance[: CHANGE * shooting.count, : CHANGE * shooting.count]
+    covariance = covariance[shooting.size :, shooting.size :]
     weights = shooting.robust(path, errors, scales)
-    return Mode(path, *derivatives, weights, scales, value, covariance)
+    return Mode(path, *derivatives, weights, scales, value, covariance, first)
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
@@ -252,7 +259,27 @@ def sample(
         points = np.vstack([points, fresh])
         target = np.concatenate([target, [density(point[:size], point[size:]) for point in fresh]])
         log_weights = target - _mixture(points, rounds, parameters)
-    return Draws(points[:, :size], points[:, size:], log_weights - logsumexp(log_weights))
+    return Draws(points[:, :size], points[:, size:], _flattened(log_weights))
+
+
+def _flattened(log_weights: np.ndarray) -> np.ndarray:
+    """Return normalised log weights, raised to the greatest power up to 1 at which they are worth FEWEST draws.
+
+    Where impacts make the density so rugged that a few draws carry all the weight, its peaks are the engine's chaos:
+    then the posterior is as wide as the rest of it.
+    """
+
+    def raised(power: float) -> np.ndarray:
+        weights = np.where(np.isfinite(log_weights), power * log_weights, -np.inf)
+        return weights - logsumexp(weights)
+
+    low, high = 0.0, 1.0
+    if logsumexp(2 * raised(1.0)) <= -math.log(FEWEST):
+        return raised(1.0)
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if logsumexp(2 * raised(middle)) <= -math.log(FEWEST) else (low, middle)
+    return raised(low)
 
 
 def _proposal(rng: np.random.Generator, components: list, parameters: Parameters) -> np.ndarray:

@@ -1,0 +1,93 @@
+"""What identification says: draws for ArviZ, parameters for track.json, and lines for the terminal."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from derender import __version__
+from derender.atomic import atomic_path
+from derender.dynamics.inference import Identified
+from derender.dynamics.states import CHANGE, moved, to_poses
+
+# A number is told by the motion where its standard deviation is at most this share of the prior's.
+TOLD = 0.5
+LEVEL = 0.9
+
+
+class Answer:
+    """Equally weighted draws of what was identified.
+
+    Attributes
+    ----------
+    draws : name -> (K,) or (K, 3) float64: friction, restitution, mass_ratio.OF.TO; velocity.NAME (m / s) and
+        angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact, error.steady and
+        error.tracking, the scales of `errors`.
+    told : names of the numbers that the motion tells.
+    """
+
+    def __init__(self, found: Identified, rng: np.random.Generator) -> None:
+        self.parameters = found.parameters
+        coordinates, logarithms = found.draws.resampled(rng)
+        values = found.parameters.values(coordinates)
+        self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
+        narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
+        self.told = [name for name, yes in zip(found.parameters.labels, narrow, strict=True) if yes]
+        mode = found.modes[0]
+        lower = np.linalg.cholesky(mode.first + 1e-12 * np.eye(len(mode.first)))
+        changes = (rng.standard_normal((len(values), len(lower))) @ lower.T).reshape(len(values), -1, CHANGE)
+        states = moved(np.broadcast_to(mode.path.states[0], (len(values), *mode.path.states[0].shape)), changes)
+        turns = to_poses(states)[..., :3, :3]
+        for k, name in enumerate(found.parameters.names):
+            self.draws[f"velocity.{name}"] = states[:, k, 7:10]
+            self.draws[f"angular_velocity.{name}"] = np.einsum("kij,kj->ki", turns[:, k], states[:, k, 10:])
+        for number, name in enumerate(("impact", "steady", "tracking")):
+            self.draws[f"error.{name}"] = np.exp(logarithms[:, number])
+
+    def interval(self, name: str) -> tuple[float, float, float]:
+        """Return the mean and the ends of the 90 % interval."""
+        low, high = np.quantile(self.draws[name], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        return float(np.mean(self.draws[name])), float(low), float(high)
+
+    def json(self) -> dict[str, Any]:
+        """Return `parameters` of track.json: what the motion tells. Of several mass ratios, the best told one."""
+        result: dict[str, Any] = {}
+        ratios = []
+        for name in self.told:
+            mean, low, high = self.interval(name)
+            said = {"mean": mean, "interval": [low, high]}
+            if name.startswith("mass_ratio."):
+                _, of, to = name.split(".")
+                ratios.append((high / low, {"of": of, "to": to, **said}))
+            else:
+                result[name] = said
+        if ratios:
+            result["mass_ratio"] = min(ratios, key=lambda pair: pair[0])[1]
+        return result
+
+    def lines(self) -> list[str]:
+        """Return a line for each number: mean and 90 % interval, or that the motion does not tell it."""
+        lines = []
+        for name in self.parameters.labels:
+            mean, low, high = self.interval(name)
+            words = name.split(".")
+            title = name if len(words) == 1 else f"mass of {words[1]} / {words[2]}"
+            told = f"{mean:.3f} ({low:.3f}-{high:.3f})" if name in self.told else "the motion does not tell"
+            lines.append(f"{title:<14} {told}")
+        for name in self.parameters.names:
+            velocity = self.draws[f"velocity.{name}"]
+            mean, error = velocity.mean(axis=0), velocity.std(axis=0)
+            shown = ", ".join(f"{m:.3f}+-{e:.3f}" for m, e in zip(mean, error, strict=True))
+            lines.append(f"{f'speed of {name}':<14} {shown} m/s at first")
+        return lines
+
+    def write(self, path: str | Path, **made: Any) -> None:
+        """Write the draws, each (1, K) or (1, K, 3): chain, draw, axis; `header` is JSON with seed, version and more.
+
+        `arviz.from_dict({name: array})` takes them as they are, `header` left out.
+        """
+        header = json.dumps({"version": __version__, "told": self.told, **made})
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            arrays = {name: values[None] for name, values in self.draws.items()}
+            np.savez_compressed(file, allow_pickle=False, header=np.array(header), **arrays)

@@ -1,0 +1,88 @@
+"""What a track tells of materials and velocities: `derender infer FRAMES --track --dynamics`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from derender.atomic import write_text
+from derender.dynamics.inference import identify
+from derender.dynamics.motion import Motion, motion_of
+from derender.dynamics.result import Answer
+from derender.errors import DerenderError
+from derender.physics.bodies import Body, Matter
+from derender.scene.pose import inverse
+from derender.tracking.thing import GONE, HIDDEN, LOST
+from derender.tracking.track import Track
+
+KINDS = {"cube": "box", "box": "box", "sphere": "sphere", "cylinder": "cylinder"}
+# A thing is in a hand where, in the air, its acceleration is typically off gravity by more than this share of it.
+HELD, HELD_FRAMES = 0.5, 3
+
+
+def motion_of_track(track: Track) -> Motion:
+    """Return the motion that a track shows, in the axes of the first camera.
+
+    Poses of frames in which a thing is hidden, lost or gone are left out, and things that a hand holds: it is no part
+    of the model.
+    """
+    back = inverse(track.views)  # each camera to the first
+    handled = _held(track, back)
+    names: list[str] = []
+    chosen: list[int] = []
+    bodies: list[Body] = []
+    if track.floor is not None:
+        bodies.append(Body("floor", "plane", np.zeros(3), np.asarray(track.floor, float)))
+    for k, name in enumerate(track.names):
+        if name in handled:
+            continue
+        names.append(name)
+        chosen.append(k)
+        size = np.asarray(track.sizes[-1, k], float)
+        bodies.append(Body(name, KINDS.get(track.types[k], "box"), size, np.eye(4)))
+    if not names:
+        raise DerenderError("nothing moves by itself", None, "leave out --dynamics")
+    poses = back[:, None] @ track.poses[:, chosen]
+    away = np.array([[row[k] in (HIDDEN, LOST, GONE) for k in chosen] for row in track.states])
+    poses[away.reshape(len(track.times), -1)] = np.nan
+    # Centres turn with the camera; a turn about the camera's axes becomes one about the body's own.
+    turns = np.zeros((len(track.times), len(chosen), 6, 6))
+    turns[..., :3, :3] = back[:, None, :3, :3]
+    turns[..., 3:, 3:] = np.swapaxes(track.poses[:, chosen, :3, :3], -1, -2)
+    covariances = turns @ track.covariances[:, chosen] @ np.swapaxes(turns, -1, -2)
+    matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
+    return motion_of(matter, tuple(names), track.times, poses, covariances)
+
+
+def _held(track: Track, back: np.ndarray) -> set[str]:
+    """Return the names of the things that a hand holds for a while."""
+    centres = (back[:, None] @ track.poses)[..., :3, 3]
+    step, gravity = float(np.diff(track.times).mean()), np.asarray(track.gravity, float)
+    bend = (centres[2:] - 2 * centres[1:-1] + centres[:-2]) / step**2
+    parents = track.parents()
+    held = set()
+    for k, name in enumerate(track.names):
+        flying = [t for t in range(len(bend)) if all(parents[t + i][k] is None for i in range(3))]
+        off = np.linalg.norm(bend[flying, k] - gravity, axis=-1)
+        off = off[np.isfinite(off)]
+        if len(off) >= HELD_FRAMES and np.median(off) > HELD * np.linalg.norm(gravity):
+            held.add(name)
+    return held
+
+
+def materials_to_folder(track: Track, folder: Path, seed: int, command: str) -> list[str]:
+    """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
+
+    Raises
+    ------
+    DerenderError : where nothing moved.
+    """
+    motion = motion_of_track(track)
+    if not motion.names:
+        raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
+    rng = np.random.default_rng(seed)
+    answer = Answer(identify(motion, rng), rng)
+    answer.write(folder / "dynamics.npz", seed=seed, command=command)
+    said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
+    write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json()}))
+    return answer.lines()

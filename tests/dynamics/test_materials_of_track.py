@@ -1,0 +1,66 @@
+"""What `infer --track --dynamics` writes, from a track that is made up."""
+
+import json
+
+import numpy as np
+import pytest
+
+from derender.errors import DerenderError
+from derender.scene.pose import from_rotation_vector, inverse
+from derender.tracking.materials import materials_to_folder, motion_of_track
+from derender.tracking.track import Track
+
+FRAMES, STEP = 14, 1 / 30
+
+
+def track(positions, view=None, parent=1):
+    """Return the track of one upright box by a camera that looks along the floor's normal, at views (4, 4)."""
+    floor = np.diag([1.0, -1.0, -1.0, 1.0])
+    floor[2, 3] = 1.0
+    poses = np.tile(floor, (FRAMES, 1, 1, 1)) @ np.eye(4)
+    poses[:, 0, :3, 3] = (floor[:3, :3] @ np.asarray(positions, float).T).T + floor[:3, 3]
+    views = np.tile(np.eye(4) if view is None else view, (FRAMES, 1, 1))
+    chances = np.zeros((FRAMES, 1, 3))
+    chances[..., parent] = 1.0
+    errors = np.diag([5e-4, 4e-4, 3e-4, 5e-3, 4e-3, 3e-3]) ** 2
+    return Track(
+        ["box_1"], ["box"], np.array([1]), STEP * np.arange(FRAMES), [str(t) for t in range(FRAMES)],
+        np.tile([0.08, 0.07, 0.05], (FRAMES, 1, 1)), views[:, None] @ poses, np.tile(errors, (FRAMES, 1, 1, 1)),
+        [["moving"]] * FRAMES, chances, views, floor, np.array([0.0, 0.0, 9.81]), np.zeros(FRAMES),
+        np.zeros((FRAMES, 1, 4)),
+    )  # fmt: skip
+
+
+def sliding(friction=0.3, speed=0.8):
+    time = np.minimum(STEP * np.arange(FRAMES), speed / (friction * 9.81))
+    x = speed * time - friction * 9.81 * time**2 / 2
+    return np.column_stack([x, 0 * x, 0 * x + 0.025])
+
+
+def test_poses_are_told_in_the_first_cameras_axes_and_errors_in_the_bodys():
+    view = from_rotation_vector([0.1, 0.4, -0.2])
+    view[:3, 3] = 0.1, 0.2, 0.3
+    still, moved = motion_of_track(track(sliding())), motion_of_track(track(sliding(), view))
+    np.testing.assert_allclose(moved.poses, still.poses, atol=1e-12)
+    turn = inverse(view)[:3, :3]
+    np.testing.assert_allclose(moved.covariances[0, 0, :3, :3], turn @ still.covariances[0, 0, :3, :3] @ turn.T)
+
+
+def test_a_slide_says_its_friction_in_track_json_and_in_draws(tmp_path):
+    (tmp_path / "track.json").write_text(json.dumps({"objects": [], "parameters": {}}))
+    lines = materials_to_folder(track(sliding()), tmp_path, 0, "test")
+    told = json.loads((tmp_path / "track.json").read_text())["parameters"]
+    assert set(told) == {"friction"}
+    low, high = told["friction"]["interval"]
+    assert low < 0.3 < high and high - low < 0.06
+    assert any(line.startswith("restitution") and "does not tell" in line for line in lines)
+    with np.load(tmp_path / "dynamics.npz") as file:
+        assert file["friction"].shape[0] == 1 and file["velocity.box_1"].shape[::2] == (1, 3)
+        assert abs(file["velocity.box_1"].mean(axis=1)[0, 0] - 0.8) < 0.05
+        assert json.loads(str(file["header"]))["seed"] == 0
+
+
+def test_what_a_hand_holds_is_left_out_and_nothing_else_is_an_error():
+    lifted = np.column_stack([np.zeros((FRAMES, 2)), 0.05 + 0.3 * STEP * np.arange(FRAMES)])
+    with pytest.raises(DerenderError, match="nothing moves by itself"):
+        motion_of_track(track(lifted, parent=0))
