@@ -70,7 +70,7 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
     return held
 
 
-def materials_to_folder(track: Track, folder: Path, seed: int, command: str) -> list[str]:
+def materials_to_folder(track: Track, folder: Path, seed: int | None, command: str) -> list[str]:
     """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
 
     Raises
