@@ -67,6 +67,16 @@ def test_a_silhouette_may_lie_a_pixel_aside(graph):
     assert not fit_of(graph, CAMERA, seen, {}).explained[edge[0] - 6, edge[1]]
 
 
+def test_background_is_taken_as_seen_but_never_where_a_solid_is_said_to_be(graph):
+    seen = image(graph)
+    cube = fit_of(graph, CAMERA, seen, {}).label == 3
+    seen[10:20, 10:20] = 0.5
+    seen[cube] = 0.5
+    fit = fit_of(graph, CAMERA, seen, {}, told=seen)
+    assert fit.background[10:20, 10:20].all() and fit.background.sum() < 130 and not fit.background[cube].any()
+    assert not fit.explained[10:20, 10:20].any() and np.allclose(fit.depth[10:20, 10:20], 0.5)
+
+
 def test_the_wall_of_the_likelihood_is_explained(graph):
     lone = graph.remove("red").remove("frame").remove("floor")
     seen = np.full(CAMERA.shape, WALL)

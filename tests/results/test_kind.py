@@ -55,4 +55,7 @@ def test_a_plane_has_its_share_in_any_units():
     seen = image(40, 0.0, 0)
     assert plane_shares(seen, CAMERA, flat_noise(seen))["depth"] == 1.0
     assert plane_shares(7.0 * seen, CAMERA, flat_noise(7.0 * seen))["depth"] == 1.0
+    for kind, other in (("range", seen * rays()), ("disparity", 0.5 / seen)):
+        shares = plane_shares(other, CAMERA, flat_noise(seen))
+        assert shares[kind] == 1.0 and max(share for name, share in shares.items() if name != kind) < 0.9
     assert words_of(np.full((120, 160), np.nan)) == []
