@@ -25,7 +25,7 @@ MOST_IN_ALL = 0.05  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
 MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
-MOST_BACKGROUND = 0.6  # share of the valid pixels
+SOME_BACKGROUND, MOST_BACKGROUND = 0.05, 0.6  # shares of the valid pixels: it counts, and is too much
 # Solids that the image does not bear out.
 MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
@@ -90,7 +90,12 @@ def too_much_background(fit: Fit, valid: np.ndarray) -> list[Doubt]:
 
 
 def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> list[Doubt]:
-    """Return a doubt where the noise that was fitted is far above what flat patches of the image show."""
+    """Return a doubt where the noise that was fitted is far above what flat patches of the image show.
+
+    Where much is background it says nothing: it was fitted about solids and floor alone.
+    """
+    if float(fit.background[np.isfinite(observed)].mean()) > SOME_BACKGROUND:
+        return []
     middle = float(np.nanmedian(observed))
     fitted = float(likelihood.get("sigma", 0.0)) + float(likelihood.get("sigma_growth", 0.0)) * middle**2
     usual = (SENSOR_PER_DEPTH * middle + SENSOR_PER_SQUARE * middle**2) / 3.0
