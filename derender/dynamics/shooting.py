@@ -38,6 +38,9 @@ LOST = 22.5
 JUMP = 4.0
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
+# An impact that tells restitution changes a velocity by so much more than resting contacts do, m / s: less is a box
+# that tilts onto its other edge.
+BOUNCE = 0.3
 
 
 class Path(NamedTuple):
@@ -176,7 +179,7 @@ class Shooting:
 
     def bounces(self, path: Path) -> bool:
         """Return whether there is an impact; without one, restitution only changes how resting contacts rattle."""
-        return bool(self.impulses(path)[..., 0].any())
+        return bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
