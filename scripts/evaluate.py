@@ -4,6 +4,7 @@
     python scripts/evaluate.py settled tower -n 100      some sets, more scenes
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
+    python scripts/evaluate.py physics -n 200            verdicts, margins, bounces and pushes (see evaluate_physics.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
 first scene that pays for loading the compiled code.
@@ -82,6 +83,13 @@ def main():
         kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS
         evaluate_tracking(arguments.n, arguments.first, arguments.sensor, kinds, arguments.verbose)
         return
+    if "physics" in arguments.sets:
+        from evaluate_physics import evaluate_physics
+
+        evaluate_physics(arguments.n)
+        if len(arguments.sets) == 1:
+            return
+        arguments.sets.remove("physics")
     unknown = set(arguments.sets) - set(SETS + REAL_SETS)
     if unknown:
         parser.error(f"no such set: {', '.join(sorted(unknown))}")

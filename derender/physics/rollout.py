@@ -46,7 +46,9 @@ class Rollout:
             strength = float(np.linalg.norm(matter.gravity)) or STANDARD_GRAVITY
             share = timestep / float(np.sqrt(min(extents, default=0.1) / strength))
         bouncy = any(body.elasticity for body in matter.bodies)
-        self._world = World(matter, keep_contacts, share or (BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP))
+        self._world = World(
+            matter, keep_contacts, share or (BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP), moving=True
+        )
         self._mass = {body.name: body.weight_in_kg() for body in self._moving}
         self._friction = {body.name: body.friction for body in matter.bodies}
         self._elasticity = {body.name: body.elasticity for body in matter.bodies}

@@ -62,7 +62,7 @@ def _run(
     from derender.physics.mujoco_model import World
 
     done = disturbance or Disturbance()
-    world = World(matter, timestep=timestep, sleeping=disturbance is None)
+    world = World(matter, timestep=timestep, sleeping=disturbance is None, moving=True if disturbance else None)
     shown = [i for i, body in enumerate(matter.bodies) if body.kind != "plane"]
     place = np.array([k for k, i in enumerate(shown) if matter.bodies[i].moves], dtype=int)
     sizes = np.array([matter.bodies[i].size for i in shown], float).reshape(-1, 3)

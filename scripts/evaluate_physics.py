@@ -1,0 +1,215 @@
+"""Measure physics, for `python scripts/evaluate.py physics`: towers, settling, steps, speed, bounces, pushes.
+
+The reference for settling is MuJoCo's own, without any of derender's contacts: plain collisions at a quarter of a
+millisecond for six seconds, judged by heights and leans and not by who bears whom. Times are ratios in one run.
+"""
+
+import json
+import time
+
+import mujoco
+import numpy as np
+from real_frames import real_folder
+
+from derender.physics.bodies import Body, Matter
+from derender.physics.disturbance import Push
+from derender.physics.outcome import simulate_scene
+from derender.physics.rollout import Rollout
+from derender.physics.simulate import judge, simulate
+from derender.physics.statics import judge_statics
+from derender.scene.pose import quaternion, rotation_z, translation
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+FLOOR = Body("floor", "plane", np.zeros(3), np.eye(4))
+JENGA = np.array([0.075, 0.025, 0.015])
+REFERENCE_STEP, REFERENCE_SECONDS = 0.00025, 6.0
+
+
+def box(name, size, pose, **more):
+    return Body(name, "box", np.array(size, dtype=float), pose, **more)
+
+
+def scene(*bodies):
+    return Matter((FLOOR, *bodies), GRAVITY, ())
+
+
+def real_towers():
+    folder = real_folder()
+    path = None if folder is None else folder / "stability" / "block_towers.json"
+    return [] if path is None or not path.is_file() else json.loads(path.read_text())
+
+
+def tower_matter(tower):
+    blocks = enumerate(tower["blocks"])
+    return scene(*(box(f"block_{k}", each["size"], translation(*each["pos"])) for k, each in blocks))
+
+
+def jenga(rng):
+    """Return a tower of crosswise layers of two or three blocks of uneven heights, with gaps of up to 3 mm."""
+    bodies, top, spread = [], 0.0, rng.choice([0.0002, 0.001, 0.002])
+    for layer in range(rng.integers(3, 7)):
+        present = [k for k in range(3) if rng.random() > 0.3] or [1]
+        heights = JENGA[2] + spread * rng.normal(size=len(present))
+        gap = rng.uniform(0, 0.003) if rng.random() < 0.3 else 0.0
+        turn = rotation_z(np.pi / 2 * (layer % 2))
+        for k, height in zip(present, heights, strict=True):
+            place = turn[:3, :3] @ [*rng.normal(0, 0.004, 1), 0.0253 * (k - 1) + rng.normal(0, 0.0003), 0.0]
+            pose = translation(*place[:2], top + gap + height / 2) @ turn @ rotation_z(rng.normal(0, 0.03))
+            bodies.append(box(f"b{layer}_{k}", [*JENGA[:2], height], pose))
+        top += gap + max(heights)
+    return scene(*bodies)
+
+
+def reference(matter):
+    """Return the verdict of plain MuJoCo at fine steps: what moved, and whether it kept its height and its side up."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = REFERENCE_STEP, GRAVITY
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.01], friction=[0.8, 0.005, 1e-4])
+    for body in matter.bodies[1:]:
+        holder = spec.worldbody.add_body(name=body.name, pos=body.pose[:3, 3], quat=quaternion(body.pose))
+        holder.add_freejoint()
+        geom = holder.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=body.size / 2, density=500)
+        geom.friction, geom.solref, geom.solimp = [0.8, 0.005, 1e-4], [0.002, 1.0], [0.95, 0.99, 0.0001, 0.5, 2]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    first = data.xpos[1:].copy(), data.xmat[1:].reshape(-1, 3, 3).copy()
+    sizes = np.array([body.size for body in matter.bodies[1:]])
+    most, turned, calm = np.zeros(len(sizes)), np.zeros(len(sizes)), 0.0
+    for _ in range(int(REFERENCE_SECONDS / 0.02)):
+        mujoco.mj_step(model, data, round(0.02 / REFERENCE_STEP))
+        most = np.maximum(most, np.linalg.norm(data.xpos[1:] - first[0], axis=1))
+        cosine = (np.einsum("nij,nij->n", first[1], data.xmat[1:].reshape(-1, 3, 3)) - 1) / 2
+        turned = np.maximum(turned, np.arccos(np.clip(cosine, -1, 1)))
+        calm = calm + 0.02 if np.abs(data.qvel).max() < 2e-3 else 0.0
+        if calm >= 1.0:
+            break
+    moved = (most > 0.1 * np.cbrt(np.prod(sizes, axis=1))) | (turned > np.deg2rad(10))
+    if not moved.any():
+        return "stands", most
+    drop = first[0][:, 2] - data.xpos[1:, 2]
+    upright = data.xmat[1:].reshape(-1, 3, 3)[:, 2, 2] > np.cos(np.deg2rad(45))
+    kept = calm >= 1.0 and upright.all() and (drop < 0.6 * sizes[:, 2]).all()
+    return ("settles" if kept else "falls"), most
+
+
+def report_towers(count):
+    towers = real_towers()[:: max(1, 200 // count)]
+    if not towers:
+        print("| towers | no folder of real frames here |")
+        return
+    matters = [tower_matter(tower) for tower in towers]
+    still = [judge_statics(matter, margin=True) for matter in matters]
+    plain = [judge(simulate(matter, early=True)).stable for matter in matters]
+    truth = [tower["stable"] for tower in towers]
+    for name, found in (("mujoco", plain), ("statics", [each.stands for each in still])):
+        print(f"| towers of 10 blocks right, {name} | {sum(np.equal(found, truth))} of {len(truth)} |", flush=True)
+    wide = [k for k, each in enumerate(still) if not each.stands or each.margin >= 0.01]
+    for name, step in (("half", 0.005), ("double", 0.02)):
+        changed = sum(judge(simulate(matters[k], early=True, timestep=step)).stable != plain[k] for k in wide)
+        print(f"| verdicts changed at {name} the step, margin at least .01 g | {changed} of {len(wide)} |", flush=True)
+
+
+def report_jenga(count):
+    """Held back by seed: the generator's numbers were fixed before the verdicts were looked at."""
+    table = {}
+    for k in range(count):
+        matter = jenga(np.random.default_rng([14, k]))
+        true, _ = reference(matter)
+        found = simulate_scene(matter).verdict
+        table[true, found] = table.get((true, found), 0) + 1
+    print(
+        "| settling towers (truth, said) | " + ", ".join(f"{a} {b} {n}" for (a, b), n in sorted(table.items())) + " |"
+    )
+    moved = {key: n for key, n in table.items() if key[0] != "stands"}
+    right = sum(n for (a, b), n in moved.items() if a == b)
+    print(f"| settles told from falls | {right} of {sum(moved.values())} |")
+    print(f"| three verdicts right | {sum(n for (a, b), n in table.items() if a == b)} of {count} |", flush=True)
+
+
+def seconds(work, repeat):
+    """Return the median processor seconds of a call in this thread."""
+    work()
+    spent = []
+    for _ in range(repeat):
+        start = time.thread_time()
+        work()
+        spent.append(time.thread_time() - start)
+    return float(np.median(spent))
+
+
+def stack(count, rng):
+    places = rng.uniform(-0.005, 0.005, (count, 2))
+    return scene(*(box(f"b{k}", [0.1, 0.1, 0.05], translation(*places[k], 0.025 + 0.05 * k)) for k in range(count)))
+
+
+def report_speed():
+    rng = np.random.default_rng(0)
+    ten = stack(10, rng)
+    found = {n: seconds(lambda n=n: judge(simulate(stack(n, rng), early=True)), 9) for n in (3, 10, 30)}
+    statics = {n: seconds(lambda n=n: judge_statics(stack(n, rng)), 15) for n in (3, 10, 30)}
+    cubes = [box(f"c{k}", [0.1] * 3, translation(0.2 * (k % 10), 0.2 * (k // 10), 0.05)) for k in range(100)]
+    one = seconds(lambda: judge(simulate(scene(cubes[0]), early=True)), 15)
+    many = seconds(lambda: judge(simulate(scene(*cubes), early=True)), 5)
+    towers = [tower_matter(tower) for tower in real_towers()[::20]]
+    print(f"| statics, stack of 10, ms of processor | {1e3 * statics[10]:.2f} |")
+    print(f"| mujoco over statics, stacks of 3, 10, 30 | {', '.join(f'{found[n] / statics[n]:.0f}' for n in found)} |")
+    if towers:
+        slow = seconds(lambda: [judge(simulate(each, early=True)) for each in towers], 1)
+        quick = seconds(lambda: [judge_statics(each) for each in towers], 5)
+        print(f"| statics, real tower of 10, ms of processor | {1e3 * quick / len(towers):.2f} |")
+        print(f"| mujoco over statics, real towers | {slow / quick:.0f} |")
+    margin = seconds(lambda: judge_statics(ten, margin=True), 9)
+    print(f"| statics with its margin, stack of 10, ms of processor | {1e3 * margin:.2f} |")
+    print(f"| 30 blocks over 3, mujoco, statics | {found[30] / found[3]:.1f}, {statics[30] / statics[3]:.1f} |")
+    print(f"| 100 separate cubes over one | {many / one:.1f} |", flush=True)
+
+
+def report_bounces():
+    worst, at_zero = 0.0, 0.0
+    for side in (0.04, 0.1):
+        for height in (0.05, 0.1, 0.3, 0.6, 1.0):
+            for elasticity in (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 0.9):
+                pose = translation(0, 0, height + side / 2)
+                ball = Body("ball", "sphere", np.full(3, side), pose, elasticity=elasticity)
+                trajectory = simulate(scene(ball), 1.1 * np.sqrt(2 * height / 9.81) + 0.1, frames_per_second=4000)
+                z = trajectory.poses[:, 0, 2, 3] - side / 2
+                speed = np.diff(z) / np.maximum(np.diff(trajectory.times), 1e-9)
+                landed = int(np.flatnonzero(z < 0)[0]) - 1
+                error = abs(max(speed[landed:].max(), 0.0) / np.sqrt(2 * 9.81 * height) - elasticity)
+                worst, at_zero = (worst, max(at_zero, error)) if elasticity == 0 else (max(worst, error), at_zero)
+    print(f"| restitution, worst error over drops of .05 to 1 m; at 0 | {worst:.3f}; {at_zero:.3f} |", flush=True)
+
+
+def report_pushes():
+    errors, lifts, stops = [], [], []
+    for friction in (0.2, 0.3, 0.5, 0.8):
+        cube = box("a", [0.1] * 3, translation(0, 0, 0.05), friction=friction)
+        run = Rollout(scene(cube))
+        low, high = 0.8, 1.2
+        while high - low > 0.005:
+            share = 0.5 * (low + high)
+            force = np.array([share * friction * 0.5 * 9.81, 0, 0])
+            slid = run([1.0], pushes=[Push("a", force, 0.0, 1.0)])[0, 0, 0, 3] > 0.002
+            low, high = (low, share) if slid else (share, high)
+        errors.append(abs(0.5 * (low + high) - 1))
+        for speed in (0.5, 1.0, 2.0):
+            poses = run(np.arange(0, 1.5, 0.005), velocity={"a": (speed, 0, 0)})
+            lifts.append(np.abs(poses[:, 0, 2, 3] - 0.05).max())
+            ideal = speed**2 / (2 * friction * 9.81)
+            stops.append(abs(poses[-1, 0, 0, 3] - ideal) / ideal if speed < 2 or friction > 0.2 else 0.0)
+    print(f"| push to slide a box, worst error of friction times weight | {100 * max(errors):.1f} % |")
+    print(f"| a sliding box is lifted by at most | {1e3 * max(lifts):.2f} mm |")
+    print(f"| where it stops, worst error | {100 * max(stops):.1f} % |", flush=True)
+
+
+def evaluate_physics(count):
+    """Print the table; count : scenes of each set."""
+    print("| what | figure |\n|---|---|")
+    report_pushes()
+    report_bounces()
+    report_speed()
+    report_towers(min(count, 200))
+    report_jenga(count)
