@@ -20,9 +20,11 @@ class Registry(Generic[T]):
     kind : what the entries are, in the singular ("shape"), for error messages.
     entry_point_group : group in which other packages announce theirs ("derender.shapes");
         each entry point is a module or object whose import registers it.
+    late : modules of derender that register further types, in rooms that may not be imported before one is wanted.
     """
 
-    def __init__(self, kind: str, entry_point_group: str) -> None:
+    def __init__(self, kind: str, entry_point_group: str, late: tuple[str, ...] = ()) -> None:
+        self.late = late
         self.kind = kind
         self.entry_point_group = entry_point_group
         self._entries: dict[str, T] = {}
@@ -44,8 +46,11 @@ class Registry(Generic[T]):
     def _load(self) -> None:
         if not self._loaded:
             self._loaded = True
+            from importlib import import_module
             from importlib.metadata import entry_points  # a hundredth of a second
 
+            for module in self.late:
+                import_module(module)
             for point in entry_points(group=self.entry_point_group):
                 point.load()
 

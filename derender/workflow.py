@@ -217,10 +217,21 @@ def infer_image(
     Returns the posterior, and the likelihood under which it explains the image. The one state outside is the folder of
     checkpoints, where `options` name one.
     """
+    must_stand = options.assume_stable
+    if document is not None and getattr(document.prior, "constraints", None):
+        from derender.physics.constraint import without_stands
+
+        prior, said = without_stands(document.prior)
+        document, must_stand = replace(document, prior=prior), must_stand or said
     if document is not None and has_objects(document):
         posterior, likelihood = _given(seen, document, options, gradient, progress, warn, command)
     else:
         posterior, likelihood = _bare(seen, document, options, progress, warn)
+    if must_stand:
+        from derender.physics.constraint import assume_stable
+
+        posterior, share = assume_stable(posterior)
+        warn(f"given that the scene stands, {share:.0%} of the posterior is left")
     lost = posterior.meta.get("lost_chains", {})
     for number, why in lost.items():
         warn(f"chain {number} was lost: {why.strip().splitlines()[-1]}")

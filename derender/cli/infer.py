@@ -72,6 +72,7 @@ OF_THE_RUN = frozenset(
 @click.option("--only-known", is_flag=True, help="There is nothing but what --known lists.")
 @click.option("--allow-interpenetration", "may_overlap", is_flag=True, help="Without --scene: solids may enter others.")
 @click.option("--allow-floating", "may_float", is_flag=True, help="Without --scene: solids may hang in the air.")
+@click.option("--assume-stable", is_flag=True, help="What is seen stands: rule out draws that statics says would fall.")
 @click.option("--chains", type=click.IntRange(1, 1000), help="How many. Default 4, without --scene 2 of auto.")
 @click.option(
     "--draws",

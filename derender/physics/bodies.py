@@ -17,6 +17,8 @@ DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
 FRICTION = 0.8
 """Coulomb coefficient between two bodies that say none: wood on wood and cardboard on wood lie at 0.4-0.8."""
+UPRIGHT = 0.9962
+"""The level: within this cosine (5 degrees) a body stands upright."""
 MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")
 
 
@@ -101,6 +103,18 @@ class Matter(NamedTuple):
     bodies: tuple[Body, ...]
     gravity: np.ndarray
     supports: tuple[tuple[str, str], ...]
+
+
+def leans(matter: Matter) -> bool:
+    """Return whether a floor or a body's faces are off the level, so that friction decides whether it stays."""
+    strength = float(np.linalg.norm(matter.gravity))
+    if strength == 0.0:
+        return False
+    for body in matter.bodies:
+        upright = np.abs(matter.gravity @ body.pose[:3, :3]) / strength
+        if body.kind != "sphere" and (upright[2] if body.kind == "plane" else upright.max()) < UPRIGHT:
+            return True
+    return False
 
 
 def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None) -> Matter:

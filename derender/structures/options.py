@@ -31,6 +31,7 @@ class Options:
     floor : None or "auto" (find it), "none", or the plane (4,) a x + b y + c z + d = 0 in camera axes, metres.
     known : a library of known objects or its file; only_known : whether there is nothing besides them.
     may_overlap, may_float : whether solids may interpenetrate and hang in the air.
+    assume_stable : whether draws that could not stand by themselves are ruled out.
     prior : an open prior that the search obeys, or None: the one of bare images. likelihood : what its document says of
         the sensor, or None.
     budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
@@ -54,6 +55,7 @@ class Options:
     only_known: bool = False
     may_overlap: bool = False
     may_float: bool = False
+    assume_stable: bool = False
     prior: Any = None
     likelihood: Any = None
     budget: float | None = None
@@ -74,4 +76,6 @@ class Options:
         return repr([(f.name, getattr(self, f.name)) for f in fields(self) if f.name not in NOT_DECIDING])
 
 
-NOT_DECIDING = frozenset({"folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit"})
+NOT_DECIDING = frozenset(
+    {"assume_stable", "folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit"}
+)

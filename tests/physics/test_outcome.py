@@ -98,6 +98,12 @@ def test_friction_zero_slides_on_a_floor_that_says_nothing():
     assert simulate_scene(matter(FLOOR, cube("a", 0, 0.05, friction=0.0), gravity=down), engine="both").by_engine == {
         "statics": "falls", "mujoco": "falls"}  # fmt: skip
     assert simulate_scene(matter(FLOOR, cube("a", 0, 0.05), gravity=down)).stable
+    for share in (0.97, 1.03):
+        slope = np.arctan(share * 0.5)
+        down = 9.81 * np.array([np.sin(slope), 0, -np.cos(slope)])
+        block = matter(FLOOR, cube("a", 0, 0.05, friction=0.5), gravity=down)
+        words = simulate_scene(block, engine="both").by_engine.values()
+        assert [word == "stands" for word in words] == [share < 1] * 2
 
 
 def test_interventions_are_read_and_faults_are_one_line(graph):

@@ -21,7 +21,7 @@ from derender.scene.shapes import shapes
 MOST_TRIES = 10_000
 ROUNDING = 1e-9  # metres to which an exact contact holds
 
-term_types: Registry["TermType"] = Registry("constraint", "derender.constraints")
+term_types: Registry["TermType"] = Registry("constraint", "derender.constraints", late=("derender.physics.constraint",))
 
 
 class Term(Protocol):
