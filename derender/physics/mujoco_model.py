@@ -92,7 +92,7 @@ class World:
 
     Parameters
     ----------
-    matter : bodies, gravity and who rests on whom.
+    matter : the scene.
     keep_contacts : whether the distances at the start are the rest distances (see the module); without it the bodies
         are as they are, for measuring gaps.
     timestep : in units of sqrt(s / g); None: TIMESTEP, MOVING_TIMESTEP where a body moves at the start, or
@@ -132,8 +132,8 @@ class World:
         self._long, self._slow = self.length / self.units.length, period / self.units.time
         started = any(np.any(body.velocity) or np.any(body.angular_velocity) for body in matter.bodies if body.moves)
         bouncy = any(body.elasticity > 0 for body in matter.bodies)
-        chosen = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if started else TIMESTEP
-        self._step = (timestep or chosen) * self._slow
+        usual = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if started else TIMESTEP
+        self._step = (timestep or usual) * self._slow
         slides = moving if moving is not None else started or bouncy or leans(matter)
         self._hardness, self._across = MOVING if slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
@@ -354,9 +354,8 @@ class World:
 
     def _set_impedance(self) -> None:
         """Make contacts of light bodies among heavy ones as much harder as they may have to bear."""
-        mass = self.model.body_mass[self.model.geom_bodyid]
-        fixed = self.model.geom_bodyid == 0
-        mass = np.where(fixed, np.inf, mass)
+        owner = self.model.geom_bodyid
+        mass = np.where(owner == 0, np.inf, self.model.body_mass[owner])
         lighter = np.minimum(mass[self.model.pair_geom1], mass[self.model.pair_geom2])
         heaviest = float(self.model.body_mass.max())
         soft = 1 - self._hardness
