@@ -5,6 +5,7 @@ import pytest
 
 from derender.physics.bodies import Body, Matter
 from derender.physics.simulate import simulate
+from derender.physics.statics import ROLLING
 from derender.physics.trajectory import Trajectory
 from derender.scene.pose import rotation_x, translation
 
@@ -20,9 +21,11 @@ def test_a_body_has_moved_by_a_tenth_of_its_extent_or_ten_degrees(moved, degrees
 
 
 def test_what_begins_slowly_is_not_at_rest():
-    """A ball on a slope of 1 in 500 takes seconds to roll by its own size: an early end waits for half a second."""
+    """A ball on a slope little steeper than resistance to rolling holds takes seconds to roll by its own size."""
     ball = Body("ball", "sphere", np.full(3, 0.1), translation(0, 0, 0.05))
     floor = Body("floor", "plane", np.zeros(3), np.eye(4))
-    gravity = 9.81 * np.array([np.sin(0.002), 0.0, -np.cos(0.002)])
-    trajectory = simulate(Matter((ball, floor), gravity, ()), 2.0, early=True)
-    assert trajectory.times[-1] > 1.9
+    for slope, rests in ((1.1, False), (0.1, True)):
+        slope *= 2 * ROLLING
+        gravity = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+        trajectory = simulate(Matter((ball, floor), gravity, ()), 2.0, early=True)
+        assert (trajectory.times[-1] < 1.0) is rests and (trajectory.displacement()["ball"] < 1e-4) is rests
