@@ -37,8 +37,8 @@ class Scales(NamedTuple):
     tracking: float
 
 
-# Simulated films need some .02 and .005, real tosses of a cube .2 and .05 (scripts/evaluate.py dynamics prints them);
-# the priors hold both within one and a half standard deviations.
+# Wide enough for films that the engine itself made, which err little, and for real tosses, which err some ten times
+# as much: a factor of e either way is one standard deviation.
 MEDIAN = Scales(0.06, 0.015, 1.0)
 LOG_SPREAD = Scales(1.0, 1.0, 0.5)
 
