@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -48,7 +47,7 @@ def folder(tmp_path):
 
 def test_there_are_only_blocks_that_a_test_runs():
     languages = {match[2] for match in FENCE.finditer(README)}
-    assert languages <= {"sh", "python", "yaml", "json", "toml"}
+    assert languages <= {"sh", "python", "yaml", "json"}
     assert README.count("```") == 2 * len(list(FENCE.finditer(README)))
 
 
@@ -120,14 +119,6 @@ def test_the_yaml_is_a_prior(text, tmp_path):
 def test_the_json_is_json(text):
     scene = json.loads(text)
     assert set(scene) == {"frame", "gravity", "objects", "explained", "trusted", "doubts"}
-
-
-@pytest.mark.parametrize("text", parameters("toml"))
-def test_the_entry_point_group_is_the_registrys(text):
-    from derender.scene.shapes import shapes
-
-    (group,) = tomllib.loads(text)["project"]["entry-points"]
-    assert group == shapes.entry_point_group
 
 
 def test_the_list_of_commands_is_fresh():
