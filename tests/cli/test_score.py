@@ -76,7 +76,7 @@ def test_an_inferred_scene_is_scored_under_the_prior_and_the_sensor_that_inferen
 
 def test_a_prior_that_cannot_make_a_scene_says_why(scene):
     for prior, why in [
-        ("tabletop", "red.contact.u is 0."), ("figure-4", "it has no "), ("algorithm-1", "the root"), ("stack", ""),
+        ("tabletop", "red.contact."), ("figure-4", "it has no "), ("algorithm-1", "the root"), ("stack", ""),
     ]:  # fmt: skip
         data = json.loads(run("sample_000.yaml", "sample_000.npz", "--prior", prior, "--json").stdout)
         assert why in data["why"] and (data["log_prior"] is None) == bool(why), prior

@@ -89,7 +89,7 @@ def test_gradient_by_contact_parameters():
 def test_gauss_newton_finds_the_truth():
     """The best of ten random starts is within 3 nats of the truth or above; most single starts are."""
     single = []
-    for problem, draw, _ in problems(6):
+    for problem, draw, _ in problems(20):
         truth = problem.log_density(problem.values)
         found = problem.maximise(problem.random_starts(draw.rng, 10))
         good = [maximum.log_density > truth - 3.0 for maximum in found]
@@ -98,8 +98,8 @@ def test_gauss_newton_finds_the_truth():
         for maximum in found:
             assert np.all(np.diff(maximum.log_densities) > 0)
             assert np.allclose(problem.domain.bring(maximum.values), maximum.values)
-    # 84 of 100 measured over 20 scenes; 60 starts have a standard error of 5
-    assert np.mean(single) > 0.65
+    # 86 of 100 measured over 100 scenes; the starts of one scene fail together, so 20 scenes have an error of 4.
+    assert np.mean(single) > 0.7
 
 
 def test_fixed_steps_climb_by_either_gradient():
@@ -168,7 +168,8 @@ def test_meshes_have_the_likelihood_of_what_they_show():
     for scene in (solids, meshes):
         likelihood = SmoothLikelihood(draw.camera, observed, scene.kind, 0.01, 1.0, scene=scene)
         values.append(likelihood.gradient(scene))
-    assert np.isclose(values[0][0], values[1][0], atol=0.1)
+    # The two are cut at silhouettes by different code: up to .17 nats apart over eight scenes, of some 3,800.
+    assert np.isclose(values[0][0], values[1][0], atol=0.5)
     assert np.allclose(values[0][1], values[1][1], atol=1e-2 * np.abs(values[0][1]).max())
 
 

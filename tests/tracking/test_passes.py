@@ -2,6 +2,7 @@
 
 import films
 import numpy as np
+import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
 from derender.tracking.passes import Passes
@@ -16,6 +17,7 @@ def parting():
     return film(np.random.default_rng(0), ["box", "box"], [SMALL, SMALL], paths)
 
 
+@pytest.mark.slow
 def test_what_parts_later_is_followed_back_from_where_it_is_seen_apart():
     frames, poses = parting()
 
