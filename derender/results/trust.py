@@ -16,6 +16,8 @@ LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
 QUICK = 1000  # draws of all chains together, below which it was a quick look
 SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
 MARGIN = 2.5  # times the draws that seem enough
+# Of images whose neighbouring pixels share noise, where structures are not weighed by the integral of a density.
+TEMPERED = "probabilities of structures are those of a tempered score, whose error is not known"
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
@@ -71,6 +73,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
 
     rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
     """
+    notes = (Doubt(TEMPERED, serious=False),) if posterior.meta.get("tempered") else ()
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
@@ -80,7 +83,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
-        return tuple(map(Doubt, doubts))
+        return (*map(Doubt, doubts), *notes)
     largest, smallest = limits(chains * draws)
     over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
     if over is not None and over > largest:
@@ -95,7 +98,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
     if any(map(doubtful, rows)):
         doubts[-1] += f"; --draws {enough_draws(rows)} would do"
-    return tuple(map(Doubt, doubts))
+    return (*map(Doubt, doubts), *notes)
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:

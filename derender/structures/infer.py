@@ -201,7 +201,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
-            "interrupted": interrupted,
+            "interrupted": interrupted, "tempered": len(state) > 0 and "likelihood" not in parts[0].extras,
             "missed": loose.missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
