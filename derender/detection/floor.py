@@ -10,6 +10,7 @@ from derender.errors import DerenderError
 BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
 FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
 ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
+LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
 FEET = 100  # points of what stands on the floor, at most, to which distances are taken
 
 
@@ -36,13 +37,15 @@ def back_project(depth, camera):
     return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
 
 
-def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
+def find_floor(rng, depth, camera, tolerance=0.008, rounds=300, gravity=None):
     """Find the plane that most pixels lie on.
 
     Parameters
     ----------
     depth : (H, W) float metres, NaN = no return.
     tolerance : metres; how near the plane a point counts during the search.
+    gravity : (3,) in camera axes, the direction in which things fall, where the camera knows it: only a level plane
+        is a floor then, if there is one.
 
     Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
     """
@@ -68,6 +71,9 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300):
     # some, the side of a box has many.
     under = distance < -3 * tolerance
     score = near.mean(axis=0) - 0.3 * under.mean(axis=0)
+    if gravity is not None:
+        level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
+        score = np.where(level, score, -1.0) if level.any() else score
     best = np.argmax(score)
     # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
     upward = -normal[:, 1]

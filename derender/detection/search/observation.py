@@ -83,8 +83,9 @@ def observe(rng, depth, camera, widest=160, plane=None, floating=False):
     floating : whether solids may hang in the air.
     """
     rounding = rounding_of(depth)
+    gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     depth, camera, factor = reduce(depth, camera, widest)
-    floor = find_floor(rng, depth, camera) if plane is None else given_floor(depth, camera, plane)
+    floor = find_floor(rng, depth, camera, gravity=gravity) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
     seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
