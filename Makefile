@@ -18,7 +18,7 @@ help:  ## Say what there is
 demo: .venv/installed osmesa  ## See one depth image become a scene graph; IMAGE=frame.png CAMERA=camera.json for your own
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh scripts/demo.sh "$(OUT)" "$(IMAGE)" "$(CAMERA)"
 
-test: .venv/developed osmesa lint  ## Check style, types and tests, in under 5 minutes
+test: .venv/developed osmesa lint  ## Check style, types and tests
 	$(BIN)/python -m pytest -n $(JOBS)
 
 test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
