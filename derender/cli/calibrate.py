@@ -11,11 +11,8 @@ from derender.cli.options import Talk
 @options.output("YAML file of the sensor; - is stdout.", "-", "FILE")
 @options.camera
 @options.depth_scale
-@options.seed
 @options.verbosity
-def command(
-    frames: tuple[str, ...], output: str, camera: str | None, depth_scale: float | None, seed: int, talk: Talk
-) -> None:
+def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scale: float | None, talk: Talk) -> None:
     """Learn a depth camera's noise from FRAMES that show a bare table and little else.
 
     Writes its numbers as a prior, under `likelihood: {type: correlated}`: noise and how it grows with depth, how much
@@ -34,11 +31,11 @@ def command(
     from derender.camera.depth_file import read_depth
     from derender.detection.calibration import fit_sensor, residuals, sensor_text
 
-    rng, pairs, seen = np.random.default_rng(seed), [], None
+    pairs, seen = [], None
     for name in talk.counted(frames, len(frames), "reading"):
         seen = read_depth(name, camera, depth_scale)
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
-        pairs.append(residuals(rng, depth, seen.camera.to_dict(), name))
+        pairs.append(residuals(depth, seen.camera.to_dict(), name))
     fit = fit_sensor(pairs)
     before, after = fit.correlation
     talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:.2f}; "

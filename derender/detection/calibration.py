@@ -26,12 +26,12 @@ class Fit(NamedTuple):
     beyond: float
 
 
-def residuals(rng: np.random.Generator, depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (residual (H, W) metres, NaN off the table; the table's depth (H, W)) of a frame of a bare table.
 
     name : of the frame, for messages.
     """
-    floor = find_floor(rng, depth, camera)
+    floor = find_floor(depth, camera)
     normal = floor.pose[:3, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)

@@ -1,4 +1,8 @@
-"""The supporting plane of a depth image: RANSAC on a coarse sample, then a robust least-squares refit."""
+"""The supporting plane of a depth image: RANSAC on a coarse sample, then a robust least-squares refit.
+
+The same image has the same floor: what is background follows from it, so that two seeds with two floors would answer
+two questions. The sample and its triples are drawn from a stream of their own.
+"""
 
 from typing import NamedTuple
 
@@ -11,6 +15,7 @@ BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts 
 FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
 ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
 LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
+SAMPLE, TRIPLES, STREAM = 1500, 300, 2026  # points looked at, planes tried through three of them, seed of both
 FEET = 100  # points of what stands on the floor, at most, to which distances are taken
 
 
@@ -37,7 +42,7 @@ def back_project(depth, camera):
     return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
 
 
-def find_floor(rng, depth, camera, tolerance=0.008, rounds=300, gravity=None):
+def find_floor(depth, camera, tolerance=0.008, gravity=None):
     """Find the plane that most pixels lie on.
 
     Parameters
@@ -55,8 +60,9 @@ def find_floor(rng, depth, camera, tolerance=0.008, rounds=300, gravity=None):
         what = f"the image has too few pixels with depth ({len(good)}, at least 50 are needed)"
         raise DerenderError(what, remedy="check the export, or go nearer")
     flat = points.reshape(-1, 3)
-    sample = flat[good[rng.permutation(len(good))[:1500]]]
-    triples = sample[rng.integers(len(sample), size=(rounds, 3))]
+    rng = np.random.default_rng(STREAM)
+    sample = flat[good[rng.permutation(len(good))[:SAMPLE]]]
+    triples = sample[rng.integers(len(sample), size=(TRIPLES, 3))]
     normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normal, axis=1)
     if not np.any(length > 1e-8):

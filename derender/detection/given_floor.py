@@ -61,12 +61,12 @@ def given_floor(depth, camera, floor):
     return Floor(frame_of(normal, offset, points[inliers].mean(axis=0)), sigma, inliers)
 
 
-def find_backdrop(rng, depth, camera):
+def find_backdrop(depth, camera):
     """Return the Floor of a plane before which everything is seen, a table or a wall, and (H, W) bool: what lies on it
     or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
     """
     try:
-        plane = find_floor(rng, depth, camera)
+        plane = find_floor(depth, camera)
     except DerenderError:
         return None
     seen = np.isfinite(depth) & (depth > 0)

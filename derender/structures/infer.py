@@ -37,10 +37,10 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     plane : the floor as it is given, see bottom_up.given_floor; None: find it.
     """
     settings = Settings() if settings is None else settings
-    seen = observe(rng, depth, camera, widest, plane, settings.may_float)
+    seen = observe(depth, camera, widest, plane, settings.may_float)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
-        seen = observe(rng, depth, camera, wanted, plane, settings.may_float)
+        seen = observe(depth, camera, wanted, plane, settings.may_float)
     settings = settings_for(settings, seen)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005

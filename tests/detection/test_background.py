@@ -21,7 +21,7 @@ def told_apart(solids):
     scene = Solids(kinds, np.array(poses), np.array(sizes), np.full(len(kinds), -1, np.int32))
     depth, label = render_depth(scene, CAMERA)
     depth = depth + SIGMA * np.random.default_rng(0).standard_normal(depth.shape)
-    return observe(np.random.default_rng(0), depth, CAMERA), label
+    return observe(depth, CAMERA), label
 
 
 CARTON = (0.0, 0.0, 0.0, (0.1, 0.08, 0.12))

@@ -50,7 +50,7 @@ def test_a_closer_look_sees_the_same_scene(width, factor):
     depth, camera, table, size = photograph(rng, 0.08, 0.0, 0.0, width)
     depth[: width // 10] = np.nan
     depth[-width // 20 :, :9] = np.nan
-    seen = observe(rng, depth, camera)
+    seen = observe(depth, camera)
     closer = closer_look(seen, depth, camera)
     assert closer.times == seen.factor / factor > 1
     state = standing(seen, table, size, 0.0)
@@ -84,7 +84,7 @@ def test_sizes_are_nearer_the_truth():
     for _ in range(12):
         diameter, shift = rng.uniform(0.06, 0.09), rng.uniform(-0.02, 0.02)
         depth, camera, table, size = photograph(rng, diameter, shift, 0.001)
-        seen = observe(rng, depth, camera)
+        seen = observe(depth, camera)
         assert seen.correlation > CORRELATED
         settings = Settings().for_correlation(seen.correlation)
         state = standing(seen, table, size, shift)

@@ -34,7 +34,7 @@ def height_off(floor, table):
 def test_the_floor_is_the_one_beside_the_feet():
     rng = np.random.default_rng(0)
     depth, camera, table, standing = table_before_a_shelf(rng)
-    first = find_floor(rng, depth, camera)
+    first = find_floor(depth, camera)
     found = floor_beside(first, depth, camera, standing)
     assert height_off(found, table) < 0.001
     assert found.sigma < 0.002
@@ -46,6 +46,6 @@ def test_the_floor_of_an_even_image_stays_where_it_is():
     depth, camera, table, standing = table_before_a_shelf(rng)
     even, _ = render_floor_scene([], np.zeros((0, 4, 4)), np.zeros((0, 3)), table, camera)
     depth = np.where(standing, depth, even + 0.001 * rng.normal(size=depth.shape))
-    found = floor_beside(find_floor(rng, depth, camera), depth, camera, standing)
+    found = floor_beside(find_floor(depth, camera), depth, camera, standing)
     assert height_off(found, table) < 2e-4
     assert found.pose[:3, 2] @ table[:3, 2] > np.cos(np.radians(0.1))

@@ -40,7 +40,7 @@ def test_the_best_guess_is_one_to_polish(way):
     height = 0.5 * (size[0] if way == "drum" else size[2])
     there = posed(rotation, 0, 0, height)
     scene = photograph(np.random.default_rng(3), [kind], np.array([size]), there[None], ["floor"])
-    seen = observe(np.random.default_rng(0), scene["depth"], scene["camera"])
+    seen = observe(scene["depth"], scene["camera"])
     depth, _, misfit, _ = held_out(seen.image, State(), -1)
     pose = np.linalg.inv(seen.floor.pose) @ scene["floor"] @ there
     numbers = {"box": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
@@ -75,7 +75,7 @@ def test_a_guess_stands_where_it_should_and_is_a_solid(way):
 def test_shapes_that_are_not_allowed_are_not_guessed():
     scene = photograph(np.random.default_rng(3), ["box"], np.array([[0.07] * 3]), posed(np.eye(3), 0, 0, 0.035)[None],
                        ["floor"])  # fmt: skip
-    seen = observe(np.random.default_rng(0), scene["depth"], scene["camera"])
+    seen = observe(scene["depth"], scene["camera"])
     depth, _, misfit, _ = held_out(seen.image, State(), -1)
     for shapes, kinds in ((("cube",), [BOX]), (("sphere",), [SPHERE]), (("cylinder",), [CYLINDER] * 2)):
         found = guesses(np.random.default_rng(1), seen.image, seen.points[seen.mask], shapes, 0.0, depth, misfit)
@@ -94,7 +94,7 @@ def behind():
     poses = world @ np.array([pose_of(row) for row in (drum, can)])
     depth, _ = render_floor_scene(["cylinder"] * 2, poses, np.array([drum[13:], can[13:]]), world, camera)
     depth += 0.001 * np.random.default_rng(5).normal(size=depth.shape)
-    seen = observe(np.random.default_rng(0), depth, camera)
+    seen = observe(depth, camera)
     into = np.linalg.inv(seen.floor.pose) @ world
 
     def seen_as(kind, row):

@@ -138,7 +138,7 @@ def test_adding_a_solid_changes_the_misfit_as_drawing_it_does(rng):
 def test_floor_is_found_to_a_tenth_of_a_degree(rng):
     for name in ("settled", "noisy", "tower"):
         scene = make_scene(rng, name)
-        floor = find_floor(rng, scene["depth"], scene["camera"])
+        floor = find_floor(scene["depth"], scene["camera"])
         assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
         offset = (scene["floor"][:3, 3] - floor.pose[:3, 3]) @ floor.pose[:3, 2]
         assert abs(offset) < 0.002
@@ -148,11 +148,11 @@ def test_floor_is_found_to_a_tenth_of_a_degree(rng):
 def test_an_image_without_a_plane_or_without_pixels_is_a_fault(rng):
     camera = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
     with pytest.raises(DerenderError, match="plane"):
-        find_floor(rng, rng.uniform(0.5, 5.0, (48, 64)), camera)
+        find_floor(rng.uniform(0.5, 5.0, (48, 64)), camera)
     with pytest.raises(DerenderError, match="pixels"):
-        find_floor(rng, np.full((48, 64), np.nan), camera)
+        find_floor(np.full((48, 64), np.nan), camera)
     with pytest.raises(DerenderError, match="on one line"):
-        find_floor(rng, np.full((1, 64), 0.9), camera)
+        find_floor(np.full((1, 64), 0.9), camera)
 
 
 def test_reduced_images_show_the_same_points(rng):
@@ -160,7 +160,7 @@ def test_reduced_images_show_the_same_points(rng):
     depth, camera, factor = reduce(scene["clean"], scene["camera"], 80)
     assert factor == 2 and depth.shape == (60, 80)
     # a plane's inverse depth is affine in the pixel: reduction keeps it
-    floor = find_floor(rng, depth, camera)
+    floor = find_floor(depth, camera)
     assert floor.pose[:3, 2] @ scene["floor"][:3, 2] > np.cos(np.radians(0.1))
 
 
@@ -171,7 +171,7 @@ def test_how_much_neighbours_share_their_noise_is_told_from_straight_above_too(r
     white = rng.normal(0.0, 0.002, (120, 161))
     depth = 1.5 + (1 - share) * white[:, 1:] + share * white[:, :-1]
     expected = share * (1 - share) / (share**2 + (1 - share) ** 2)
-    found = neighbour_correlation(depth, find_floor(rng, depth, camera), camera)
+    found = neighbour_correlation(depth, find_floor(depth, camera), camera)
     # of some 10,000 pairs: 0.01 is one standard error, and as much again for the plane that is fitted to them
     assert found == pytest.approx(expected, abs=0.05)
 
@@ -186,7 +186,7 @@ def test_a_rendering_is_told_from_what_a_sensor_saw(rng):
         (clean + 4e-4 * rng.normal(size=clean.shape), False), (np.round(clean + 2 * bent, 3), False),
         (clean + bent, False),
     ):  # fmt: skip
-        floor = find_floor(rng, depth, camera)
+        floor = find_floor(depth, camera)
         assert drawn(depth, floor, camera, rounding_of(depth)) is expected
 
 
@@ -203,7 +203,7 @@ def test_a_box_seen_on_its_corner_has_three_orthogonal_patches(rng):
         towards = np.linalg.inv(scene["floor"])[:2, 3]
         if np.abs(towards).min() > 0.4 * np.abs(towards).max():
             break
-    seen = observe(rng, scene["depth"], scene["camera"])
+    seen = observe(scene["depth"], scene["camera"])
     patches = patches_of(seen)
     large = patches.normal[patches.pixels > 60]
     assert len(large) == 3

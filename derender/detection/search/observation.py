@@ -76,7 +76,7 @@ class Closer(NamedTuple):
     times: float
 
 
-def observe(rng, depth, camera, widest=160, plane=None, floating=False):
+def observe(depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see given_floor.read_floor; None: find it.
@@ -85,9 +85,9 @@ def observe(rng, depth, camera, widest=160, plane=None, floating=False):
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     depth, camera, factor = reduce(depth, camera, widest)
-    floor = find_floor(rng, depth, camera, gravity=gravity) if plane is None else given_floor(depth, camera, plane)
+    floor = find_floor(depth, camera, gravity=gravity) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
-    backdrop = find_backdrop(rng, depth, camera) if isinstance(plane, str) else None
+    backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
     seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
     if plane is None and seen.correlation > CORRELATED and seen.mask.any():
         seen = tell_apart(
