@@ -32,11 +32,11 @@ from derender.structures.draws.refined import (
     height,
     local_evidence,
     near_evidence,
+    pixels_of,
     refined_at,
     refitted,
     without_unseen,
 )
-from derender.structures.draws.sensor import model_image
 from derender.structures.standing import log_standing
 from derender.structures.weighing import NEAR_ERROR, Weighed, of_block, with_own_sensor
 
@@ -100,8 +100,8 @@ def changed(state, i, row, cube):
 
 def other_shapes(best, i, shapes):
     """Return the states in which a solid that shows in few pixels has another of these shapes, as large as it is."""
-    state, (_, label) = best.state, model_image(best.chart, best.values, best.sensor.camera)
-    if np.sum((label == i + 1) & np.isfinite(best.sensor.observed)) > FEW_PIXELS:
+    state = best.state
+    if pixels_of(best)[i] > FEW_PIXELS:
         return []
     row, kind = state.rows[i], int(state.rows[i][0])
     size = row[13:16]

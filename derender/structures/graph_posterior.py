@@ -32,6 +32,7 @@ from derender.structures.draws.refined import (
     only_draw,
     refine,
     structure_posterior,
+    view_of,
     with_sensor_refitted,
 )
 from derender.structures.hidden import hidden_expected
@@ -58,20 +59,23 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     """
     knowable = not seen.things and seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
     if len(state) and seen.correlation < INDEPENDENT and knowable:
-        return independent_parts(rng, seen, state, pool, settings, chains, draws, only_best)
+        first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
+        energy = total_energy(seen.image, state, settings)
+        return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
     if only_best:
         return [part_of(rng, seen, closer, state, settings, names_of(state), 1.0, 1, 1)]
     return posterior_parts(rng, seen, closer, state, pool, settings, chains, draws)
 
 
-def independent_parts(rng, seen, state, pool, settings, chains, draws, only_best):
-    """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others."""
-    first = refine(rng, seen, state, settings.rules, settings.tries)
+def independent_parts(rng, first, energy, pool, settings, chains, draws, only_best):
+    """Return the parts where pixels are independent: full chains for the likeliest, short ones for the others.
+
+    first : Refined of the search's best state. energy, pool : see `weighed_structures`.
+    """
     if only_best:
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
     made = DrawsOfOne(chains, draws)
     evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
-    energy = total_energy(seen.image, state, settings)
     kept = weighed_structures(rng, first, energy, pool, settings.rules, evidence, settings.shapes, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])

@@ -42,6 +42,9 @@ def hidden_expected(rng, refined, beliefs=None):
     places = (ray[chosen] * z[chosen, None] - floor[:3, 3]) @ floor[:3, :3]
     drawn = drawn_rows(rng, places, beliefs)
     drawn = drawn[out_of_sight(drawn, floor, camera, depth)]
+    for view in refined.sensor.others:
+        shown = model_depth(refined.chart, refined.values, view.camera, view.into)
+        drawn = drawn[out_of_sight(drawn, view.into @ floor, view.camera, shown)]
     count = sum(all(penetration(row, other) <= 0.0 for other in refined.state.rows) for row in drawn)
     return rate_on_floor(beliefs, len(refined.state)) * total * count / TRIES
 

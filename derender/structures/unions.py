@@ -117,11 +117,14 @@ def grown_into(state, cut, j):
 
 
 def change_of_image(best, chart, values):
-    """Return how much worse another chart's image explains that of the best in nats, no pixel more than LIMIT."""
-    numbers, camera = best.sensor.values, best.sensor.camera
-    before, after = model_depth(best.chart, best.values, camera), model_depth(chart, values, camera)
-    noise = numbers["sigma"] + numbers.get("sigma_growth", 0.0) * before**2
-    return float(np.minimum(0.5 * ((after - before) / noise) ** 2, LIMIT).sum())
+    """Return how much worse another chart's images explain those of the best in nats, no pixel more than LIMIT."""
+    total = 0.0
+    for view in best.sensor.views:
+        before, after = (model_depth(*each, view.camera, view.into)
+                         for each in ((best.chart, best.values), (chart, values)))  # fmt: skip
+        noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * before**2
+        total += float(np.minimum(0.5 * ((after - before) / noise) ** 2, LIMIT).sum())
+    return total
 
 
 def on_supports(state):

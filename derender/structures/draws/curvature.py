@@ -14,8 +14,10 @@ from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
 from derender.render.blur import blur
+from derender.render.likelihoods.base import temper
 from derender.render.raycast.engine import propose_state, settle_state
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD
+from derender.render.raycast.views import engine_of_view
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
     HELD,
@@ -35,27 +37,48 @@ HAIR = 1e-5  # metres and radians, of differences of the prior's distances
 
 
 class Curvature:
-    """What small moves do to an image.
+    """What small moves do to the images.
 
     Parameters
     ----------
-    engine : EngineState at `values`; it is there again after each call. chart : Chart. sensor : Sensor.
+    views : Views at `values`; they are there again after each call. chart : Chart. sensor : Sensor.
     values : (D,) coordinates of a mode.
     """
 
+    def __init__(self, views, chart, sensor, values) -> None:
+        self.chart, self.values = chart, values
+        self.images = [ImageCurvature(engine_of_view(views, number), chart, view, values)
+                       for number, view in enumerate(sensor.views)]  # fmt: skip
+
+    def precision(self, members):
+        """Return the (n, n) precision of the coordinates `members`, those others held."""
+        total = np.zeros((len(members), len(members)))
+        for image in self.images:
+            derivatives = image.derivatives(members)
+            total += (derivatives @ derivatives.T).astype(float)
+        size, turns = len(self.values), self.chart.slots[:, TURN:SIZE]
+        loose = np.full(size, LOOSE)
+        loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
+        return total + np.diag(loose[members] ** -2.0) + contact_precision(self.chart, self.values, members)
+
+
+class ImageCurvature:
+    """What small moves do to one image. engine : EngineState of its view; sensor : Sensor of it alone."""
+
     def __init__(self, engine, chart, sensor, values) -> None:
-        self.engine, self.chart, self.values = engine, chart, values
+        self.engine, self.chart, self.values, self.into = engine, chart, values, sensor.into
         self.blur = sensor.values["blur"]
         self.pixels = slice(PAD, PAD + sensor.observed.shape[1])
-        self.base = engine.images[DEPTH + CURRENT][:, self.pixels].copy()
+        self.base = engine.images[DEPTH + CURRENT][: len(sensor.observed), self.pixels].copy()
         self.weight = np.sqrt(weights(sensor, blur(self.base.astype(float), self.blur))).astype(np.float32)
         count = len(chart.flags)
         self.rows = np.empty((count, ROW))
         self.poses, self.sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
         # half a pixel at the depth of each coordinate's solid
         self.apart = np.full(len(values), FLOOR_APART)
+        floor = sensor.into @ chart.floor
         for slot, row in zip(chart.slots, chart.base, strict=True):
-            depth = chart.floor[2, :3] @ row[10:13] + chart.floor[2, 3]
+            depth = floor[2, :3] @ row[10:13] + floor[2, 3]
             self.apart[slot[slot >= 0]] = APART * max(depth, 0.1) / sensor.camera.fx
 
     def moved(self, touched, values):
@@ -63,8 +86,9 @@ class Curvature:
         indices = np.flatnonzero(touched)
         place_rows(self.chart, values, self.rows)
         camera_poses(self.chart, values, self.rows, self.poses, self.sizes)
-        propose_state(self.engine, np.int64(len(indices)), indices, self.poses[indices], self.sizes[indices])
-        seen = self.engine.images[DEPTH + CANDIDATE][:, self.pixels].copy()
+        poses = self.into @ self.poses[indices]
+        propose_state(self.engine, np.int64(len(indices)), indices, poses, self.sizes[indices])
+        seen = self.engine.images[DEPTH + CANDIDATE][: len(self.base), self.pixels].copy()
         settle_state(self.engine, CURRENT)
         return seen
 
@@ -74,8 +98,8 @@ class Curvature:
             change = blur(change.astype(float), self.blur)
         return (change * (self.weight / np.float32(distance))).ravel()
 
-    def precision(self, members):
-        """Return the (n, n) precision of the coordinates `members`, those others held."""
+    def derivatives(self, members):
+        """Return (n, H W) float32, the image's derivatives by the coordinates `members` in deviations of the noise."""
         size, turns = len(self.values), self.chart.slots[:, TURN:SIZE]
         images = np.empty((len(members), self.base.size), np.float32)
         for n, member in enumerate(members):
@@ -85,10 +109,7 @@ class Curvature:
             touched, shift = touched_by(self.chart, [member]), apart * np.eye(size)[member]
             change = self.moved(touched, self.values + shift) - self.moved(touched, self.values - shift)
             images[n] = self.weighed(change, 2.0 * apart)
-        loose = np.full(size, LOOSE)
-        loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
-        contact = contact_precision(self.chart, self.values, members)
-        return (images @ images.T).astype(float) + np.diag(loose[members] ** -2.0) + contact
+        return images
 
 
 def weights(sensor, base):
@@ -101,7 +122,8 @@ def weights(sensor, base):
         other = padded[1 - down : 1 - down + height, 1 - right : 1 - right + width] - base
         np.maximum(step, np.abs(np.abs(one) - np.abs(other)), out=step)
     noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * base**2
-    return np.where(np.isfinite(sensor.observed), 1.0 / (noise**2 + step**2 / SHARP), 0.0)
+    worth = temper(sensor.values, sensor.likelihood.counted_pixels(sensor.observed))
+    return np.where(np.isfinite(sensor.observed), worth / (noise**2 + step**2 / SHARP), 0.0)
 
 
 def contact_precision(chart, values, members):

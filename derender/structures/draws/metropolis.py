@@ -21,8 +21,9 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
-from derender.render.raycast.engine import for_steps, new_engine, propose_in, propose_state, settle_in, settle_state
+from derender.render.raycast.engine import new_engine
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+from derender.render.raycast.views import make_views, propose_views, settle_views
 from derender.sampling.evidence import evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
@@ -52,12 +53,12 @@ TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is
 
 
 @njit(cache=True, nogil=True)
-def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities):
+def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities):
     """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
 
     Parameters
     ----------
-    engine : EngineState of the floor (solid 0) and the N solids, at `values`.
+    views : Views of the floor (solid 0) and the N solids, at `values`.
     prior, likelihood : their logs there.
     temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.
     kept : (steps // thin, D), densities : (steps // thin, 2) float64, log prior and log likelihood; written.
@@ -117,9 +118,9 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
                     for i in range(3):
                         moved_sizes[moved, i] = sizes[k, i]
                     moved += 1
-            new = propose_in(engine, moved, indices, moved_poses, moved_sizes)
+            new = propose_views(views, moved, indices, moved_poses, moved_sizes)
             taken_up = threshold < new_prior - prior + temperature * (new - likelihood) - drawn
-            settle_in(engine, CANDIDATE if taken_up else CURRENT)
+            settle_views(views, CANDIDATE if taken_up else CURRENT)
             if taken_up:
                 prior, likelihood = new_prior, new
                 for i in range(size):
@@ -139,7 +140,7 @@ def walk(rng, engine, chart, values, prior, likelihood, proposals, temperature, 
 
 
 @njit(cache=True, nogil=True)
-def evaluate(engine, chart, batch, densities):
+def evaluate(views, chart, batch, densities):
     """Write the log prior and the log likelihood of coordinates (m, D) into densities (m, 2)."""
     count = len(chart.flags)
     rows, indices = np.empty((count, ROW)), np.arange(count + 1)
@@ -149,40 +150,43 @@ def evaluate(engine, chart, batch, densities):
         densities[n, 0], densities[n, 1] = log_prior(chart, rows), 0.0
         if densities[n, 0] > -np.inf:
             camera_poses(chart, batch[n], rows, poses, sizes)
-            densities[n, 1] = propose_in(engine, np.int64(count + 1), indices, poses, sizes)
-            settle_in(engine, CURRENT)
+            densities[n, 1] = propose_views(views, np.int64(count + 1), indices, poses, sizes)
+            settle_views(views, CURRENT)
 
 
-def load(engine, chart, values):
-    """Bring an engine to a chart's coordinates; return log prior and log likelihood there."""
+def load(views, chart, values):
+    """Bring Views to a chart's coordinates; return log prior and log likelihood there."""
     count = len(chart.flags)
     rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
     place_rows(chart, values, rows)
     camera_poses(chart, values, rows, poses, sizes)
-    likelihood = propose_state(engine, count + 1, np.arange(count + 1), poses, sizes)
-    settle_state(engine, CANDIDATE)
+    likelihood = propose_views(views, count + 1, np.arange(count + 1), poses, sizes)
+    settle_views(views, CANDIDATE)
     return float(log_prior(chart, rows)), float(likelihood)
 
 
 def engine_of(chart, sensor):
-    """Return an EngineState for a chart's solids under a sensor model (sensor.py), at the empty scene: a bare wall.
+    """Return the Views of a chart's solids under a Sensor (sensor.py), at the empty scene: a bare wall.
 
     So the first proposal fills it, and `load_state`, which costs as long to compile as all else, is not needed.
     """
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     count = len(kinds)
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
-    likelihood, observed, wall = sensor.likelihood, sensor.observed, sensor.values["background"]
-    row = likelihood.row(sensor.values, likelihood.counted_pixels(observed))
-    state = new_engine(sensor.camera, observed, solids, likelihood.code, row, sensor.values["blur"])
-    if likelihood.code == GAUSSIAN:
-        score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
-    else:
-        score = likelihood.per_pixel(observed, np.full(observed.shape, wall), sensor.values)
-    state.images[DEPTH : DEPTH + 2] = wall
-    state.images[SCORE : SCORE + 2, :, PAD : PAD + observed.shape[1]] = score
-    state.total[:] = state.images[SCORE].astype(float).sum()
-    return for_steps(state)
+    states = []
+    for view in sensor.views:
+        likelihood, observed, wall = view.likelihood, view.observed, view.values["background"]
+        row = likelihood.row(view.values, likelihood.counted_pixels(observed))
+        state = new_engine(view.camera, observed, solids, likelihood.code, row, view.values["blur"])
+        if likelihood.code == GAUSSIAN:
+            score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
+        else:
+            score = likelihood.per_pixel(observed, np.full(observed.shape, wall), view.values)
+        state.images[DEPTH : DEPTH + 2] = wall
+        state.images[SCORE : SCORE + 2, :, PAD : PAD + observed.shape[1]] = score
+        state.total[:] = state.images[SCORE].astype(float).sum()
+        states.append(state)
+    return make_views(states, np.array([view.into for view in sensor.views]))
 
 
 class Draws(NamedTuple):
@@ -246,7 +250,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     factor = np.linalg.cholesky(spread)
     walkers = [(engine, chart, values.copy()) for engine in engines]
     singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
-    singles += unseen_steps(chart, only)
+    singles += unseen_steps(chart, sensor, only)
     met, center = np.empty((0, len(members))), values.copy()
     for temperature, length in ROUNDS[chains == 1 :]:
         steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]

@@ -101,13 +101,31 @@ def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
     return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
 
 
-def refine(rng, seen, state, rules, tries=THREADS):
-    """Return the Refined of the search's best state, the sensor fitted on the way; tries : see greedy.Settings."""
+class View(NamedTuple):
+    """An image to refine by: its Camera; observed (H, W) metres, NaN where it says nothing; into, see Sensor."""
+
+    camera: Camera
+    observed: np.ndarray
+    into: np.ndarray = np.eye(4)
+
+
+def view_of(seen):
+    """Return the View of an Observation."""
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
-    observed = np.where(seen.image.depth > 0, seen.image.depth, np.nan)
-    chart, values = make_chart(state, seen.floor.pose, rules)
+    return View(camera, np.where(seen.image.depth > 0, seen.image.depth, np.nan))
+
+
+def refine(rng, views, floor_pose, state, rules, tries=THREADS):
+    """Return the Refined of the search's best state, the sensor fitted on the way.
+
+    views : of the images, one or more. floor_pose : (4, 4), floor frame to the first camera. tries : see
+    greedy.Settings.
+    """
+    chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
-    sensor = first_sensor(camera, observed, chart, values, beliefs.sensor)
+    first, *others = (first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into)
+                      for view in views)  # fmt: skip
+    sensor = first._replace(others=tuple(others))
     refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
@@ -121,12 +139,22 @@ def without_unseen(state, refined):
 
     The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
     """
-    _, label = model_image(refined.chart, refined.values, refined.sensor.camera)
-    label = label[np.isfinite(refined.sensor.observed)]
+    pixels = pixels_of(refined)
     for k in reversed(range(len(state))):
-        if not (label == k + 1).any() and k not in state.parents:
+        if not pixels[k] and k not in state.parents:
             state = state.without(k)
     return state
+
+
+def pixels_of(refined):
+    """Return (N,) in how many used pixels of all views each solid of a Refined shows."""
+    count = len(refined.state)
+    pixels = np.zeros(count, np.int64)
+    for view in refined.sensor.views:
+        _, label = model_image(refined.chart, refined.values, view.camera, view.into)
+        shown = label[np.isfinite(view.observed) & (label > 0)]
+        pixels += np.bincount(shown, minlength=count + 1)[1:]
+    return pixels
 
 
 def settled(rng, refined, tries=THREADS):
@@ -135,7 +163,7 @@ def settled(rng, refined, tries=THREADS):
     Not where the noise grows with depth: such sensors have outliers at edges of their own.
     """
     best = with_sensor_refitted(rng, refined)
-    if tries == 1 or best.sensor.likelihood.name == "gaussian" or best.sensor.values["sigma_growth"] > 0.0:
+    if tries == 1 or not any(has_outliers(view) for view in best.sensor.views):
         return best
 
     def hot(stream):
@@ -147,13 +175,19 @@ def settled(rng, refined, tries=THREADS):
     return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
 
 
+def has_outliers(view):
+    """Whether a Sensor of one view has outliers that a better state may not have."""
+    return view.likelihood.name != "gaussian" and view.values["sigma_growth"] == 0.0
+
+
 def robust_offset(sensor):
-    """Return what a robust log likelihood has more than a gaussian one of the same image: whether pixels return."""
-    if sensor.likelihood.name == "gaussian":
-        return 0.0
-    seen = int(np.isfinite(sensor.observed).sum())
-    missing = sensor.values["missing"]
-    return seen * float(np.log1p(-missing)) + (sensor.observed.size - seen) * float(np.log(missing))
+    """Return what a robust log likelihood has more than a gaussian one of the same images: whether pixels return."""
+    total = 0.0
+    for view in sensor.views:
+        if view.likelihood.name != "gaussian":
+            seen, missing = int(np.isfinite(view.observed).sum()), view.values["missing"]
+            total += seen * float(np.log1p(-missing)) + (view.observed.size - seen) * float(np.log(missing))
+    return total
 
 
 def with_sensor_refitted(rng, refined):
@@ -222,8 +256,7 @@ def local_evidence(rng, refined, solids):
 
 def refitted(refined):
     """Return the Refined with the sensor's numbers that explain it best, of the same likelihood, nothing moved."""
-    clean = model_depth(refined.chart, refined.values, refined.sensor.camera)
-    sensor = same_sensor_refitted(refined.sensor, clean)
+    sensor = same_sensor_refitted(refined.sensor, refined.chart, refined.values)
     _, log_likelihood = load(engine_of(refined.chart, sensor), refined.chart, refined.values)
     found = refined._replace(sensor=sensor, log_likelihood=log_likelihood)
     return found if height(found) > height(refined) else refined
@@ -236,14 +269,13 @@ def height(refined):
 
 def over_blur(rng, refined, solids):
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
-    over these coordinates alone: what `local_evidence` misses, of a blur that is not known.
+    over these coordinates alone: what `local_evidence` misses, of blurs that are not known.
 
     Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a fitted t
     distribution. How noisy the image is takes about the same from every structure (1 / sqrt(2 pixels) is narrow).
     """
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = members_of(chart, solids)
-    nodes = blurs_about(sensor, model_depth(chart, values, sensor.camera))
     points, proposed = np.tile(values, (1, 1)), np.zeros(1)
     if members:
         steps = LOCAL_STEPS * len(solids)
@@ -253,17 +285,21 @@ def over_blur(rng, refined, solids):
         points[:, members] = draw_t(rng, mean, WIDER * factor, FREEDOM, BLUR_POINTS)
         proposed = log_t(points[:, members], mean, WIDER * factor, FREEDOM)
 
-    def densities(blurred):
-        own = sensor.changed(blur=float(blurred))
-        engine, found = engine_of(chart, own), np.empty((len(points), 2))
+    def densities(sensor):
+        """Return (n, 2) log prior and log likelihood of the points."""
+        engine, found = engine_of(chart, sensor), np.empty((len(points), 2))
         load(engine, chart, values)
         evaluate(engine, chart, points, found)
-        return found.sum(axis=1) - proposed
+        return found
 
-    held = densities(sensor.values["blur"])
-    step = np.log(nodes[1] - nodes[0])
-    believed = [log_prior_of(sensor.prior, {"blur": float(node)}) + step for node in nodes]
-    open_ = np.logaddexp.reduce([densities(node) + each for node, each in zip(nodes, believed, strict=True)], axis=0)
+    held = open_ = densities(sensor).sum(axis=1) - proposed
+    for view in sensor.views:  # given the scene each view's blur is its own
+        nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
+        step = np.log(nodes[1] - nodes[0])
+        believed = [log_prior_of(view.prior, {"blur": float(node)}) + step for node in nodes]
+        each = [densities(view.changed(blur=float(node)))[:, 1] + more
+                for node, more in zip(nodes, believed, strict=True)]  # fmt: skip
+        open_ = open_ + np.logaddexp.reduce(each, axis=0) - densities(view)[:, 1]
     log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
     groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
     apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]

@@ -32,13 +32,15 @@ FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
 
 
 class Sensor(NamedTuple):
-    """A likelihood bound to an image.
+    """A likelihood bound to an image, or to several of one scene that stands still: then their product.
 
     Attributes
     ----------
     camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out.
     likelihood : of render.likelihoods; values : all its numbers.
     prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
+    into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
+    others : Sensors of the other views, each of one.
     """
 
     camera: Camera
@@ -46,9 +48,21 @@ class Sensor(NamedTuple):
     likelihood: Any
     values: dict[str, float]
     prior: Any = None
+    into: np.ndarray = np.eye(4)
+    others: tuple["Sensor", ...] = ()
+
+    @property
+    def views(self):
+        """The Sensors of all views, each of one."""
+        return (self._replace(others=()), *self.others)
+
+    def each(self, change):
+        """Return the sensor with every view as a function makes it from a Sensor of one."""
+        first, *others = map(change, self.views)
+        return first._replace(others=tuple(others))
 
     def changed(self, name=None, **values):
-        """Return the sensor with another likelihood or other numbers."""
+        """Return the sensor with another likelihood or other numbers of the first view."""
         likelihood = self.likelihood if name is None else likelihoods[name]
         known = {p.name for p in likelihood.parameters}
         kept = {k: v for k, v in {**self.values, **values}.items() if k in known}
@@ -59,28 +73,33 @@ class Sensor(NamedTuple):
 
         without : names of those that do not count.
         """
-        return log_prior_of(self.prior, {k: v for k, v in self.values.items() if k not in without})
+        return sum(log_prior_of(view.prior, {k: v for k, v in view.values.items() if k not in without})
+                   for view in self.views)  # fmt: skip
 
     def to_data(self):
-        """Return the likelihood's type and its finite numbers: what stands under `likelihood:` in a scene file."""
+        """Return the first view's likelihood and its finite numbers, as `likelihood:` in a scene file has them."""
         return {"type": self.likelihood.name, **{k: v for k, v in self.values.items() if np.isfinite(v)}}
 
 
-def model_image(chart, values, camera):
-    """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k."""
+def model_image(chart, values, camera, into=None):
+    """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k.
+
+    into : (4, 4), the scene's axes to this camera's; None: they are the same.
+    """
     rows = np.empty((len(chart.flags), ROW))
     poses, sizes = np.empty((len(rows) + 1, 4, 4)), np.empty((len(rows) + 1, 3))
     place_rows(chart, values, rows)
     camera_poses(chart, values, rows, poses, sizes)
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
+    poses = poses if into is None else into @ poses
     solids = Solids(kinds, poses, sizes, np.full(len(kinds), -1, np.int32), ())
     depth, label = render_depth(solids, camera, background=BACKGROUND)
     return np.minimum(depth, BACKGROUND), label
 
 
-def model_depth(chart, values, camera):
-    """Return the clean depth (H, W) of a chart's solids, with the wall behind."""
-    return model_image(chart, values, camera)[0]
+def model_depth(chart, values, camera, into=None):
+    """Return the clean depth (H, W) of a chart's solids, with the wall behind; into : see `model_image`."""
+    return model_image(chart, values, camera, into)[0]
 
 
 def too_far(observed):
@@ -96,12 +115,13 @@ def log_prior_of(prior, numbers):
     return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
-def first_sensor(camera, observed, chart, values, prior=None):
-    """Return the robust Sensor that explains the image best given a first state. prior : see Sensor."""
+def first_sensor(camera, observed, chart, values, prior=None, into=None):
+    """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor."""
     observed = np.where(too_far(observed), np.nan, observed)
-    clean = model_depth(chart, values, camera)
+    into = np.eye(4) if into is None else into
+    clean = model_depth(chart, values, camera, into)
     best = max((robust_fit(observed, clean, blurred, FIRST_OUTLIERS) for blurred in BLURS), key=density_of)
-    return Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **best[2])
+    return Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
 
 
 def density_of(fit):
@@ -165,14 +185,23 @@ def best_fit(observed, clean, blurs, rates, steps, every=1):
 
 def final_sensor(sensor, chart, values):
     """Return the sensor refitted given a good state: the blur to a hundredth of a pixel; gaussian where it suffices."""
-    clean = model_depth(chart, values, sensor.camera)
-    about = np.clip(sensor.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
-    _, name, numbers = best_fit(sensor.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125))
-    return sensor.changed(name, **numbers)
+
+    def refitted(view):
+        clean = model_depth(chart, values, view.camera, view.into)
+        about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
+        _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125))
+        return view.changed(name, **numbers)
+
+    return sensor.each(refitted)
 
 
-def same_sensor_refitted(sensor, clean):
-    """Return the sensor with the numbers that explain a clean depth (H, W) best, its likelihood of the same type."""
+def same_sensor_refitted(sensor, chart, values):
+    """Return the sensor with the numbers that explain a state best, each view's likelihood of the same type."""
+    return sensor.each(lambda view: _same_refitted(view, model_depth(chart, values, view.camera, view.into)))
+
+
+def _same_refitted(sensor, clean):
+    """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
 
     def fitted(blurred, outliers):
         if sensor.likelihood.name == "gaussian":
@@ -196,7 +225,7 @@ def same_sensor_refitted(sensor, clean):
 
 
 def blurs_about(sensor, clean):
-    """Return (NODES,) blurs in equal steps over which an image of this clean depth (H, W) leaves the blur open."""
+    """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open."""
     at = sensor.values["blur"]
 
     def density(blurred):

@@ -147,9 +147,10 @@ def single_steps(chart, only=None):
     return steps
 
 
-def unseen_steps(chart, only=None):
-    """Return the Steps that move one side of a box or cylinder which the camera is behind, the opposite one held."""
-    size, eye = size_of(chart), -chart.floor[:3, :3].T @ chart.floor[:3, 3]
+def unseen_steps(chart, sensor, only=None):
+    """Return the Steps that move one side of a box or cylinder which all cameras are behind, the opposite one held."""
+    size, floors = size_of(chart), [view.into @ chart.floor for view in sensor.views]
+    eyes = [-floor[:3, :3].T @ floor[:3, 3] for floor in floors]
     found = []
     for slot, flag, base in zip(chart.slots, chart.flags, chart.base, strict=True):
         rotation = base[1:10].reshape(3, 3)
@@ -158,8 +159,9 @@ def unseen_steps(chart, only=None):
             if flag[KIND] == SPHERE or np.count_nonzero(slot[SIZE:] == extent) > 1:
                 continue
             for outward in (rotation[:, axis], -rotation[:, axis]):
+                faced = any(outward @ (eye - base[10:13]) > 0.5 * base[13 + axis] for eye in eyes)
                 # a side that has no coordinate to move it by is held to what it stands on
-                if outward @ (eye - base[10:13]) > 0.5 * base[13 + axis] or (slot[Z] < 0 and abs(outward[2]) > 0.1):
+                if faced or (slot[Z] < 0 and abs(outward[2]) > 0.1):
                     continue
                 vector = np.zeros(size)
                 vector[extent] = 1.0
