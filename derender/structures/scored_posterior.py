@@ -7,23 +7,24 @@ the price of each number in `Settings` stands for the Occam factor that its inte
 import time
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import sweep, total_energy, try_cube
 from derender.detection.solids.graph import names_of, periods_of, pose_of, scene_graph
-from derender.detection.solids.image import CENTRE, ROTATION, rotation_of
+from derender.detection.solids.image import CENTRE, ROTATION, SIZE, rotation_of
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.naming import matched_names, structure_key
-from derender.detection.solids.polish import WALK_MOVES, walk
+from derender.detection.solids.polish import TANGENT, WALK_MOVES, walk
 from derender.detection.solids.state import FLOOR, State, carried_by, held_out, in_the_way, run_polish
 from derender.detection.solids.support import with_bottom
 from derender.results.posterior import StructurePosterior
 from derender.sampling.diagnostics import unwrap
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT
-from derender.scene.pose import inverse
+from derender.scene.pose import inverse, rotation_vector
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.alternatives import supports_within
 from derender.structures.draws.agreement import agree
@@ -34,7 +35,9 @@ NEGLIGIBLE = 8.0
 MOST_PARTS = 12
 # Steps of each solid between two draws, doubled for as long as the chains do not agree; how many of a chain that is
 # worth without a budget, a few seconds; sweeps of warm-up.
-STEPS, MOST_STEPS, WARMUP = 120, 800_000, 4
+STEPS, MOST_STEPS, WARMUP = 16, 60_000, 4
+JOINT_SCALE, LEAST_VARIANCE = 2.38, 1e-9  # times standard deviations; of the largest variance: what is less is held
+NO_JOINT_STEPS = np.empty((TANGENT, 0))
 STEPPING = 0.002, 0.001  # metres of the first steps of two sweeps in a closer look
 
 
@@ -46,35 +49,61 @@ def refresh_bottom(state, index):
     return 0.0 if parent == FLOOR else highest(state.rows[parent])
 
 
-def walk_solid(rng, image, state, index, settings, scales, steps, adapt):
+class Walker(NamedTuple):
+    """Where a chain is and how it steps: a State; scales (N, WALK_MOVES) and factors of N joint steps, of `walk`."""
+
+    state: State
+    scales: np.ndarray
+    factors: list[np.ndarray]
+
+
+def walk_solid(rng, image, walker, index, settings, steps, adapt):
     """Walk one solid given the others, in place."""
+    state = walker.state
     state.bottoms[index] = refresh_bottom(state, index)
     depth, _, misfit, _ = held_out(image, state, index)
     state.rows[index] = walk(
         rng, image, state.rows[index], state.forms[index], state.cubes[index], in_the_way(state.rows, settings), index,
-        depth, misfit, state.bottoms[index], carried_by(state, index), settings.slack, settings.tilt, scales[index],
-        steps, settings.temper, adapt,
+        depth, misfit, state.bottoms[index], carried_by(state, index), settings.slack, settings.tilt,
+        walker.scales[index], steps, settings.temper, adapt, walker.factors[index],
     )  # fmt: skip
 
 
 def draw_rows(rng, image, walkers, settings, draws, steps):
     """Return rows (chains, draws, N, ROW) and energies (chains, draws) of chains from where `walkers` are.
 
-    walkers : (state, scales (N, WALK_MOVES)) of each chain; both are changed in place, so that it can go on.
+    walkers : the Walker of each chain, changed in place so that it can go on: in the next call with joint steps as all
+        chains of this one have scattered.
     """
-    tasks = [partial(draw_chain, image=image, now=now, scales=scales, settings=settings, draws=draws, steps=steps)
-             for now, scales in walkers]  # fmt: skip
-    rows, energies = zip(*in_threads(rng, tasks), strict=True)
-    return np.array(rows), np.array(energies)
+    tasks = [partial(draw_chain, image=image, walker=walker, settings=settings, draws=draws, steps=steps)
+             for walker in walkers]  # fmt: skip
+    rows, energies = map(np.array, zip(*in_threads(rng, tasks), strict=True))
+    for k in range(rows.shape[2]):
+        factor = joint_factor(rows[:, :, k].reshape(-1, rows.shape[-1]))
+        for walker in walkers:
+            walker.factors[k] = factor
+    return rows, energies
 
 
-def draw_chain(rng, image, now, scales, settings, draws, steps):
+def joint_factor(rows):
+    """Return (TANGENT, D) a factor of the covariance of joint steps (`polish.joint_step`) of one solid from draws of it
+    (n, ROW): theirs, scaled as is best in D dimensions (Roberts, Gelman and Gilks 1997)."""
+    first = rotation_of(rows[0])
+    turns = np.array([rotation_vector(first.T @ rotation_of(row)) for row in rows])
+    tangents = np.column_stack([rows[:, CENTRE:SIZE], turns, rows[:, SIZE:]])
+    variances, axes = np.linalg.eigh(np.cov(tangents, rowvar=False))
+    free = variances > LEAST_VARIANCE * max(variances.max(), LEAST_VARIANCE)
+    return np.ascontiguousarray(JOINT_SCALE / np.sqrt(max(free.sum(), 1)) * axes[:, free] * np.sqrt(variances[free]))
+
+
+def draw_chain(rng, image, walker, settings, draws, steps):
     """Return rows (draws, N, ROW) and energies (draws,) of one chain."""
+    now = walker.state
     rows, energies = np.empty((draws, *now.rows.shape)), np.empty(draws)
     for sweeps in range(WARMUP + draws):
         early = sweeps < WARMUP
         for index in rng.permutation(len(now)):
-            walk_solid(rng, image, now, index, settings, scales, 2 * steps if early else steps, early)
+            walk_solid(rng, image, walker, index, settings, 2 * steps if early else steps, early)
         if not early:
             rows[sweeps - WARMUP] = now.rows
             energies[sweeps - WARMUP] = total_energy(image, now, settings)
@@ -189,7 +218,8 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
         values = values_of(graph, state, rows, names, floor_pose, addresses)
     else:
-        walkers = [(state.copy(), np.full((len(state), WALK_MOVES), 1e-3)) for _ in range(chains)]
+        walkers = [Walker(state.copy(), np.full((len(state), WALK_MOVES), 1e-3), [NO_JOINT_STEPS] * len(state))
+                   for _ in range(chains)]  # fmt: skip
         steps, spent = STEPS, 0
         while True:
             rows, energies = draw_rows(rng, image, walkers, settings, draws, steps)

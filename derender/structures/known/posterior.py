@@ -25,7 +25,7 @@ from derender.scene.pose import inverse
 from derender.scene.solids import MESH
 from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.structures.known.image import walk_known
-from derender.structures.scored_posterior import parameters_of
+from derender.structures.scored_posterior import NO_JOINT_STEPS, parameters_of
 
 STEPS = 24  # of each object between two draws
 LEAST_LIKELY = 1e-3
@@ -153,7 +153,7 @@ def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
     rows = in_the_way(placement.rows(placed), settings)
     if item.known is None:
         row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
-                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
+                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt, NO_JOINT_STEPS)  # fmt: skip
         return replace(item, row=row)
     known = item.known
     vertices, triangles = known.triangles
