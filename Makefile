@@ -19,10 +19,10 @@ demo: .venv/installed osmesa  ## See one depth image become a scene graph; IMAGE
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh scripts/demo.sh "$(OUT)" "$(IMAGE)" "$(CAMERA)"
 
 test: .venv/developed osmesa lint  ## Check style, types and tests
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
-	$(BIN)/python -m pytest -n $(JOBS) -m ''
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m ''
 	$(BIN)/python scripts/calibrate.py -n 500 --jobs $(JOBS) --strict -o figures/calibration.png
 
 test-bounds: .venv/made osmesa  ## The lowest and the highest numba and mujoco that pyproject.toml allows, in .venv-low and .venv-high

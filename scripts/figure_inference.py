@@ -11,13 +11,10 @@ from derender import data_path
 from derender.document import read_document
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate, verdicts
-from derender.posterior.ascent.descent import cost_at, fixed_step, levenberg
-from derender.posterior.ascent.placement import new_placement
 from derender.posterior.forward import draw_documents, observe
+from derender.posterior.map import MapProblem
 from derender.posterior.settings import read_settings
-from derender.render.blur import blur, blur_taps
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.normal_equations import new_misfit
 from derender.report.animation import frames
 from derender.report.contents import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
@@ -29,10 +26,7 @@ TIMES = (0.0, 0.3, 0.6, 1.2)
 ASCENTS = 10
 SHOWN_STEPS = (0, 2, 8, 12)
 STEP_LENGTH = 0.05
-LATTICE = np.array([(a, b, c) for a in np.arange(8) / 8 for b in np.arange(4) / 4 for c in np.arange(4) / 4])
-DESCENTS = 3
-BLURS = (8.0, 4.0, 2.0, 0.0)
-"""Pixels by which both images are blurred more, from first to last."""
+ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
 CHAINS: Any = {"chains": 4, "draws": 1000, "warmup": 500}
 
 
@@ -86,12 +80,18 @@ def figure_5(path: Path, seed: int) -> Rows:
     camera = truth.camera
     clean, _ = render_depth(truth.graph.solids(), camera, antialias=8)
     depth = observe(truth.rng, clean, truth.likelihood)
-    scene = Ascent(truth.graph, camera, depth, likelihood_numbers(truth.likelihood))
-    rng = np.random.default_rng(seed)
-    starts = scene.domain.lower + rng.uniform(size=(ASCENTS, 3)) * scene.ranges
-    steps = [scene.fixed(start) for start in starts]
-    newton = [scene.newton(start) for start in starts]
-    best = scene.newton(scene.truth)[1].min()
+    numbers = likelihood_numbers(truth.likelihood)
+    scene = MapProblem(truth.graph, ADDRESSES, camera, depth, sigma=numbers["sigma"], blur=numbers["blur"],
+                       background=numbers["background"])  # fmt: skip
+    starts = scene.random_starts(np.random.default_rng(seed), ASCENTS)
+    fixed = scene.maximise(starts, "gradient", iterations=30, step=STEP_LENGTH)
+    steps = [(found.path, -found.log_densities) for found in fixed]
+    ends = scene.maximise(starts, iterations=15, tolerance=1e-3)
+    newton = [
+        (np.vstack([start, found.path]), -np.array([scene.log_density(start), *found.log_densities]))
+        for start, found in zip(starts, ends, strict=True)
+    ]
+    best = -scene.maximise(scene.values, iterations=15, tolerance=1e-3, explore=False)[0].log_density
     # Two nats for each of three parameters: where a posterior's draws are, an optimum is found.
     found = [int(np.argmax(costs < best + 6)) if costs.min() < best + 6 else None for _, costs in newton]
     climbed = [costs[min(12, len(costs) - 1)] for _, costs in steps]
@@ -100,7 +100,7 @@ def figure_5(path: Path, seed: int) -> Rows:
     grid = figure.add_gridspec(2, 5, width_ratios=(1, 1, 1, 1, 1))
     show(figure.add_subplot(grid[0, 0]), picture(truth.graph, camera), "observed (in colour)")
     for place, number in enumerate(SHOWN_STEPS):
-        graph = scene.graph_at(steps[shown][0][number])
+        graph = scene.scene(steps[shown][0][number])
         show(figure.add_subplot(grid[0, 1 + place]), picture(graph, camera), f"t = {number} steps", "#3060d0")
     for place, (runs, words) in enumerate(
         ((steps, f"fixed steps of {STEP_LENGTH}"), (newton, "lattice and Gauss-Newton"))
@@ -124,74 +124,3 @@ def figure_5(path: Path, seed: int) -> Rows:
         ("Gauss-Newton: starts that reach the optimum", f"{len(reached)} of {ASCENTS}", "(not in the paper)"),
         ("Gauss-Newton: steps until there, median", f"{np.median(reached) if reached else np.nan:g}", "(12)"),
     ]
-
-
-class Ascent:
-    """The posterior of the yellow cube's contact in one image, and two ways up it.
-
-    Attributes
-    ----------
-    truth : (3,) float64, theta, u, v. domain : where they may be. ranges : (3,), of each.
-    """
-
-    ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
-
-    def __init__(self, graph, camera, depth: np.ndarray, likelihood: dict[str, float]) -> None:
-        self.graph = graph
-        solids = graph.solids()
-        self.placement, self.truth, self.domain = new_placement(graph, self.ADDRESSES)
-        self.ranges = np.where(self.domain.period > 0, self.domain.period, self.domain.upper - self.domain.lower)
-        arguments = solids.kind, len(self.ADDRESSES)
-        # Far starts have no slope to follow until image and model are blurred more: the last is the likelihood's own.
-        self.misfits = [
-            new_misfit(
-                camera, blur(depth, more), likelihood["sigma"], *arguments, blur_taps(width), likelihood["background"]
-            )
-            for more, width in [(more, float(np.hypot(more, likelihood["blur"]))) for more in BLURS]
-        ]
-
-    def fixed(self, start: np.ndarray, steps: int = 30) -> tuple[np.ndarray, np.ndarray]:
-        """Return path (steps + 1, 3) and costs of ascent by steps of fixed length along the gradient."""
-        path, costs = np.empty((steps + 1, 3)), np.empty(steps + 1)
-        fixed_step(*self._common(start, self.misfits[-1]), steps, STEP_LENGTH, True, 0.0, path, costs)  # type: ignore[call-arg]
-        return path, costs
-
-    def newton(self, start: np.ndarray, steps: int = 15) -> tuple[np.ndarray, np.ndarray]:
-        """Return path and costs of the states that Levenberg-Marquardt accepts, from the most blurred image on.
-
-        The first step is to the best end among those that begin at the best places of a coarse lattice about the start:
-        theta has wrong basins that no slope leads out of. Costs are those of the image as it is, all along.
-        """
-        shares = (start - self.domain.lower) / self.ranges + LATTICE
-        places = self.domain.lower + (shares - np.floor(shares)) * self.ranges
-        order = np.argsort([self.cost(place, 1) for place in places])
-        paths = [self._coarse_to_fine(places[number], steps) for number in order[:DESCENTS]]
-        best = min(paths, key=lambda path: self.cost(path[-1]))
-        path = np.concatenate([start[None], best])
-        return path, np.array([self.cost(state) for state in path])
-
-    def _coarse_to_fine(self, start: np.ndarray, steps: int) -> np.ndarray:
-        values, whole = start, [start[None]]
-        for misfit in self.misfits:
-            path, costs = np.empty((steps + 1, 3)), np.empty(steps + 1)
-            scratch: Any = (np.zeros(3), np.zeros((3, 3)))
-            arguments = self._common(values, misfit)
-            _, accepted, _ = levenberg(*arguments, steps, 1e-3, True, path, costs, *scratch)  # type: ignore[call-arg]
-            whole.append(path[1 : accepted + 1])
-            values = path[accepted].copy()
-        return np.concatenate(whole)
-
-    def cost(self, values: np.ndarray, level: int = -1) -> float:
-        """Return minus the log posterior density up to a constant, of the image as it is or of a more blurred one."""
-        misfit = self.misfits[level]
-        count = len(misfit.kinds)
-        scratch: Any = (np.zeros(3), np.zeros(3), np.empty((count, 4, 4)), np.empty((count, 3)))
-        return cost_at(misfit, self.placement, values.copy(), *scratch)
-
-    def graph_at(self, values: np.ndarray):
-        """Return the scene with these numbers in place."""
-        return self.graph.with_numbers(dict(zip(self.ADDRESSES, values.tolist(), strict=True)))
-
-    def _common(self, start: np.ndarray, misfit) -> Any:
-        flat = np.zeros(3), np.zeros(3)
-        return (misfit, self.placement, start.copy(), *self.domain, *flat)

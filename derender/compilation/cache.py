@@ -24,6 +24,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple
 
 from derender.compilation.entries import Entries, is_private, machine
@@ -115,6 +116,26 @@ class Kernel:
         from derender.compilation.compiler import make_dispatcher
 
         return make_dispatcher(self)
+
+
+def interpreted(kernel: Kernel, **replaced: Callable) -> Callable:
+    """Return a kernel as a Python function that calls Python functions only: the same source, run without compiling.
+
+    replaced : functions by name, which it and those that it calls take in place of their own.
+    """
+    made: dict[Kernel, Callable] = {}
+
+    def plain(one: Kernel) -> Callable:
+        if one not in made:
+            function, scope = one.py_func, dict[str, Any]()
+            made[one] = FunctionType(function.__code__, scope, one.__name__, function.__defaults__)
+            for name in function.__code__.co_names:
+                value = replaced.get(name, function.__globals__.get(name))
+                if value is not None:
+                    scope[name] = plain(value) if isinstance(value, Kernel) else value
+        return made[one]
+
+    return plain(kernel)
 
 
 class Late(NamedTuple):

@@ -1,8 +1,7 @@
 """Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Figure 5).
 
 Two ways up. `gauss-newton` (the default): from each start a coarse image is scanned and descended, then the full one,
-by
-Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the paper's steps of fixed length.
+by Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the paper's steps of fixed length.
 Both keep every state inside the domain, angles going round their period.
 """
 
@@ -35,7 +34,7 @@ class Maximum(NamedTuple):
 
     Attributes
     ----------
-    values : (P,) float64. log_density : log likelihood plus log of the normal priors, at `values`.
+    values : (P,) float64. log_density : log likelihood at `values`.
     path : (T + 1, P) the states on the way at full resolution, the last one `values`; log_densities : (T + 1,) theirs.
     iterations : steps taken, those on the coarse image included.
     """
@@ -47,18 +46,6 @@ class Maximum(NamedTuple):
     iterations: int
 
 
-class Laplace(NamedTuple):
-    """Normal approximation about a place. values : (P,). log_density : float. gradient : (P,) of the log density.
-    precision : (P, P) Gauss-Newton, prior included. covariance : its inverse (the pseudo-inverse where it is
-        singular)."""
-
-    values: np.ndarray
-    log_density: float
-    gradient: np.ndarray
-    precision: np.ndarray
-    covariance: np.ndarray
-
-
 class MapProblem:
     """The posterior density of some numbers of a scene graph given one depth image, and ways to its top.
 
@@ -68,8 +55,8 @@ class MapProblem:
     camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
     sigma : metres, a number or (height, width). blur : pixels. background : metres where nothing is hit (Eq. 6).
     limit : nats at which a pixel counts as an outlier; infinite for Eq. 6 itself.
-    ranges : {address: (lower, upper)} narrower than the parameters' own; an angle so given no longer goes round.
-    normal_priors : {address: (mean, standard deviation)}; all other priors are uniform.
+    ranges : {address: (lower, upper)} narrower than the parameters' own; an angle so given no longer goes round. Priors
+        are uniform in these ranges.
     edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
 
     Raises
@@ -78,7 +65,7 @@ class MapProblem:
     """
 
     def __init__(self, graph: SceneGraph, addresses: Sequence[str], camera, observed, *, sigma=0.005, blur=1.0,
-                 background=10.0, limit=math.inf, ranges=None, normal_priors=None, edges=True) -> None:  # fmt: skip
+                 background=10.0, limit=math.inf, ranges=None, edges=True) -> None:  # fmt: skip
         self.graph, self.addresses, self.edges = graph, tuple(addresses), edges
         self.placement, self.values, self.domain = new_placement(graph, self.addresses)
         count = len(self.addresses)
@@ -87,10 +74,6 @@ class MapProblem:
             whole = self.domain.period[p] > 0 and abs(high - low - self.domain.period[p]) < 1e-9
             self.domain.lower[p], self.domain.upper[p] = low, high
             self.domain.period[p] = self.domain.period[p] if whole else 0.0
-        self._mean, self._precision = np.zeros(count), np.zeros(count)
-        for address, (mean, deviation) in (normal_priors or {}).items():
-            p = self.addresses.index(address)
-            self._mean[p], self._precision[p] = mean, 1.0 / deviation**2
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
         spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
@@ -109,22 +92,20 @@ class MapProblem:
         return self.graph.with_numbers(dict(zip(self.addresses, map(float, values), strict=True)))
 
     def log_density(self, values: np.ndarray) -> float:
-        """Return Eq. 6's log likelihood on the antialiased image, plus the normal priors' log density up to a
-        constant."""
+        """Return Eq. 6's log likelihood on the antialiased image."""
         poses, sizes = self._scratch()
         values = np.array(values, np.float64)
-        return self._constant - cost_at(self._fine, self.placement, values, self._mean, self._precision, poses, sizes)
+        return self._constant - cost_at(self._fine, self.placement, values, poses, sizes)
 
-    def laplace(self, values: np.ndarray) -> Laplace:
-        """Return gradient and Gauss-Newton precision of the log density at `values`, and the covariance."""
+    def slope(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gradient (P,) of the log density at `values` and its Gauss-Newton precision (P, P)."""
         poses, sizes = self._scratch()
         count = len(self.addresses)
         motions, gradient, hessian = np.zeros((count, len(poses), MOTION)), np.zeros(count), np.zeros((count, count))
         values = np.array(values, np.float64)
-        law = self._mean, self._precision, poses, sizes
-        value = cost_at(self._fine, self.placement, values, *law)
-        equations_at(self._fine, self.placement, values, *law, motions, self.edges, gradient, hessian)
-        return Laplace(values, self._constant - value, -gradient, hessian, np.linalg.pinv(hessian, hermitian=True))
+        cost_at(self._fine, self.placement, values, poses, sizes)
+        equations_at(self._fine, self.placement, values, poses, sizes, motions, self.edges, gradient, hessian)
+        return -gradient, hessian
 
     def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return (count, P) starts, uniform over finite ranges; a number without one stays as the graph has it."""
@@ -154,11 +135,6 @@ class MapProblem:
             return [self._fixed(start, iterations, step, difference) for start in starts]
         return [self._newton(start, iterations, tolerance, explore) for start in starts]
 
-    def best(self, rng: np.random.Generator, starts: int = 10, **settings) -> Maximum:
-        """Return the highest of the ascents from this many random starts and from the graph's own values."""
-        places = np.vstack([self.values, self.random_starts(rng, starts)])
-        return max(self.maximise(places, **settings), key=lambda maximum: maximum.log_density)
-
     def _newton(self, start, iterations, tolerance, explore) -> Maximum:
         count = len(self.addresses)
         values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
@@ -168,7 +144,7 @@ class MapProblem:
             self._fine,
             self.placement,
             values,
-            *self._law,
+            *self.domain,
             iterations,
             tolerance,
             self.edges,
@@ -178,10 +154,6 @@ class MapProblem:
         )
         densities = self._constant - costs[: accepted + 1]
         return Maximum(values, float(densities[-1]), path[: accepted + 1].copy(), densities, before + accepted)
-
-    @property
-    def _law(self):
-        return *self.domain, self._mean, self._precision
 
     def _explore(self, start) -> tuple[np.ndarray, int]:
         """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
@@ -196,14 +168,14 @@ class MapProblem:
         if count <= len(GENERATORS) and np.all(np.isfinite(length)):
             shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
             places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
-        costs = costs_at(self._coarse, self.placement, np.ascontiguousarray(places), self._mean, self._precision)
+        costs = costs_at(self._coarse, self.placement, np.ascontiguousarray(places))
         path, heights = np.zeros((steps + 1, count)), np.zeros(steps + 1)
         matrices = np.zeros(count), np.zeros((count, count))
         ends = []
         for number in np.argsort(costs)[:KEPT]:
             values = places[number].copy()
             height, accepted, _ = levenberg(  # type: ignore[call-arg]
-                self._coarse, self.placement, values, *self._law, steps, 5.0, True, path, heights, *matrices
+                self._coarse, self.placement, values, *self.domain, steps, 5.0, True, path, heights, *matrices
             )
             ends.append((height, accepted, values))
         _, accepted, values = min(ends, key=lambda end: end[0])
@@ -212,28 +184,13 @@ class MapProblem:
     def _fixed(self, start, iterations, step, difference) -> Maximum:
         values, domain = np.array(start, np.float64), self.domain
         path, costs = np.zeros((iterations + 1, len(values))), np.zeros(iterations + 1)
-        fixed_step(self._fine, self.placement, values, domain.lower, domain.upper, domain.period, self._mean,
-                   self._precision, iterations, step, self.edges, difference, path, costs)  # fmt: skip
+        fixed_step(self._fine, self.placement, values, *domain, iterations, step, self.edges, difference, path, costs)
         densities = self._constant - costs
         return Maximum(path[-1], float(densities[-1]), path, densities, iterations)
 
     def _scratch(self):
         count = len(self._fine.kinds)
         return np.zeros((count, 4, 4)), np.zeros((count, 3))
-
-
-def refine(graph: SceneGraph, camera, observed, addresses: Sequence[str], *, limit: float = 8.0, iterations: int = 8,
-           **settings) -> tuple[SceneGraph, float, Laplace]:  # fmt: skip
-    """Improve some numbers of a graph jointly from where they are, robustly: (graph, gain in nats, Laplace there).
-
-    The graph comes back unchanged, with gain 0, where nothing better is found. settings : those of MapProblem.
-    """
-    problem = MapProblem(graph, addresses, camera, observed, limit=limit, **settings)
-    before = problem.log_density(problem.values)
-    (maximum,) = problem.maximise(iterations=iterations, explore=False)
-    if not maximum.log_density > before:
-        return graph, 0.0, problem.laplace(problem.values)
-    return problem.scene(maximum.values), maximum.log_density - before, problem.laplace(maximum.values)
 
 
 def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:

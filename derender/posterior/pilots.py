@@ -1,6 +1,6 @@
 """Pilot chains: before any draw is kept, all chains look together for where the posterior is and how to walk on it.
 
-Tempered populations find good places; scouts turn one object of the best at a time. From there each chain climbs a
+Tempered populations find good places; restarts turn one object of the best at a time. From there each chain climbs a
 ladder of temperatures (Geyer 1991): on the levels above the first the likelihood is raised to a power below one, narrow
 modes are wide there, and neighbours exchange their places by the Metropolis rule. What the first level has seen by the
 end fixes the tuning that every chain starts with. What one chain missed another found: only together do they know all
@@ -19,14 +19,14 @@ from derender.posterior.smc import tempered
 from derender.posterior.space import Space
 from derender.sampling.metropolis import log_threshold
 
-LOCAL = ("drift", "slide", "window", "slide-window", "turn", "choose")  # kernels that move a starting population
-ALONE = ("drift", "slide")  # kernels with which a scout moves one object
+LOCAL = ("drift", "slide", "window", "slide-window", "turn")  # kernels that move a starting population
+ALONE = ("drift", "slide")  # kernels of a restart, which moves one object
 GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature
 SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
-ANGLES = 8  # at which a scout sets an object down
+ANGLES = 8  # at which a restart sets an object down
 HEATS = (0.03, 0.03, 0.06, 0.06, 0.12, 0.25, 0.5, 1.0)  # temperatures at which it then walks
-SCOUT_STEPS, MOST_SCOUTS = 20, 3  # at each of them; and how often scouts set out again from a better place
+RESTART_STEPS, MOST_RESTARTS = 20, 3  # at each of them; and how often there are restarts from a better place
 LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
 STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
 STRETCH = 5  # rounds between two exchanges
@@ -53,7 +53,7 @@ class Climb(NamedTuple):
     scales: list[dict[str, float]]
 
 
-def fly(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,
+def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,
         thin: int, population: int, particles: int) -> Found | None:  # fmt: skip
     """Return what pilots found, or None where nothing possible was.
 
@@ -73,7 +73,7 @@ def fly(space: Space, backends: list, parts: list[Part], movers: list, singles: 
         parts = movers[number].parts
         found = tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
         best = int(np.argmax(found.densities.sum(axis=1)))
-        values, densities = scouted(rng, space, singles[number], found.values[best], found.densities[best])
+        values, densities = restarted(rng, space, singles[number], found.values[best], found.densities[best])
         return found._replace(values=np.concatenate([found.values, values]),
                               densities=np.concatenate([found.densities, densities]))  # fmt: skip
 
@@ -104,15 +104,15 @@ def fly(space: Space, backends: list, parts: list[Part], movers: list, singles: 
     return Found(pools[0], levels[0])
 
 
-def scouted(rng, space: Space, singles: dict[str, Any], values, density) -> tuple[np.ndarray, np.ndarray]:
+def restarted(rng, space: Space, singles: dict[str, Any], values, density) -> tuple[np.ndarray, np.ndarray]:
     """Return better places (n, P) than `values`, and their densities (n, 2), where one object stands at another angle.
 
     What is half hidden is easily taken for turned; a whole scene hardly comes out of that, where each of the others has
     found its place beside it. Each object is set down at some angles and walks alone while it cools; of those that end
-    better the best is where scouts set out again.
+    better the best is where the next restarts begin.
     """
     kept, densities = np.empty((0, len(values))), np.empty((0, 2))
-    for _ in range(MOST_SCOUTS):
+    for _ in range(MOST_RESTARTS):
         ends = [end for name, backend in singles.items() for end in turned(rng, space, name, backend, values)]
         better = [end for end in ends if end[1].sum() > density.sum() + RISE]
         if not better:
@@ -134,7 +134,7 @@ def turned(rng, space: Space, name: str, backend: Any, values: np.ndarray) -> li
         moved, tuning = put[0], first_tuning(space, put[0])
         for heat in HEATS:
             tuning = tuning._replace(temperature=heat)
-            stretch = backend.sweep(rng, moved, tuning, 1, SCOUT_STEPS)
+            stretch = backend.sweep(rng, moved, tuning, 1, RESTART_STEPS)
             moved, densities = stretch.values[-1], stretch.densities[-1]
             tuning = tuning._replace(scale=rescale(tuning.scale, backend.parts, stretch.counts, 3.0))
         ends.append((moved, densities))

@@ -1,26 +1,20 @@
-"""The sampler of a fixed structure: start, warm-up that adapts, draws that do not; readable or compiled underneath."""
+"""The sampler of a fixed structure: start, warm-up that adapts, draws that do not."""
 
 import functools
 import json
 import math
 from collections.abc import Mapping
 from copy import copy
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from derender.posterior.adaptation import first_tuning, rescale
-from derender.posterior.kernels.base import Part, Target, Tuning, evaluate, kernels
-from derender.posterior.pilots import ALONE, LOCAL, fly, shaped
+from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.layout import Stretch
+from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
 from derender.sampling.chains import Segment
-
-
-class Stretch(NamedTuple):
-    """What a backend returns. values : (n, P); densities : (n, 2), log prior and log likelihood; counts : (K, 2)."""
-
-    values: np.ndarray
-    densities: np.ndarray
-    counts: np.ndarray
 
 
 class Backend(Protocol):
@@ -39,49 +33,12 @@ class Backend(Protocol):
         """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
 
 
-class ReadableBackend:
-    """The kernels of `posterior.kernels` as they stand: any target, a few thousand steps a second."""
-
-    def __init__(self, target: Target, parts: list[Part], cycle: bool = False) -> None:
-        self.target, self.parts, self.cycle = target, parts, cycle
-
-    def twin(self):
-        return self
-
-    def evaluate(self, values):
-        state = evaluate(self.target, values)
-        return state.log_prior, state.log_likelihood
-
-    def program(self, tuning):
-        return [kernels[part.type].build(self.target, part.block, tuning, part.options) for part in self.parts]
-
-    def sweep(self, rng, values, tuning, draws, thin, taken=0):
-        built = self.program(tuning)
-        cumulative = np.cumsum([part.weight for part in self.parts])
-        counts = np.zeros((len(built), 2), np.int64)
-        state = evaluate(self.target, np.array(values, float))
-        kept, densities = np.empty((draws, len(values))), np.empty((draws, 2))
-        for draw in range(draws):
-            for _ in range(thin):
-                if self.cycle:
-                    number = taken % len(built)
-                else:
-                    threshold = rng.random() * cumulative[-1]
-                    number = int(np.searchsorted(cumulative[:-1], threshold, side="right"))
-                taken += 1
-                state, info = built[number](rng, state)
-                counts[number] += (1, info.accepted)
-            kept[draw] = state.values
-            densities[draw] = state.log_prior, state.log_likelihood
-        return Stretch(kept, densities, counts)
-
-
 class MixtureSampler:
     """A mixture or cycle of kernels on a target, for `chains.run_chain`.
 
     Parameters
     ----------
-    target : the posterior; if it has `backend(parts, cycle)`, that runs the kernels, else the readable ones do.
+    target : the posterior; if it has `backend(parts, cycle)`, that runs the kernels, else Python does.
     parts : the mixture.
     thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
     particles : draws from the prior of which importance resampling takes the start.
@@ -112,7 +69,7 @@ class MixtureSampler:
     def _made(self, parts: list[Part]) -> Backend:
         """Return what runs some kernels: compiled where the target has that."""
         make = getattr(self.target, "backend", None)
-        return make(parts, self.cycle) if make else ReadableBackend(self.target, parts, self.cycle)
+        return make(parts, self.cycle) if make else InterpretedBackend(self.target, parts, self.cycle)
 
     def backend(self) -> Backend:
         """Return what runs the mixture, for one thread and one stretch."""
@@ -134,7 +91,7 @@ class MixtureSampler:
         backends = [self.backend() for _ in range(chains)]
         movers = [local.twin() for _ in range(chains)]
         singles = [{name: one.twin() for name, one in alone.items()} for _ in range(chains)]
-        found = fly(space, backends, self.parts, movers, singles, seed, jobs, self.thin, self.population,
+        found = pilot_runs(space, backends, self.parts, movers, singles, seed, jobs, self.thin, self.population,
                     self.particles)  # fmt: skip
         if found is None:  # nothing possible: each chain starts from the prior on its own
             return self

@@ -1,9 +1,8 @@
 """The unknowns of a fixed structure: which numbers they are, their prior, and how to take a step among them.
 
 The values of all unknowns are one flat (P,) float64 vector. An unknown lives on a line, on a circle (an angle with a
-period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go); a discrete unknown
-holds the number of its choice and has no direction. A *tangent* vector has one number for each direction; `move` takes
-a step by it, `difference` finds the step from one place to another.
+period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go). A *tangent* vector
+has one number for each direction; `move` takes a step by it, `difference` finds the step from one place to another.
 """
 
 import math
@@ -32,8 +31,8 @@ class Unknown(NamedTuple):
 
     @property
     def ways(self) -> int:
-        """How many directions there are to go: one, three for a rotation, none for a discrete unknown."""
-        return 3 if self.distribution.size == 4 else 0 if self.distribution.discrete else 1
+        """How many directions there are to go: one, three for a rotation."""
+        return 3 if self.distribution.size == 4 else 1
 
 
 class Block(NamedTuple):
@@ -136,8 +135,6 @@ class Space:
                 moved[start : start + 4] = turn(moved[start : start + 4], tangent[direction : direction + 3])
                 direction += 3
                 continue
-            if unknown.ways == 0:
-                continue
             value = moved[start] + tangent[direction]
             moved[start] = value if unknown.period is None else wrap(value, unknown.period)
             direction += 1
@@ -151,8 +148,6 @@ class Space:
             unknown = self.unknowns[i]
             if unknown.distribution.size == 4:
                 tangent.extend(turn_between(origin[start : start + 4], values[start : start + 4]))
-                continue
-            if unknown.ways == 0:
                 continue
             step = values[start] - origin[start]
             if unknown.period is not None:
@@ -168,7 +163,7 @@ class Space:
             if unknown.distribution.size == 4:
                 turns = [turn_between(origin[start : start + 4], place[start : start + 4]) for place in places]
                 tangents[:, direction : direction + 3] = turns
-            elif unknown.ways:
+            else:
                 step = places[:, start] - origin[start]
                 if unknown.period is not None:
                     step = (step + 0.5 * unknown.period) % unknown.period - 0.5 * unknown.period

@@ -7,14 +7,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from derender.compilation.cache import interpreted
 from derender.posterior.kernels.base import Part
 from derender.posterior.scene_space import bases_of, fold, scene_space, theta_fold
 from derender.posterior.space import Block, wrap
+from derender.scene import polygon
 from derender.scene.contacts import contacts
 from derender.scene.graph import SceneGraph
-from derender.scene.polygon import area_element
 from derender.scene.pose import inverse, rotation_z, translation
 
+area_element = interpreted(polygon.area_element)
 TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
 MOST_ARCHIVES = 16  # of which the placements are remembered
 NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
@@ -58,25 +60,16 @@ class SceneTarget:
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
     def backend(self, parts: list[Part], cycle: bool = False):
-        """Return the compiled backend, or the readable one where the model or the mixture has no compiled form."""
+        """Return the compiled backend, or the interpreted one where something of the model has no compiled form."""
         from derender.posterior.compiled.backend import CompiledBackend
+        from derender.posterior.compiled.interpreted import InterpretedBackend
         from derender.posterior.compiled.model import NotCompiled
-        from derender.posterior.sampler import ReadableBackend
 
         try:
             return CompiledBackend(self, parts, cycle)
         except NotCompiled as reason:
             self.uncompiled = str(reason)
-            return ReadableBackend(self, parts, cycle)
-
-    def derivative(self):
-        """Return a new derivative of the log posterior, for one thread.
-
-        Raises DerenderError where the scene has none.
-        """
-        from derender.posterior.derivative import SceneDerivative
-
-        return SceneDerivative(self)
+            return InterpretedBackend(self, parts, cycle)
 
     def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         """Return the values by address."""
@@ -169,9 +162,9 @@ class SceneTarget:
             for key, value in phi.items():
                 kept[self._index[f"{name}.contact.{key}"]] = value
             if "u" in phi:
-                outlines = on.face(contact.faces[0]).outline, by.face(contact.faces[1]).outline
-                log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *outlines))
-                log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *outlines))
+                sides = polygon.sides(on.face(contact.faces[0]).outline, by.face(contact.faces[1]).outline)
+                log_jacobian += math.log(area_element(contact.values["u"], contact.values["theta"], *sides))
+                log_jacobian -= math.log(area_element(phi["u"], phi["theta"], *sides))
         return kept, log_jacobian
 
     def placement_periods(self, name: str) -> tuple[float, ...]:
@@ -238,7 +231,6 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
         {"window": {"weight": 0.02}},
         {"slide-window": {"weight": 0.03}},
         {"independence": {"weight": 0.01}},
-        {"choose": {"weight": 0.02}},
         {"jump": {"weight": 0.01}},
         {"flip": {"weight": 0.01}},
         {"resimulate": {"weight": 0.02}},

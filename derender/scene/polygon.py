@@ -5,16 +5,20 @@ a point (0, 0, 0). All are symmetric about their centres, so the offsets of a ch
 parent are the Minkowski sum of the two: a zonogon with the generators a e_x, b e_y, c R e_x, d R e_y, grown by a disc
 of the two radii. `reach` gives half its x-range and `upper` its upper boundary; the lower one is its mirror image.
 
-The two are scalar functions without calls of their own, so that `contacts.compiled` compiles these very lines.
+Compiled code calls these functions as they are; Python takes them interpreted (`compilation.cache.interpreted`). Their
+last arguments are the two outlines' `sides`.
 """
 
 import math
+
+from derender.compilation.cache import njit
 
 # A generator this much steeper than long is vertical: cos(pi/2) is 6e-17 and not 0 in floating point.
 VERTICAL = 1e-12
 
 
-def reach(theta: float, a: float, b: float, c: float, d: float, radius: float) -> float:
+@njit(cache=True, nogil=True)
+def reach(theta, a, b, c, d, radius):
     """Return half the length of the x-range [-reach, reach] of touching offsets, in metres.
 
     Parameters: `theta` child's angle; `a`, `b` full sides of the parent; `c`, `d` of the child; `radius` sum of radii.
@@ -22,7 +26,8 @@ def reach(theta: float, a: float, b: float, c: float, d: float, radius: float) -
     return 0.5 * (a + c * abs(math.cos(theta)) + d * abs(math.sin(theta))) + radius
 
 
-def upper(x: float, theta: float, a: float, b: float, c: float, d: float, radius: float) -> float:
+@njit(cache=True, nogil=True)
+def upper(x, theta, a, b, c, d, radius):
     """Return the largest touching y-offset at the x-offset `x` (clipped into the range); the smallest is -upper(-x).
 
     The boundary is walked from the left in order of falling slope: an arc of the disc, an edge, an arc, an edge, ...
@@ -74,40 +79,37 @@ def upper(x: float, theta: float, a: float, b: float, c: float, d: float, radius
     return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
 
 
-def chord(x: float, theta: float, a: float, b: float, c: float, d: float, radius: float) -> tuple[float, float]:
-    """Return the interval (lowest, highest) of touching y-offsets at the x-offset `x`."""
-    return -upper(-x, theta, a, b, c, d, radius), upper(x, theta, a, b, c, d, radius)
+def sides(parent, child) -> tuple[float, float, float, float, float]:
+    """Return (a, b, c, d, radius) of the outlines (a, b, radius) of two bounded faces."""
+    return parent[0], parent[1], child[0], child[1], parent[2] + child[2]
 
 
-def offset_from_uv(u: float, v: float, theta: float, parent, child) -> tuple[float, float]:
-    """Return the offset (x, y) in metres that (u, v) in [0, 1]^2 stand for.
-
-    `parent`, `child`: outlines as (a, b, radius) of two bounded faces.
-    """
-    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
-    x = (2.0 * u - 1.0) * reach(theta, *sides)
-    low, high = chord(x, theta, *sides)
+@njit(cache=True, nogil=True)
+def offset_from_uv(u, v, theta, a, b, c, d, radius):
+    """Return the offset (x, y) in metres that (u, v) in [0, 1]^2 stand for."""
+    x = (2.0 * u - 1.0) * reach(theta, a, b, c, d, radius)
+    low, high = -upper(-x, theta, a, b, c, d, radius), upper(x, theta, a, b, c, d, radius)
     return x, low + v * (high - low)
 
 
-def uv_from_offset(x: float, y: float, theta: float, parent, child) -> tuple[float, float, float]:
+@njit(cache=True, nogil=True)
+def uv_from_offset(x, y, theta, a, b, c, d, radius):
     """Return (u, v, outside): the nearest touching (u, v), x first, and by how many metres (x, y) misses it.
 
     Where the range is a single point the fraction is not defined and 1/2 is returned.
     """
-    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
-    half = reach(theta, *sides)
+    half = reach(theta, a, b, c, d, radius)
     near_x = min(max(x, -half), half)
-    low, high = chord(near_x, theta, *sides)
+    low, high = -upper(-near_x, theta, a, b, c, d, radius), upper(near_x, theta, a, b, c, d, radius)
     near_y = min(max(y, low), high)
     u = 0.5 + 0.5 * near_x / half if half > 0.0 else 0.5
     v = (near_y - low) / (high - low) if high > low else 0.5
     return u, v, math.hypot(x - near_x, y - near_y)
 
 
-def area_element(u: float, theta: float, parent, child) -> float:
+@njit(cache=True, nogil=True)
+def area_element(u, theta, a, b, c, d, radius):
     """Return |d(x, y) / d(u, v)| in square metres, what a jump between offsets in metres and (u, v) needs."""
-    sides = (parent[0], parent[1], child[0], child[1], parent[2] + child[2])
-    half = reach(theta, *sides)
-    low, high = chord((2.0 * u - 1.0) * half, theta, *sides)
-    return 2.0 * half * (high - low)
+    half = reach(theta, a, b, c, d, radius)
+    x = (2.0 * u - 1.0) * half
+    return 2.0 * half * (upper(x, theta, a, b, c, d, radius) + upper(-x, theta, a, b, c, d, radius))

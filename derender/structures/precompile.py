@@ -78,7 +78,7 @@ def steps_of_chains() -> None:
     from derender.compilation.call import address_of
     from derender.document import read_prior_document
     from derender.posterior.adaptation import first_tuning
-    from derender.posterior.compiled.mixture import Addresses, addresses_of, kernels_of
+    from derender.posterior.compiled.mixture import Calls, calls_of, kernels_of, objects_below
     from derender.posterior.compiled.model import chain_of, model_of
     from derender.posterior.compiled.standing import stand_all
     from derender.posterior.compiled.steps import sweep
@@ -98,14 +98,15 @@ def steps_of_chains() -> None:
     model = model_of(target, lambda kernel, *arguments: 0)
     chain = chain_of(target, model, 1, False)
     no_places = dict.fromkeys(range(len(parts)), np.empty(0))
-    kernels = kernels_of(target, parts, first_tuning(target.space, values), frozenset(), no_places, Addresses())
+    kernels = kernels_of(target.space, parts, first_tuning(target.space, values), frozenset(), no_places,
+                         [Calls()] * len(parts), lambda objects: objects_below(target, objects))  # fmt: skip
     engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
     kept, counts = np.empty((1, len(values) + 3)), np.zeros((len(parts), 2), np.int64)
     address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)
-    addresses_of([part for part in parts if not part.type.startswith("relocate")], model, chain)
+    calls_of(target, [part for part in parts if not part.type.startswith("relocate")], model, chain)
     address_of(stand_all, model, chain, kept, counts, np.empty((1, 1, 3)))
     render_depth(target.template.solids(), camera)  # for the report
-    addresses_of(parts, model, chain)
+    calls_of(target, parts, model, chain)
 
 
 PARTS = {"draws": draws_on_a_floor, "steps": steps_of_chains}

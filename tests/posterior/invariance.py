@@ -12,7 +12,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.posterior.kernels.base import evaluate
+
+class State(NamedTuple):
+    """values : (P,) float64; log_prior, log_likelihood : at those values."""
+
+    values: np.ndarray
+    log_prior: float
+    log_likelihood: float
+
+
+def steps_of(backend, tuning):
+    """Return the kernel (rng, state) -> (state, accepted) that is one step of an interpreted mixture."""
+
+    def kernel(rng, state):
+        step = backend.walked(rng, np.array([*state.values, state.log_prior, state.log_likelihood, 0.0]), tuning, 1, 1)
+        return State(step.values[0], *map(float, step.densities[0])), bool(step.counts[:, 1].sum())
+
+    return kernel
+
+
+def evaluate(target, values: np.ndarray) -> State:
+    """Return the state at some values; outside the prior's support the likelihood is not asked for."""
+    log_prior = target.log_prior(values)
+    if not log_prior > -np.inf:
+        return State(values, -np.inf, -np.inf)
+    return State(values, log_prior, target.log_likelihood(values))
 
 
 class Verdict(NamedTuple):
@@ -35,7 +59,7 @@ def verdict(
     ----------
     world : has `space` and `target(rng, values)`, which draws data given the values and returns the posterior's target;
         and `sample(rng)` where the prior is more than that of the space.
-    make_kernel : from a target to a kernel.
+    make_kernel : from a target to a kernel (rng, state) -> (state, whether it accepted).
     until_caught : of a broken twin an eighth, a quarter or half of the replicates may be proof enough.
     """
     draw = getattr(world, "sample", world.space.sample)
@@ -52,8 +76,8 @@ def verdict(
         kernel = make_kernel(target)
         before = state = evaluate(target, values)
         for _ in range(steps):
-            state, info = kernel(rng, state)
-            moved += info.accepted
+            state, accepted = kernel(rng, state)
+            moved += accepted
         differences.append(features(world, state, target) - features(world, before, target))
     return scores(differences, moved, steps)
 

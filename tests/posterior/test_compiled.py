@@ -1,23 +1,22 @@
-"""The compiled sweep against the readable kernels: the same random numbers must give the same steps."""
+"""The sweep compiled and interpreted: the same random numbers must give the same steps."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from invariance import bound, verdict
+from invariance import State, bound, verdict
 from small_scenes import SCENES, TOWER, SceneWorld
 
 from derender.posterior.adaptation import first_tuning
 from derender.posterior.compiled.backend import CompiledBackend
+from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.model import NotCompiled
-from derender.posterior.kernels.base import Info, kernels, mixture
-from derender.posterior.kernels.newton import Newton
-from derender.posterior.sampler import ReadableBackend
+from derender.posterior.kernels.base import kernels, mixture
 from derender.posterior.settings import Settings
 from derender.scene.contacts import contacts
 from derender.structures.given import infer_scene
 
-COMPILED = [name for name in kernels.names() if kernels[name].code is not None]
+EVERY = kernels.names()
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -29,99 +28,56 @@ def both(world, names, cycle=False):
     rng = np.random.default_rng(2)
     target = world.target(rng, world.sample(rng))
     parts = mixture(world.space, [{name: {}} for name in names])
-    return target, parts, CompiledBackend(target, parts, cycle), ReadableBackend(target, parts, cycle)
+    return target, parts, CompiledBackend(target, parts, cycle), InterpretedBackend(target, parts, cycle)
 
 
 @pytest.mark.parametrize("cycle", [False, True])
 def test_same_random_numbers_same_steps(world, cycle):
     """Step by step, at several temperatures: the same kernel, the same decision, the same values to rounding."""
-    target, parts, compiled, readable = both(world, COMPILED, cycle)
+    target, parts, compiled, plain = both(world, EVERY, cycle)
     values = world.sample(np.random.default_rng(1))
     archive = np.array([world.sample(np.random.default_rng(n)) for n in range(8)])
     moved = 0
-    for number in range(400):
+    for number in range(200):
         tuning = first_tuning(world.space, values)._replace(
             temperature=(1.0, 0.1, 0.003)[number % 3], archive=archive if number % 2 else None
         )
         fast = compiled.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
-        slow = readable.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
+        slow = plain.sweep(np.random.default_rng(number), values, tuning, 1, 1, number)
         np.testing.assert_array_equal(fast.counts, slow.counts)
         np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
         np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
         moved += int(slow.counts[:, 1].sum())
         values = slow.values[-1]
-        if number % 40 == 39:  # the posterior is narrow: begin elsewhere, so that bold steps are accepted too
+        if number % 20 == 19:  # the posterior is narrow: begin elsewhere, so that bold steps are accepted too
             values = world.sample(np.random.default_rng(number))
-    assert moved > 60
-
-
-def test_readable_kernels_take_their_turns():
-    """A kernel without a compiled form in a compiled mixture: the steps of the readable mixture all the same.
-
-    (Beside it kernels whose compiled proposals are equal to the last bit: its derivative magnifies a difference.)
-    """
-    world = SceneWorld(TOWER)
-    target, parts, compiled, readable = both(world, ["newton", "resimulate", "jump", "langevin"])
-    values, moved = world.space.sample(np.random.default_rng(1)), 0
-    for number in range(30):
-        tuning = first_tuning(world.space, values)._replace(temperature=(0.01, 0.001)[number % 2])
-        fast = compiled.sweep(np.random.default_rng(number), values, tuning, 4, 3, number)
-        slow = readable.sweep(np.random.default_rng(number), values, tuning, 4, 3, number)
-        np.testing.assert_array_equal(fast.counts, slow.counts)
-        np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
-        moved += int(slow.counts[0, 1])
-        values = slow.values[-1]
-    assert moved > 5
-
-
-class NewtonTakenForSymmetric(Newton):
-    """Forgets that where it goes depends on where it is."""
-
-    def log_proposal(self, tangent, known):
-        return 0.0
-
-
-@pytest.mark.parametrize("twin", [None, NewtonTakenForSymmetric])
-def test_newton_on_a_scene_is_invariant(twin):
-    """On images, whose likelihood is not quite the one that the derivative is of; the twin must be seen."""
-    world = SceneWorld(TOWER.replace("sigma: 0.05", "sigma: 0.2"))
-
-    def make(target):
-        block, tuning = world.space.everything, first_tuning(world.space, world.space.sample(np.random.default_rng(9)))
-        kernel = kernels["newton"].build(target, block, tuning, {"scale": 0.5})
-        kernel.__class__ = twin or Newton
-        return kernel
-
-    result = verdict(world, make, 500, steps=12, until_caught=bool(twin))
-    assert result.moved > 0.05
-    assert (result.worst > bound(len(result.z))) == bool(twin), result
+    assert moved > 30
 
 
 def test_long_sweep_equals_fresh_evaluation(world):
     """After thousands of incremental steps the density carried along is still that of the values."""
-    target, parts, compiled, readable = both(world, COMPILED)
+    target, parts, compiled, plain = both(world, EVERY)
     values = world.sample(np.random.default_rng(1))
     tuning = first_tuning(world.space, values)._replace(temperature=0.01)
     stretch = compiled.sweep(np.random.default_rng(3), values, tuning, 50, 200)
     for place in (10, 49):
-        expected = readable.evaluate(stretch.values[place])
+        expected = plain.evaluate(stretch.values[place])
         np.testing.assert_allclose(stretch.densities[place], expected, rtol=1e-9, atol=1e-6)
     assert stretch.counts[:, 0].sum() == 10_000 and stretch.counts[:, 1].sum() > 500
 
 
-def test_every_compiled_kernel_was_met():
-    """Between them the scenes give every compiled kernel something to do."""
+def test_every_kernel_was_met():
+    """Between them the scenes give every kernel something to do."""
     met = set()
     for text in SCENES.values():
         world = SceneWorld(text)
-        met |= {part.type for part in mixture(world.space, [{name: {}} for name in COMPILED])}
-    assert met == set(COMPILED)
+        met |= {part.type for part in mixture(world.space, [{name: {}} for name in EVERY])}
+    assert met == set(EVERY)
 
 
 def verdict_of_sweeps(world, without_terms=False):
     """Return the invariance test's verdict on compiled sweeps; `without_terms` the sweep forgets the constraints."""
-    parts = mixture(world.space, [{name: {}} for name in COMPILED])
+    parts = mixture(world.space, [{name: {}} for name in EVERY])
 
     def make(target):
         backend = CompiledBackend(target, parts)
@@ -134,10 +90,7 @@ def verdict_of_sweeps(world, without_terms=False):
             prior, likelihood = stretch.densities[-1]
             if without_terms:  # its own log prior is another function of the values: the test is of one
                 prior = max(target.log_prior(stretch.values[-1]), -1e3)
-            accepted = bool(stretch.counts[:, 1].sum())
-            return state._replace(
-                values=stretch.values[-1], log_prior=float(prior), log_likelihood=float(likelihood)
-            ), Info(accepted, 0.0, "sweep")
+            return State(stretch.values[-1], float(prior), float(likelihood)), bool(stretch.counts[:, 1].sum())
 
         return kernel
 
@@ -166,20 +119,20 @@ ROBUST = TOWER.replace(
 
 @pytest.mark.parametrize("text", [BLURRED, ROBUST], ids=["blurred", "robust"])
 def test_likelihood_numbers_change_in_between(text):
-    """Numbers that mean to draw or score the image anew, and rows of steps: those of the readable mixture."""
+    """Numbers that mean to draw or score the image anew, and rows of steps: those of the interpreted mixture."""
     world = SceneWorld(text)
-    target, parts, compiled, readable = both(world, COMPILED)
+    target, parts, compiled, plain = both(world, EVERY)
     values, moved = world.space.sample(np.random.default_rng(5)), 0
     for number in range(120):
         tuning = first_tuning(world.space, values)._replace(temperature=(1.0, 0.1, 0.003)[number % 3])
         fast = compiled.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
-        slow = readable.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
+        slow = plain.sweep(np.random.default_rng(number), values, tuning, 3, 2, number)
         np.testing.assert_array_equal(fast.counts, slow.counts)
         np.testing.assert_allclose(fast.values, slow.values, rtol=0, atol=1e-9)
         np.testing.assert_allclose(fast.densities, slow.densities, rtol=1e-9, atol=1e-6)
         moved += int(slow.counts[:, 1].sum())
         values = slow.values[-1]
-    assert moved > 60
+    assert moved > 30
     assert isinstance(target.backend(parts), CompiledBackend)
 
 
@@ -193,7 +146,7 @@ def test_what_has_no_compiled_form_says_so(monkeypatch):
     monkeypatch.setattr(contacts["face-to-face"], "compiled_code", None)
     with pytest.raises(NotCompiled, match="the contact type face-to-face"):
         CompiledBackend(world.blank, parts)
-    assert isinstance(world.blank.backend(parts), ReadableBackend)
+    assert isinstance(world.blank.backend(parts), InterpretedBackend)
     told = []
     settings = Settings(kernels=[{"resimulate": {}}], draws=5, warmup=0, chains=1, population=1)
     image = np.full((18, 24), 0.7)

@@ -7,10 +7,11 @@ from toy_worlds import World
 
 from derender import data_path
 from derender.posterior import pilots
+from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
-from derender.posterior.kernels.place_mixture import fitted
-from derender.posterior.sampler import MixtureSampler, ReadableBackend
+from derender.posterior.kernels.place_mixture import fitted, mixture_density
+from derender.posterior.sampler import MixtureSampler
 from derender.posterior.settings import Settings
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
@@ -47,7 +48,7 @@ def tower(seed):
     return truth, world.target(rng, truth)
 
 
-def test_scouts_turn_an_object_back():
+def test_restarts_turn_an_object_back():
     """Two cubes half a period off, one after the other; twelve numbers cost six nats, give or take two and a half."""
     truth, target = tower(9)
     wrong, parts = truth, mixture(target.space, [{"drift": {}}, {"slide": {}}])
@@ -58,7 +59,7 @@ def test_scouts_turn_an_object_back():
         for name in ("blue", "green", "red", "yellow")
     }
     density = np.array(singles["red"].evaluate(wrong))
-    places, densities = pilots.scouted(np.random.default_rng(0), target.space, singles, wrong, density)
+    places, densities = pilots.restarted(np.random.default_rng(0), target.space, singles, wrong, density)
     right = sum(singles["red"].evaluate(truth))
     assert density.sum() < right - 100.0
     assert densities.sum(axis=1).max() > right - 8.0
@@ -109,7 +110,8 @@ def test_place_mixture_is_a_density_around_the_seam(size):
             drawn.append(centres[k] + step)
     drawn = np.array(drawn)
     drawn[:, 0] %= period
-    weights = np.array([1 / mixture_of_places.density(place) for place in drawn])
+    places, periods = mixture_of_places.flat(), mixture_of_places.periods
+    weights = np.array([1 / mixture_density(places, periods, place) for place in drawn])
     estimates = []
     for low in (-0.02, 0.28):
         turned = (drawn[:, 0] - low) % period < 0.04
@@ -129,7 +131,7 @@ def test_neighbours_exchange_places_by_the_metropolis_rule(better):
     parts = mixture(world.space, [{"drift": {"scale": 1e-12}}])
     cold = Tuning(np.zeros(1), np.eye(1), {})
     start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
-    backend = ReadableBackend(target, parts)
+    backend = InterpretedBackend(target, parts)
     last = pilots.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
                         pilots.STRETCH, 1).last  # fmt: skip
     np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from toy_worlds import World
 
+from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.kernels import mixture
-from derender.posterior.sampler import ReadableBackend
 from derender.posterior.smc import from_prior, tempered
 from derender.posterior.space import Block, Unknown
 from derender.sampling import smc
@@ -30,7 +30,7 @@ def test_evidence_is_the_integral(broken, share, monkeypatch):
     if broken:
         genuine = smc.systematic
         monkeypatch.setattr(smc, "systematic", lambda rng, weights, *count: genuine(rng, np.sqrt(weights), *count))
-    backend = ReadableBackend(target, parts)
+    backend = InterpretedBackend(target, parts)
     ratios = [
         math.exp(tempered(rng, world.space, backend, parts, 40, 2, share=share).log_evidence - exact)
         for rng in np.random.default_rng(2).spawn(200)

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-
-from derender.evaluation.exact_rows import exact_derivative
-from derender.evaluation.gradient_check import (
+from exact_rows import exact_derivative
+from gradient_check import (
     BACKGROUND,
     BLUR,
     CAMERA,
@@ -14,14 +13,15 @@ from derender.evaluation.gradient_check import (
     as_meshes,
     cast_differences,
     central,
-    errors,
     moved,
+    own_error,
     random_motion,
     random_scene,
     share,
 )
+from smooth_image import SmoothLikelihood, antialiased_depth, derivative_image
+
 from derender.render.blur import blur, blur_taps
-from derender.render.gradient import SmoothLikelihood, antialiased_depth, derivative_image
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
 from derender.render.raycast.depth import render_depth
@@ -39,7 +39,7 @@ WINDOW = np.array([0, 64, 0, 64])
 
 
 def own_errors(kind: int, scenes: int = 20, **settings) -> list[float]:
-    return [errors(kind, seed, rays=False, **settings)["own"] for seed in range(scenes)]
+    return [own_error(kind, seed, **settings) for seed in range(scenes)]
 
 
 @pytest.mark.parametrize(("kind", "most"), [(BOX, 0.01), (SPHERE, 0.03), (CYLINDER, 0.1)])

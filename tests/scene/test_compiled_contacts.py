@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from geometry import all_choices, random_body
 
-from derender.scene import polygon
 from derender.scene.contacts import compiled, contacts
 from derender.scene.pose import random_rotation
 from derender.scene.shapes import shapes
@@ -71,15 +70,6 @@ def test_inverse_of_any_pose(kind):
         assert np.abs(phi[: len(values)] - values).max() < 1e-9
         assert outside == pytest.approx(expected.outside, abs=1e-12)
         assert angle == pytest.approx(expected.angle, abs=1e-7)
-
-
-def test_area_element():
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        u, theta, a, b, c, d, r = rng.uniform(0, 1, 7)
-        assert compiled.area_element(u, theta, a, b, c, d, r) == pytest.approx(
-            polygon.area_element(u, theta, (a, b, 0.0), (c, d, r)), rel=1e-13
-        )
 
 
 def test_compose_is_the_matrix_product():

@@ -15,6 +15,7 @@ from geometry import (
     touching_set,
 )
 
+from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.scene import polygon
 from derender.scene.contacts import contacts
@@ -151,8 +152,7 @@ def test_beyond_the_range_of_x_they_do_not_touch():
     for _ in range(300):
         parent, child = random_outline(rng), random_outline(rng)
         theta = rng.uniform(0, 2 * math.pi)
-        sides = (*parent[:2], *child[:2], parent[2] + child[2])
-        half = polygon.reach(theta, *sides)
+        half = interpreted(polygon.reach)(theta, *polygon.sides(parent, child))
         for x in (-half - 1e-6, half + 1e-6):
             for y in np.linspace(-0.3, 0.3, 13):
                 assert brute_gap(parent, child, theta, x, y) > 1e-9
@@ -174,32 +174,43 @@ def brute_gap(parent, child, theta, x, y):
     return outline_gap((corners(parent), parent[2]), (moved, child[2]), np.array([0.0, 0.0, 1.0]))
 
 
-def test_offsets_touch_exactly_within_the_polygon():
+def compiled(kernel):
+    return kernel
+
+
+BOTH_WAYS = pytest.mark.parametrize("run", [compiled, interpreted])
+
+
+@BOTH_WAYS
+def test_offsets_touch_exactly_within_the_polygon(run):
     """Membership in the Minkowski sum against brute force for every pair of outlines, anywhere in the plane."""
     rng = np.random.default_rng(8)
     inside = 0
     for _ in range(1500):
         parent, child = random_outline(rng), random_outline(rng)
         theta, (x, y) = rng.uniform(0, 2 * math.pi), rng.uniform(-0.12, 0.12, 2)
-        u, v, outside = polygon.uv_from_offset(x, y, theta, parent, child)
+        sides = polygon.sides(parent, child)
+        u, v, outside = run(polygon.uv_from_offset)(x, y, theta, *sides)
         gap = brute_gap(parent, child, theta, x, y)
         if abs(gap) > 1e-9:  # a point on the boundary may be called either
             assert (outside == 0.0) == (gap < 0.0)
         inside += outside == 0.0
-        if outside == 0.0 and polygon.area_element(u, theta, parent, child) > 1e-9:
-            assert np.allclose(polygon.offset_from_uv(u, v, theta, parent, child), (x, y), rtol=0, atol=1e-12)
+        if outside == 0.0 and run(polygon.area_element)(u, theta, *sides) > 1e-9:
+            again = run(polygon.offset_from_uv)(u, v, theta, *sides)
+            assert np.allclose(again, (x, y), rtol=0, atol=1e-12)
     assert 200 < inside < 1300  # both answers were put to the test
 
 
-def test_area_element_integrates_to_the_area():
+@BOTH_WAYS
+def test_area_element_integrates_to_the_area(run):
     """Over (u, v) it integrates to the Minkowski sum's area: |A| + |B| + mixed area, for two rectangles at theta."""
     (a, b), (c, d), theta = (0.1, 0.06), (0.08, 0.05), 0.4
     u = (np.arange(4000) + 0.5) / 4000
-    area = np.mean([polygon.area_element(x, theta, (a, b, 0), (c, d, 0)) for x in u])
+    area = np.mean([run(polygon.area_element)(x, theta, a, b, c, d, 0.0) for x in u])
     cosine, sine = math.cos(theta), math.sin(theta)
     mixed = a * (c * sine + d * cosine) + b * (c * cosine + d * sine)
     assert area == pytest.approx(a * b + c * d + mixed, rel=1e-5)  # midpoint rule with kinks: O(h^2)
-    rounded = np.mean([polygon.area_element(x, theta, (a, b, 0), (0, 0, 0.03)) for x in u])
+    rounded = np.mean([run(polygon.area_element)(x, theta, a, b, 0.0, 0.0, 0.03) for x in u])
     assert rounded == pytest.approx(a * b + 2 * (a + b) * 0.03 + math.pi * 0.03**2, rel=1e-5)
 
 

@@ -6,11 +6,12 @@ The image says nothing here, so that the posterior is the prior and every area i
 
 import numpy as np
 import pytest
-from invariance import bound, verdict
+from invariance import bound, steps_of, verdict
 from small_scenes import OPENING, SceneWorld
 
 from derender.posterior.adaptation import first_tuning
-from derender.posterior.kernels.base import kernels, mixture
+from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.kernels.base import mixture
 from derender.posterior.target import SceneTarget
 
 # Two planks: where they lie across each other they touch at three times as many offsets as where they are parallel.
@@ -73,17 +74,13 @@ def test_contacts_made_anew_keep_the_prior(name, replicates, twin):
     tuning = first_tuning(world.space, archive[0])
     tuning = tuning._replace(archive=archive, covariance=100.0 * tuning.covariance)
     parts = [part for part in mixture(world.space, [{name: {}}, {"resimulate": {}}]) if part.type == name]
-    built = [kernels[name].build(world.target(rng, archive[0]), part.block, tuning, part.options) for part in parts]
+    backend = InterpretedBackend(world.target(rng, archive[0]), parts)
+    backend.program(tuning)
 
     def make(target):
         target.__class__ = twin or SceneTarget
-
-        def kernel(rng, state):
-            chosen = built[int(rng.random() * len(built))]
-            chosen.target = target
-            return chosen(rng, state)
-
-        return kernel
+        backend.target = target
+        return steps_of(backend, tuning)
 
     result = verdict(world, make, replicates, steps=6, until_caught=bool(twin))
     assert result.moved > 0.02

@@ -1,33 +1,14 @@
-"""Ascent of the posterior of one structure, compiled from end to end: Levenberg-Marquardt and the paper's fixed
-steps."""
+"""Ascent of the likelihood of one structure, compiled: Levenberg-Marquardt and the paper's fixed steps."""
 
 import math
 
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.posterior.ascent.domain import bring
 from derender.posterior.ascent.placement import find_motions, place
 from derender.render.raycast.normal_equations import cost, cost_gradient, normal_equations
 from derender.render.raycast.records import MOTION
-
-
-@njit(cache=True, nogil=True)
-def bring(values, lower, upper, period):
-    """Move values to their domain: wrapped where periodic, clipped elsewhere."""
-    for p in range(values.shape[0]):
-        if period[p] > 0.0:
-            values[p] -= period[p] * math.floor(values[p] / period[p])
-        else:
-            values[p] = min(max(values[p], lower[p]), upper[p])
-
-
-@njit(cache=True, nogil=True)
-def prior_cost(values, mean, precision):
-    """Cost of independent normal priors; a precision of 0 is a uniform prior."""
-    total = 0.0
-    for p in range(values.shape[0]):
-        total += 0.5 * precision[p] * (values[p] - mean[p]) ** 2
-    return total
 
 
 @njit(cache=True, nogil=True)
@@ -63,41 +44,38 @@ def solve_positive(matrix, vector, held, step):
 
 
 @njit(cache=True, nogil=True)
-def cost_at(misfit, placement, values, mean, precision, poses, sizes):
-    """Minus the log posterior density, up to a constant."""
+def cost_at(misfit, placement, values, poses, sizes):
+    """Minus the log likelihood, up to a constant."""
     place(placement, values, poses, sizes)
-    return cost(misfit, poses, sizes) + prior_cost(values, mean, precision)
+    return cost(misfit, poses, sizes)
 
 
 @njit(cache=True, nogil=True)
-def costs_at(misfit, placement, places, mean, precision):
+def costs_at(misfit, placement, places):
     """Return the costs (S,) at places (S, P)."""
     solids = misfit.kinds.shape[0]
     poses, sizes, found = np.empty((solids, 4, 4)), np.empty((solids, 3)), np.empty(places.shape[0])
     for n in range(places.shape[0]):
-        found[n] = cost_at(misfit, placement, places[n], mean, precision, poses, sizes)
+        found[n] = cost_at(misfit, placement, places[n], poses, sizes)
     return found
 
 
 @njit(cache=True, nogil=True)
-def equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian):
+def equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian):
     """Write gradient (P,) and Gauss-Newton Hessian (P, P) of the cost where `cost_at` has been called last."""
     find_motions(placement, values, motions)
     normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian)
-    for p in range(values.shape[0]):
-        gradient[p] += precision[p] * (values[p] - mean[p])
-        hessian[p, p] += precision[p]
 
 
 @njit(cache=True, nogil=True)
-def differences_at(misfit, placement, values, mean, precision, poses, sizes, scale, step, gradient):
+def differences_at(misfit, placement, values, poses, sizes, scale, step, gradient):
     """Write the gradient by central differences of the cost with steps `step * scale[p]`: for comparison."""
     for p in range(values.shape[0]):
         h, kept = step * scale[p], values[p]
         values[p] = kept + h
-        after = cost_at(misfit, placement, values, mean, precision, poses, sizes)
+        after = cost_at(misfit, placement, values, poses, sizes)
         values[p] = kept - h
-        gradient[p] = (after - cost_at(misfit, placement, values, mean, precision, poses, sizes)) / (2.0 * h)
+        gradient[p] = (after - cost_at(misfit, placement, values, poses, sizes)) / (2.0 * h)
         values[p] = kept
 
 
@@ -109,8 +87,6 @@ def levenberg(
     lower,
     upper,
     period,
-    mean,
-    precision,
     iterations,
     tolerance,
     edges,
@@ -121,7 +97,7 @@ def levenberg(
 ):
     """Minimise by Levenberg-Marquardt, in place, and return (cost, accepted states, tried steps).
 
-    values : (P,) float64, start and end. lower, upper, period : the domain. mean, precision : normal priors.
+    values : (P,) float64, start and end. lower, upper, period : the domain.
     iterations : most steps to try. tolerance : nats; a smaller gain ends it. path : (iterations + 1, P) and costs :
     (iterations + 1,), written: the accepted states. gradient, hessian : those of the last state.
     """
@@ -131,8 +107,8 @@ def levenberg(
     step, trial, held = np.zeros(count), np.empty(count), np.zeros(count, np.bool_)
     damped = np.empty((count, count))
     bring(values, lower, upper, period)
-    value = cost_at(misfit, placement, values, mean, precision, poses, sizes)
-    equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian)
+    value = cost_at(misfit, placement, values, poses, sizes)
+    equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian)
     path[0], costs[0] = values, value
     accepted, tried, damping = 0, 0, 1e-3
     while tried < iterations:
@@ -159,14 +135,14 @@ def levenberg(
                 curved += hessian[p, q] * step[q]
             foreseen -= step[p] * (gradient[p] + 0.5 * curved)
         tried += 1
-        trial_value = cost_at(misfit, placement, trial, mean, precision, poses, sizes)
+        trial_value = cost_at(misfit, placement, trial, poses, sizes)
         if trial_value < value:
             gained = value - trial_value
             values[:] = trial
             accepted += 1
             damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), 1e-7)
             value = trial_value
-            equations_at(misfit, placement, values, mean, precision, poses, sizes, motions, edges, gradient, hessian)
+            equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian)
             path[accepted], costs[accepted] = values, value
             if gained < tolerance:
                 break
@@ -178,9 +154,7 @@ def levenberg(
 
 
 @njit(cache=True, nogil=True)
-def fixed_step(
-    misfit, placement, values, lower, upper, period, mean, precision, iterations, step, edges, difference, path, costs
-):
+def fixed_step(misfit, placement, values, lower, upper, period, iterations, step, edges, difference, path, costs):
     """Ascend the log density by steps of fixed length along its gradient in unit coordinates, as in Figure 5.
 
     Each parameter is measured by its range (an angle by its period), the gradient is normalised: then alpha, `step`,
@@ -201,16 +175,16 @@ def fixed_step(
         bring(values, lower, upper, period)
         place(placement, values, poses, sizes)
         if difference > 0.0:
-            costs[n] = cost_at(misfit, placement, values, mean, precision, poses, sizes)
-            differences_at(misfit, placement, values, mean, precision, poses, sizes, scale, difference, gradient)
+            costs[n] = cost_at(misfit, placement, values, poses, sizes)
+            differences_at(misfit, placement, values, poses, sizes, scale, difference, gradient)
         else:
             find_motions(placement, values, motions)
             for k in range(solids):
                 active[k] = np.any(motions[:, k] != 0.0)
-            costs[n] = cost_at(misfit, placement, values, mean, precision, poses, sizes)
+            costs[n] = cost_at(misfit, placement, values, poses, sizes)
             cost_gradient(misfit, poses, sizes, active, edges, totals)
             for p in range(count):
-                gradient[p] = precision[p] * (values[p] - mean[p])
+                gradient[p] = 0.0
                 for k in range(solids):
                     for c in range(MOTION):
                         gradient[p] += motions[p, k, c] * totals[k, c]

@@ -1,8 +1,11 @@
 """Where parameters may be."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+
+from derender.compilation.cache import njit
 
 
 class Domain(NamedTuple):
@@ -13,7 +16,17 @@ class Domain(NamedTuple):
     period: np.ndarray
 
     def bring(self, values: np.ndarray) -> np.ndarray:
-        """Return the nearest values inside: wrapped where periodic, clipped elsewhere."""
-        clipped = np.clip(values, self.lower, self.upper)
-        period = np.where(self.period > 0, self.period, 1.0)
-        return np.where(self.period > 0, values - period * np.floor(values / period), clipped)
+        """Return the nearest values inside."""
+        moved = np.array(values, np.float64)
+        bring(moved, *self)
+        return moved
+
+
+@njit(cache=True, nogil=True)
+def bring(values, lower, upper, period):
+    """Move values to their domain: wrapped where periodic, clipped elsewhere."""
+    for p in range(values.shape[0]):
+        if period[p] > 0.0:
+            values[p] -= period[p] * math.floor(values[p] / period[p])
+        else:
+            values[p] = min(max(values[p], lower[p]), upper[p])

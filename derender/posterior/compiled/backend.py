@@ -2,19 +2,24 @@
 
 from collections import deque
 from copy import copy
-from typing import Any
 
 import numpy as np
 
 from derender.posterior.compiled.evaluate import load
-from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels
-from derender.posterior.compiled.mixture import addresses_of, kernels_of, places_seen, readable_parts, rescaled
+from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels, Stretch
+from derender.posterior.compiled.mixture import (
+    calls_of,
+    kernels_of,
+    objects_below,
+    places_seen,
+    rescaled,
+    taken_elsewhere,
+)
 from derender.posterior.compiled.model import chain_of, held, model_of
-from derender.posterior.compiled.steps import WINDOW, sweep
+from derender.posterior.compiled.steps import sweep
 from derender.posterior.compiled.view import LoadedTarget
-from derender.posterior.kernels import kernels
-from derender.posterior.kernels.base import Part, State, Tuning
-from derender.posterior.sampler import Stretch
+from derender.posterior.kernels.base import Part, Tuning
 
 MOST_PROGRAMS = 24  # that are remembered: those of a ladder and of the chains that warm up
 
@@ -22,8 +27,8 @@ MOST_PROGRAMS = 24  # that are remembered: those of a ladder and of the chains t
 class CompiledBackend:
     """Runs a mixture on a SceneTarget compiled; one object per thread, the others of which are its twins.
 
-    What has no compiled form takes its steps as it stands, in between: kernels, and likelihood numbers whose change
-    means to draw or score the whole image anew.
+    Kernels that move likelihood numbers whose change means to draw or score the whole image anew are interpreted, in
+    between.
 
     Raises
     ------
@@ -33,13 +38,13 @@ class CompiledBackend:
     def __init__(self, target, parts: list[Part], cycle: bool = False) -> None:
         self.target, self.parts, self.cycle = target, parts, cycle
         self.model = model_of(target)
-        counts = [int(part.options["count"]) for part in parts if kernels[part.type].code == WINDOW]
-        self.held, self.taken_as_is = held(target), readable_parts(target, parts)
+        counts = [int(part.options["count"]) for part in parts if "count" in part.options]
+        self.held, self._elsewhere = held(target), taken_elsewhere(target, parts)
         self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
         self._blank = chain_of(target, self.model, max(counts, default=1), cycle), evaluator
-        self._addresses = addresses_of(parts, self.model, self._blank[0])
+        self._calls = calls_of(target, parts, self.model, self._blank[0])
         self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
         self._begin()
 
@@ -49,7 +54,7 @@ class CompiledBackend:
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
-        self._readable: tuple[Tuning, dict[int, Any]] | None = None
+        self._interpreted = {k: InterpretedBackend(LoadedTarget(self), [self.parts[k]]) for k in self._elsewhere}
 
     def twin(self) -> "CompiledBackend":
         """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
@@ -79,19 +84,6 @@ class CompiledBackend:
         prior, likelihood = self.chain.values[NOW, [PRIOR, DENSITY]]
         return (float(prior), float(likelihood)) if prior > -np.inf else (-np.inf, -np.inf)
 
-    def readable(self, tuning: Tuning) -> dict[int, Any]:
-        """Return the kernels that take their steps as they stand by their numbers, as tuned last."""
-        if self._readable is None or self._readable[0] is not tuning:
-            target = LoadedTarget(self)
-            self._readable = (
-                tuning,
-                {
-                    k: kernels[self.parts[k].type].build(target, self.parts[k].block, tuning, self.parts[k].options)
-                    for k in self.taken_as_is
-                },
-            )
-        return self._readable[1]
-
     def program(self, tuning: Tuning) -> Kernels:
         """Return the mixture's arrays under a tuning; those of the last ones are kept, for all twins."""
         tuned = self._tuned
@@ -104,13 +96,14 @@ class CompiledBackend:
         for former, program, seen in list(self._programs):
             same = [getattr(former, field) is getattr(tuning, field) for field in ("mean", "covariance", "archive")]
             if all(same):
-                return rescaled(self.target, self.parts, tuning, program)
+                return rescaled(self.target.space, self.parts, tuning, program)
             if same[2] and (tuning.archive is not None or same[0]):
                 places = seen
         if places is None:
             chain = Chain(*(array.copy() for array in self._blank[0]))
             places = places_seen(self.target, self.parts, self.model, chain, tuning.places)
-        program = kernels_of(self.target, self.parts, tuning, self.taken_as_is, places, self._addresses)
+        program = kernels_of(self.target.space, self.parts, tuning, self._elsewhere, places, self._calls,
+                             lambda objects: objects_below(self.target, objects))  # fmt: skip
         self._programs.append((tuning, program, places))
         return program
 
@@ -127,10 +120,9 @@ class CompiledBackend:
                             tuning.temperature, kept, counts)  # fmt: skip
             self._loaded = now[:size].copy()
             if k >= 0:
-                state = State(now[:size].copy(), float(now[PRIOR]), float(now[DENSITY]))
-                state, info = self.readable(tuning)[k](rng, state)
-                counts[k] += 1, info.accepted
-                self.load(state.values)
+                step = self._interpreted[k].walked(rng, now.copy(), tuning, 1, 1)
+                counts[k] += step.counts[0]
+                self.load(step.values[0])
                 done += 1
                 if done % thin == 0:
                     kept[done // thin - 1] = now

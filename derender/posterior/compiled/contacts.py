@@ -28,7 +28,8 @@ from derender.posterior.compiled.layout import (
 )
 from derender.posterior.compiled.poses import place, seen_from
 from derender.posterior.compiled.prior import wrap
-from derender.scene.contacts.compiled import area_element, outline
+from derender.scene.contacts.compiled import outline
+from derender.scene.polygon import area_element
 
 NEAR = 1e-7  # slack that rounding may leave
 

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROTATION = 100  # code of the uniform distribution over rotations; smaller codes are those of model.distributions
+ROTATION = 1  # code of the uniform distribution over rotations; that of others is 0
 CONTACT, SHAPE, ROOT, LIKELIHOOD, HELD = range(5)  # tables that a value can go into; HELD: none, the caller sets it
 CODE, OFFSET, DIRECTION, DENSITY_AT, DRAW_AT = range(5)  # rows of Model.unknowns
 PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
 PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID, POSE_AT, INVERSE_AT = range(8)  # rows of Model.vertices
-KERNEL, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT = range(6)  # rows of Kernels.table
+FORM, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT, PLACE_AT = range(7)  # rows of Kernels.table
 CUMULATIVE, SCALE, COUNT, REACH = range(4)  # columns of Kernels.numbers
 NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
 PRIOR, DENSITY, LOG = -3, -2, -1  # the last columns of Chain.values and Chain.row
@@ -28,8 +28,8 @@ class Model(NamedTuple):
 
     Attributes
     ----------
-    unknowns : (5, U + 1) int64: code of the prior, first value, first direction (the last column ends these two), and
-        the addresses of the prior's kernels (model.distributions.compiled).
+    unknowns : (5, U + 1) int64: whether it is a rotation, first value, first direction (the last column ends these
+        two), and the addresses of the prior's kernels (scene/distributions/compiled.py).
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
     places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
     vertices : (8, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, the place among
@@ -52,12 +52,14 @@ class Kernels(NamedTuple):
 
     Attributes
     ----------
-    table : (6, K + 1) int64: code, begin of its unknowns, begin of its factor (the last column ends these two), the
-        vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes and of
-        what keeps them.
+    table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
+        vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
+        keeps them and of what puts objects down.
     numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
-    members : flat int64, unknowns; of relocate: theta, the two offsets, the vertex and the face below.
-    factors : flat float64, each (D_k, D_k), lower triangle in full rows; of relocate: then the centres, (K, 3).
+    members : flat int64, unknowns; of what puts objects down: the vertex and the face below all of them, their
+        vertices, and the unknowns that turn them.
+    factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
+        PlaceMixture.flat.
     spread : (D,) float64, the prior's. mean : (P,) float64, centre of independence proposals.
     """
 
@@ -93,3 +95,12 @@ class Chain(NamedTuple):
     row: np.ndarray
     relative: np.ndarray
     flags: np.ndarray
+
+
+class Stretch(NamedTuple):
+    """Steps of a mixture. values : (n, P); densities : (n, 2), log prior and log likelihood; counts : (K, 2), steps and
+    accepted ones of each kernel."""
+
+    values: np.ndarray
+    densities: np.ndarray
+    counts: np.ndarray

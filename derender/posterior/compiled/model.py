@@ -1,5 +1,7 @@
 """From a scene's target to the flat arrays of `layout.py`: the Model, and a Chain that walks on it."""
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from derender.compilation.call import address_of
@@ -18,6 +20,7 @@ from derender.posterior.compiled.layout import (
     Model,
 )
 from derender.posterior.compiled.terms import table_of
+from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.distributions.compiled import compiled
@@ -29,10 +32,13 @@ PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are c
 
 
 class NotCompiled(Exception):
-    """Something in the model has no compiled form: the readable kernels have to run."""
+    """Something in the model has no compiled form: Python has to take the steps."""
 
 
-def model_of(target, address=address_of) -> Model:
+Address = Callable[..., int]  # from a kernel and arguments of the types that it will get to the number that calls it
+
+
+def model_of(target, address: Address = address_of) -> Model:
     """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form.
 
     address : compiles a kernel for some arguments and returns where it lies.
@@ -42,21 +48,10 @@ def model_of(target, address=address_of) -> Model:
         terms = table_of(target.constraints, graph)
     except NotImplementedError as error:
         raise NotCompiled(f"the constraint {error}") from None
-    codes, laws, twins = [], [], list[tuple[int, int]]()
     for unknown in space.unknowns:
-        law = unknown.distribution
-        if law.size == 4:
-            codes.append(ROTATION)
-            laws.append((0.0,) * 7)
-            twins.append((0, 0))
-        elif law.code is None:
+        if unknown.distribution.size == 1 and unknown.distribution.code is None:
             raise NotCompiled(f"the distribution of {unknown.address}")
-        else:
-            codes.append(law.code)
-            laws.append((*law.row, unknown.period or 0.0, *target.folds.get(unknown.address, (0.0, 0.0))))
-            density, draw = compiled(law.type)
-            row = np.zeros(len(laws[-1]))
-            twins.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
+    unknowns, laws = laws_of(space, target.folds, address)
     count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
     names = {name: n for n, name in enumerate(graph.names)}
     solids = {name: n for n, name in enumerate(graph.solid_names)}
@@ -78,13 +73,32 @@ def model_of(target, address=address_of) -> Model:
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     return Model(
-        unknowns=np.array([[*codes, 0], space.offsets, space.directions, *zip(*twins, (0, 0), strict=True)], np.int64),
-        laws=np.array(laws, float).reshape(-1, 7),
+        unknowns=unknowns,
+        laws=laws,
         places=np.ascontiguousarray(np.array(places, np.int64).T),
         vertices=vertices,
         extents=extents,
         terms=terms,
     )
+
+
+def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Address) -> tuple[np.ndarray, np.ndarray]:
+    """Return Model.unknowns and Model.laws of a space. folds : centre and period of each theta, by its address."""
+    codes, laws, calls = [], list[tuple[float, ...]](), list[tuple[int, int]]()
+    for unknown in space.unknowns:
+        law = unknown.distribution
+        if law.size == 4:
+            codes.append(ROTATION)
+            laws.append((0.0,) * 7)
+            calls.append((0, 0))
+        else:
+            codes.append(0)
+            laws.append((*law.row, unknown.period or 0.0, *folds.get(unknown.address, (0.0, 0.0))))
+            density, draw = compiled(law.type)
+            row = np.zeros(len(laws[-1]))
+            calls.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
+    unknowns = [[*codes, 0], space.offsets, space.directions, *zip(*calls, (0, 0), strict=True)]
+    return np.array(unknowns, np.int64), np.array(laws, float).reshape(-1, 7)
 
 
 def _kind(shape: str) -> int:

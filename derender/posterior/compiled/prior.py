@@ -80,35 +80,6 @@ def difference(unknowns, laws, members, values, origin, tangent):
 
 
 @njit(cache=True, nogil=True)
-def log_proposal(unknowns, laws, members, tangent, factor, solved, degrees):
-    """Return the log density of an independence proposal up to a constant; see kernels.independence."""
-    size = directions(unknowns, members)
-    squared = 0.0
-    for i in range(size):
-        rest = tangent[i]
-        for j in range(i):
-            rest -= factor[i * size + j] * solved[j]
-        solved[i] = rest / factor[i * size + i]
-        squared += solved[i] * solved[i]
-    log_density = -0.5 * (degrees + size) * math.log1p(squared / degrees)
-    direction = 0
-    for i in members:
-        if unknowns[CODE, i] == ROTATION:
-            angle = math.sqrt(tangent[direction] ** 2 + tangent[direction + 1] ** 2 + tangent[direction + 2] ** 2)
-            if angle > math.pi:
-                return -math.inf
-            if angle > 1e-9:
-                log_density -= 2.0 * math.log(math.sin(0.5 * angle) / (0.5 * angle))
-            direction += 3
-        else:
-            period = laws[i, PERIOD]
-            if period != 0.0 and abs(tangent[direction]) > 0.5 * period:
-                return -math.inf
-            direction += 1
-    return log_density
-
-
-@njit(cache=True, nogil=True)
 def directions(unknowns, members):
     """Return how many directions some unknowns have."""
     size = 0

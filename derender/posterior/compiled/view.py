@@ -1,10 +1,10 @@
-"""A scene's target as kernels without a compiled form see it beside compiled ones."""
+"""A scene's target as interpreted kernels see it beside compiled ones."""
 
 import numpy as np
 
 
 class LoadedTarget:
-    """A SceneTarget whose densities are those of a backend's engine, a tenth of the readable ones' cost."""
+    """A SceneTarget whose densities are those of a backend's engine, a tenth of the cost of the target's own."""
 
     def __init__(self, backend) -> None:
         self._backend, self._target = backend, backend.target

@@ -1,13 +1,10 @@
 """Kernels, by name; each leaves the posterior invariant, and any mixture or cycle of them does so too."""
 
 from derender.posterior.kernels import (  # noqa: F401  (importing registers)
-    choose,
     drift,
     flip,
     independence,
     jump,
-    langevin,
-    newton,
     relocate,
     relocate_stack,
     resimulate,
@@ -16,6 +13,6 @@ from derender.posterior.kernels import (  # noqa: F401  (importing registers)
     turn,
     window,
 )
-from derender.posterior.kernels.base import Info, Kernel, KernelType, Part, State, Target, Tuning, kernels, mixture
+from derender.posterior.kernels.base import KernelType, Part, Target, Tuning, kernels, mixture
 
-__all__ = ["Info", "Kernel", "KernelType", "Part", "State", "Target", "Tuning", "kernels", "mixture"]
+__all__ = ["KernelType", "Part", "Target", "Tuning", "kernels", "mixture"]

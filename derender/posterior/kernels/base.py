@@ -1,11 +1,13 @@
-"""What a kernel is: `kernel(rng, state) -> (state, info)`, leaving the target's posterior invariant.
+"""What a kernel is: a proposal that, with the Metropolis-Hastings decision, leaves the target's posterior invariant.
 
-These are the readable kernels, the reference for the compiled sweep. Both draw the same random numbers in the same
-order, so that one generator makes both do the same steps. Every log ratio is the log of
+A kernel type names its proposal: a compiled function that writes the proposed values and returns the log of
 
-    posterior(new) proposal(old | new) / (posterior(old) proposal(new | old)),
+    proposal(old | new) / proposal(new | old),
 
-positive where the new state is the better one; the step is accepted with probability min(1, exp(log ratio)).
+to which the sweep adds the change of the log posterior and, where an object's children stay in the world, the log
+Jacobian of their contacts; the step is accepted with probability min(1, exp(log ratio)). There is one source of each
+proposal and of the sweep: numba compiles it, and Python runs the same text where a model has no compiled form
+(`compiled/interpreted.py`).
 """
 
 import math
@@ -14,11 +16,12 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from derender.compilation.cache import Kernel
 from derender.errors import DerenderError, at_fault
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
-from derender.sampling import metropolis
-from derender.sampling.metropolis import Info
+
+STEP, ROW, PLACING = range(3)  # forms of kernels: one proposal, a row of places to choose from, objects put down anew
 
 
 class Target(Protocol):
@@ -31,23 +34,6 @@ class Target(Protocol):
 
     def log_likelihood(self, values: np.ndarray) -> float:
         """Return the log likelihood of (P,) values inside the prior's support."""
-
-
-class State(NamedTuple):
-    """What the next step needs. values : (P,) float64; log_prior, log_likelihood : at those values."""
-
-    values: np.ndarray
-    log_prior: float
-    log_likelihood: float
-
-
-class Kernel(Protocol):
-    """A step that leaves the posterior invariant; `name` says which, such as "drift red.contact"."""
-
-    name: str
-
-    def __call__(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Take a step."""
 
 
 class Tuning(NamedTuple):
@@ -84,7 +70,10 @@ class KernelType:
     per_block : whether there is one kernel for each block of the space, or a single one for all unknowns.
     adapts : whether warm-up tunes its scale towards `acceptance`.
     keeps_children : whether it leaves the children of the object that it moves where they are in the world.
-    code : the compiled twin's number, or None.
+    form : STEP, ROW or PLACING.
+    proposal : the compiled function. Of a STEP or ROW: (rng, unknowns, laws, values, tangents, members, factor, scale,
+        spread, mean) -> log ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING:
+        (rng, places, periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
     """
 
     name: str = ""
@@ -93,7 +82,8 @@ class KernelType:
     adapts: bool = False
     acceptance: float = 0.3
     keeps_children: bool = False
-    code: int | None = None
+    form: int = STEP
+    proposal: Kernel
 
     def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:
         """Return the blocks that have a kernel of their own."""
@@ -101,16 +91,24 @@ class KernelType:
         return [block for block in blocks if self.applies(space, block)]
 
     def applies(self, space: Space, block: Block) -> bool:
-        """Return whether the block has anything that this kernel can move; by default, a direction to go."""
-        return space.size(block) > 0
+        """Return whether the block has anything that this kernel can move."""
+        return bool(block.unknowns)
 
     def moves(self, space: Space, block: Block) -> Sequence[int]:
-        """Return which unknowns of the block it can move: by default those with a direction to go."""
-        return [i for i in block.unknowns if space.unknowns[i].ways]
+        """Return which unknowns of the block it can move anywhere."""
+        return block.unknowns
 
-    def build(self, target: Target, block: Block, tuning: Tuning, options: Mapping[str, float]) -> Kernel:
-        """Return the kernel for a block."""
-        raise NotImplementedError
+    def members(self, space: Space, block: Block) -> Sequence[int]:
+        """Return the unknowns that its proposal is told of."""
+        return block.unknowns
+
+    def factor(self, space: Space, part: "Part", tuning: Tuning) -> np.ndarray:
+        """Return the (D, D) lower triangle that its proposal shapes normals with; empty where it needs none."""
+        return np.empty(0)
+
+    def scale(self, space: Space, part: "Part", tuning: Tuning) -> float:
+        """Return the scale of its steps."""
+        return 1.0
 
 
 kernels: Registry[KernelType] = Registry("kernel", "derender.kernels")
@@ -174,39 +172,3 @@ def mixture(
 def _check(value: object, what: str, where: object, lower: float = -math.inf) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < lower:
         raise DerenderError(f"{what} is {value!r}", where, "give a number" + (" from 0 up" if lower == 0 else ""))
-
-
-def evaluate(target: Target, values: np.ndarray) -> State:
-    """Return the state at some values; outside the prior's support the likelihood is not asked for."""
-    log_prior = target.log_prior(values)
-    if not log_prior > -math.inf:
-        return State(values, -math.inf, -math.inf)
-    return State(values, log_prior, target.log_likelihood(values))
-
-
-def evaluate_kept(target: Any, old: State, moved: np.ndarray, block: Block) -> tuple[State, float]:
-    """Return the state after the block of an object has `moved` and its children have stayed, and the log Jacobian.
-
-    The target knows how (`keep_children`). Where a child would lose its contact the density is zero.
-    """
-    if target.log_prior(moved) > -math.inf:
-        kept = target.keep_children(old.values, moved, block)
-        if kept is not None:
-            return evaluate(target, kept[0]), kept[1]
-    return State(moved, -math.inf, -math.inf), 0.0
-
-
-def decide(
-    rng: np.random.Generator, old: State, new: State, correction: float, temperature: float, name: str
-) -> tuple[State, Info]:
-    """Accept or reject: log ratio = change of log prior + temperature * change of log likelihood + correction.
-
-    Parameters
-    ----------
-    correction : log of proposal(old | new) / proposal(new | old), and of the Jacobian where the proposal has one.
-    """
-    if new.log_prior == -math.inf:
-        log_ratio = -math.inf
-    else:
-        log_ratio = new.log_prior - old.log_prior + temperature * (new.log_likelihood - old.log_likelihood) + correction
-    return metropolis.decide(rng, old, new, log_ratio, name)

@@ -2,27 +2,23 @@
 
 import numpy as np
 
-from derender.posterior.kernels.base import KernelType, decide, evaluate, kernels
+from derender.compilation.cache import njit
+from derender.posterior.compiled.layout import NEXT, NOW
+from derender.posterior.compiled.prior import directions, move, shaped
+from derender.posterior.kernels.base import KernelType, kernels
 
 
-class Drift:
+@njit(cache=True, nogil=True)
+def drifted(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
     """Random-walk Metropolis: tangent = scale * factor @ z with z standard normal.
 
-    The tangent's density is even and does not depend on where the step starts, and `Space.move` is symmetric, so
+    The tangent's density is even and does not depend on where the step starts, and `move` is symmetric, so
     proposal(new | old) = proposal(old | new):
     log ratio = log posterior(new) - log posterior(old).
     """
-
-    def __init__(self, target, block, factor, scale, temperature=1.0, kind="drift"):
-        self.target, self.block, self.factor = target, block, factor
-        self.scale, self.temperature = scale, temperature
-        self.name = f"{kind} {block.name}"
-
-    def __call__(self, rng, state):
-        normal = np.array([rng.standard_normal() for _ in range(len(self.factor))])
-        values = self.target.space.move(state.values, self.block, self.scale * (self.factor @ normal))
-        new = evaluate(self.target, values)
-        return decide(rng, state, new, 0.0, self.temperature, self.name)
+    shaped(rng, factor, directions(unknowns, members), tangents[1], tangents[0])
+    move(unknowns, laws, members, values[NOW], tangents[0], scale, values[NEXT])
+    return 0.0
 
 
 def factor_of(covariance: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -45,25 +41,24 @@ class DriftType(KernelType):
 
     options = {"scale": 1.0}
     adapts = True
+    proposal = drifted
 
-    def build(self, target, block, tuning, options):
-        factor = factor_of(tuning.covariance, directions_of(target.space, block))
-        name = f"{self.name} {block.name}"
-        scale = options["scale"] * tuning.scale.get(name, 1.0) * 2.4 / np.sqrt(len(factor))
-        return Drift(target, block, factor, scale, tuning.temperature, self.name)
+    def factor(self, space, part, tuning):
+        return factor_of(tuning.covariance, directions_of(space, part.block))
+
+    def scale(self, space, part, tuning):
+        # 2.4 / sqrt(D): best for a normal posterior (Roberts, Gelman, Gilks 1997)
+        return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(space.size(part.block))
 
 
 @kernels.register("drift")
 class BlockDriftType(DriftType):
     """Random-walk step of one edge's contact or one object's shape; its scale is learned in warm-up."""
 
-    code = 1
-
 
 @kernels.register("drift-all")
 class AllDriftType(DriftType):
     """Random-walk step of all unknowns at once, shaped by their learned covariance."""
 
-    code = 1
     per_block = False
     acceptance = 0.234

@@ -1,30 +1,24 @@
 """Flip: a box turns by a quarter and exchanges its length and width, which leaves it where it is."""
 
-from derender.posterior.kernels.base import KernelType, decide, evaluate, kernels
-from derender.posterior.space import wrap
+from derender.compilation.cache import njit
+from derender.posterior.compiled.layout import NEXT, NOW, OFFSET
+from derender.posterior.kernels.base import KernelType, kernels
+from derender.posterior.kernels.jump import half_turn
 
 
-class Flip:
+@njit(cache=True, nogil=True)
+def flipped(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
     """theta -> theta + pi/2 (half its period), length <-> width, of one box chosen at random.
 
     An involution (twice half a period is none, exchanging twice is nothing) that permutes coordinates of one unit and
     shifts an angle: its Jacobian is one.
     log ratio = log posterior(new) - log posterior(old); on a plane the likelihoods are equal.
     """
-
-    name = "flip all"
-
-    def __init__(self, target, flips, temperature=1.0):
-        self.target, self.flips, self.temperature = target, flips, temperature
-
-    def __call__(self, rng, state):
-        space = self.target.space
-        theta, length, width = self.flips[int(rng.random() * len(self.flips))]
-        values = state.values.copy()
-        at = space.offsets
-        values[at[theta]] = wrap(values[at[theta]] + 0.5 * space.unknowns[theta].period, space.unknowns[theta].period)
-        values[at[length]], values[at[width]] = values[at[width]], values[at[length]]
-        return decide(rng, state, evaluate(self.target, values), 0.0, self.temperature, self.name)
+    chosen = 3 * int(rng.random() * (len(members) // 3))
+    half_turn(unknowns, laws, values, members[chosen])
+    length, width = unknowns[OFFSET, members[chosen + 1]], unknowns[OFFSET, members[chosen + 2]]
+    values[NEXT, length], values[NEXT, width] = values[NOW, width], values[NOW, length]
+    return 0.0
 
 
 def flips_of(space) -> list[tuple[int, int, int]]:
@@ -45,13 +39,13 @@ class FlipType(KernelType):
     """Turn a box by a quarter and exchange its length and width."""
 
     per_block = False
-    code = 5
+    proposal = flipped
 
     def applies(self, space, block):
         return bool(flips_of(space))
 
     def moves(self, space, block):
-        return []
+        return ()
 
-    def build(self, target, block, tuning, options):
-        return Flip(target, flips_of(target.space), tuning.temperature)
+    def members(self, space, block):
+        return [unknown for triple in flips_of(space) for unknown in triple]

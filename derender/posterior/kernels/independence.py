@@ -4,12 +4,45 @@ import math
 
 import numpy as np
 
-from derender.posterior.kernels.base import KernelType, decide, evaluate, kernels
+from derender.compilation.cache import njit
+from derender.posterior.compiled.layout import CODE, NEXT, NOW, PERIOD, ROTATION
+from derender.posterior.compiled.prior import difference, directions, move, shaped
+from derender.posterior.kernels.base import KernelType, kernels
 
 DEGREES = 5  # of freedom of the t distribution: heavier tails than any posterior that it has to cover
 
 
-class Independence:
+@njit(cache=True, nogil=True)
+def log_proposal(unknowns, laws, members, tangent, factor, solved):
+    """Return the log density of an independence proposal up to a constant; -inf where it cannot propose."""
+    size = directions(unknowns, members)
+    squared = 0.0
+    for i in range(size):
+        rest = tangent[i]
+        for j in range(i):
+            rest -= factor[i * size + j] * solved[j]
+        solved[i] = rest / factor[i * size + i]
+        squared += solved[i] * solved[i]
+    log_density = -0.5 * (DEGREES + size) * math.log1p(squared / DEGREES)
+    direction = 0
+    for i in members:
+        if unknowns[CODE, i] == ROTATION:
+            angle = math.sqrt(tangent[direction] ** 2 + tangent[direction + 1] ** 2 + tangent[direction + 2] ** 2)
+            if angle > math.pi:
+                return -math.inf
+            if angle > 1e-9:
+                log_density -= 2.0 * math.log(math.sin(0.5 * angle) / (0.5 * angle))
+            direction += 3
+        else:
+            period = laws[i, PERIOD]
+            if period != 0.0 and abs(tangent[direction]) > 0.5 * period:
+                return -math.inf
+            direction += 1
+    return log_density
+
+
+@njit(cache=True, nogil=True)
+def independent(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
     """Propose new = mean moved by tangent t, t from a multivariate t distribution with 5 degrees of freedom.
 
     With r2 = |factor^-1 t|^2 and D directions its density is q(t) = c (1 + r2 / 5)^(-(5 + D) / 2). On a circle a
@@ -19,58 +52,20 @@ class Independence:
     constant. The proposal does not look at the old state:
     log ratio = log posterior(new) - log posterior(old) + log q(old) - log q(new).
     """
-
-    name = "independence all"
-
-    def __init__(self, target, block, mean, factor, temperature=1.0):
-        self.target, self.block, self.mean, self.factor = target, block, mean, factor
-        self.temperature = temperature
-
-    def log_proposal(self, tangent: np.ndarray) -> float:
-        """Return log q up to its constant; -inf where it cannot propose."""
-        space = self.target.space
-        squared = 0.0
-        solved = np.empty(len(tangent))
-        for i in range(len(tangent)):
-            solved[i] = (tangent[i] - self.factor[i, :i] @ solved[:i]) / self.factor[i, i]
-            squared += solved[i] * solved[i]
-        log_density = -0.5 * (DEGREES + len(tangent)) * math.log1p(squared / DEGREES)
-        direction = 0
-        for i in self.block.unknowns:
-            unknown = space.unknowns[i]
-            if unknown.distribution.size == 4:
-                angle = math.sqrt(sum(tangent[direction + k] ** 2 for k in range(3)))
-                if angle > math.pi:
-                    return -math.inf
-                if angle > 1e-9:
-                    log_density -= 2.0 * math.log(math.sin(0.5 * angle) / (0.5 * angle))
-                direction += 3
-                continue
-            if unknown.ways == 0:
-                continue
-            if unknown.period is not None and abs(tangent[direction]) > 0.5 * unknown.period:
-                return -math.inf
-            direction += 1
-        return log_density
-
-    def __call__(self, rng, state):
-        space = self.target.space
-        normal = np.array([rng.standard_normal() for _ in range(len(self.factor))])
-        chi_squared = 0.0
-        for _ in range(DEGREES):
-            chi_squared += rng.standard_normal() ** 2
-        tangent = (self.factor @ normal) * math.sqrt(DEGREES / chi_squared)
-        proposed = self.log_proposal(tangent)
-        if proposed == -math.inf:
-            new = state._replace(log_prior=-math.inf)
-            return decide(rng, state, new, 0.0, self.temperature, self.name)
-        centre = self.mean.copy()
-        for i in self.block.unknowns:  # a discrete unknown has no tangent: it stays as it is
-            if space.unknowns[i].ways == 0:
-                centre[space.offsets[i]] = state.values[space.offsets[i]]
-        new = evaluate(self.target, space.move(centre, self.block, tangent))
-        old = self.log_proposal(space.difference(state.values, self.mean, self.block))
-        return decide(rng, state, new, old - proposed, self.temperature, self.name)
+    tangent, solved = tangents[0], tangents[1]
+    size = directions(unknowns, members)
+    shaped(rng, factor, size, solved, tangent)
+    chi_squared = 0.0
+    for _ in range(DEGREES):
+        chi_squared += rng.standard_normal() ** 2
+    for i in range(size):
+        tangent[i] *= math.sqrt(DEGREES / chi_squared)
+    forward = log_proposal(unknowns, laws, members, tangent, factor, solved)
+    if forward == -math.inf:
+        return math.nan
+    move(unknowns, laws, members, mean, tangent, 1.0, values[NEXT])
+    difference(unknowns, laws, members, values[NOW], mean, tangent)
+    return log_proposal(unknowns, laws, members, tangent, factor, solved) - forward
 
 
 @kernels.register("independence")
@@ -79,8 +74,7 @@ class IndependenceType(KernelType):
 
     options = {"inflation": 1.1}
     per_block = False
-    code = 2
+    proposal = independent
 
-    def build(self, target, block, tuning, options):
-        factor = options["inflation"] * np.linalg.cholesky(tuning.covariance)
-        return Independence(target, block, tuning.mean, factor, tuning.temperature)
+    def factor(self, space, part, tuning):
+        return part.options["inflation"] * np.linalg.cholesky(tuning.covariance)

@@ -1,11 +1,12 @@
 """A density over places of one object, fitted to those that warm-up saw: it follows every mode, however narrow."""
 
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from derender.posterior.space import wrap
+from derender.compilation.cache import njit
 
 DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
 NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape
@@ -29,22 +30,6 @@ class PlaceMixture(NamedTuple):
     factors: np.ndarray
     inverses: np.ndarray
     periods: np.ndarray
-
-    def density(self, place: np.ndarray) -> float:
-        """Return q(place) up to a constant; steps of more than half a period are never proposed."""
-        steps = shortest(place - self.centres, self.periods)
-        white = np.einsum("kij,kj->ki", self.inverses, steps)
-        determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
-        powers = (1.0 + np.sum(white * white, axis=1) / DEGREES) ** (-0.5 * (DEGREES + len(place)))
-        return float(np.sum(determinants * powers))
-
-    def too_far(self, tangent: np.ndarray) -> bool:
-        """Return whether a step turns by more than half a period: it is never proposed."""
-        return bool(np.any((self.periods > 0.0) & (np.abs(tangent) > 0.5 * self.periods)))
-
-    def wrapped(self, place: np.ndarray) -> np.ndarray:
-        """Return the place with its angles in [0, period)."""
-        return np.array([wrap(x, period) if period else x for x, period in zip(place, self.periods, strict=True)])
 
     def flat(self) -> np.ndarray:
         """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""
@@ -92,3 +77,49 @@ def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
             metric = np.linalg.inv(np.linalg.inv(covariances).mean(axis=0))
     factors = np.linalg.cholesky(covariances)
     return PlaceMixture(centres, factors, np.linalg.inv(factors), around)
+
+
+@njit(cache=True, nogil=True)
+def mixture_density(places, periods, place):
+    """Return q(place) up to its constant; steps of more than half a period are never proposed.
+
+    places : see PlaceMixture.flat. periods : of the angles, 0 of lengths.
+
+    Number by number over all components, and not component by component: so the processor takes several at once.
+    """
+    size = len(place)
+    first = size + size * (size + 1) // 2  # of the inverses' rows
+    count = len(places) // (2 * first - size + 1)
+    steps, white, squared = np.empty((size, count)), np.empty(count), np.zeros(count)
+    for i in range(size):
+        step, centre = steps[i], places[i * count : (i + 1) * count]
+        for k in range(count):
+            step[k] = place[i] - centre[k]
+        period = periods[i]
+        if period > 0.0:
+            for k in range(count):
+                step[k] -= period * math.floor(step[k] / period + 0.5)
+    at = first
+    for i in range(size):
+        white[:] = 0.0
+        for j in range(i + 1):
+            step, factor = steps[j], places[at * count : (at + 1) * count]
+            for k in range(count):
+                white[k] += factor[k] * step[k]
+            at += 1
+        for k in range(count):
+            squared[k] += white[k] * white[k]
+    for k in range(count):
+        squared[k] = 1.0 + squared[k] / DEGREES
+    power = white  # to the power of (DEGREES + size) / 2
+    power[:] = 1.0
+    if (DEGREES + size) % 2:
+        for k in range(count):
+            power[k] = math.sqrt(squared[k])
+    for _ in range((DEGREES + size) // 2):
+        for k in range(count):
+            power[k] *= squared[k]
+    determinant, total = places[at * count :], 0.0
+    for k in range(count):
+        total += determinant[k] / power[k]
+    return total

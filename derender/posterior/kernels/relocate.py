@@ -5,11 +5,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from derender.posterior.kernels.base import KernelType, decide, evaluate, kernels
-from derender.posterior.kernels.place_mixture import DEGREES, PlaceMixture, fitted
+from derender.compilation.cache import njit
+from derender.posterior.compiled.prior import wrap
+from derender.posterior.kernels.base import PLACING, KernelType, kernels
+from derender.posterior.kernels.place_mixture import DEGREES, PlaceMixture, fitted, mixture_density
 
 
-class Relocate:
+@njit(cache=True, nogil=True)
+def seen_place(rng, places, periods, old, new):
     """Propose a place w' = (angle, x, y) on the floor below the object, from a mixture q over the places of an archive.
 
     The archive was filled in warm-up by all chains and is frozen; q (`place_mixture`) does not look at the present
@@ -21,39 +24,36 @@ class Relocate:
     the Jacobian is the touching area of (u, v) (Figure 2), or one for metres. The children's contacts are kept as in
     `slide`. With J = |dw / dphi|,
     log ratio = log posterior(new) - log posterior(old) + log q(w) - log q(w') + log J(old) - log J(new)
-                + sum of log |d phi_c' / d phi_c|.
-    The target puts the objects there (`put`) and knows the last three terms; where one would lose its contact there is
-    no density, and the step is refused (as is the way back from there). Several objects are put down by one w of all.
+                + sum of log |d phi_c' / d phi_c|,
+    of which the last three terms come from putting the objects there (`touch_anew`); where one would lose its contact
+    there is no density, and the step is refused (as is the way back from there). Several objects are put down by one w
+    of all.
+
+    old, new : (D,) the objects' places, (angle, x, y) of each; `new` is written.
     """
-
-    def __init__(self, target, name: str, objects: tuple[str, ...], places: PlaceMixture, temperature=1.0):
-        self.target, self.objects, self.places, self.temperature = target, objects, places, temperature
-        self.name = name
-
-    def log_proposal(self, place: np.ndarray) -> float:
-        """Return log q(place) up to its constant."""
-        return math.log(self.places.density(place))
-
-    def __call__(self, rng, state):
-        component = int(rng.random() * len(self.places.centres))
-        centre = self.places.centres[component]
-        normal = np.array([rng.standard_normal() for _ in range(len(centre))])
-        chi_squared = 0.0
-        for _ in range(DEGREES):
-            chi_squared += rng.standard_normal() ** 2
-        tangent = (self.places.factors[component] @ normal) * math.sqrt(DEGREES / chi_squared)
-        place = centre + tangent
-        put = None
-        if not self.places.too_far(tangent):
-            place = self.places.wrapped(place)
-            ends = np.cumsum([len(self.target.placement_periods(name)) for name in self.objects])[:-1]
-            put = self.target.put(state.values, dict(zip(self.objects, np.split(place, ends), strict=True)))
-        if put is None:
-            return decide(rng, state, state._replace(log_prior=-math.inf), 0.0, self.temperature, self.name)
-        moved, log_jacobian = put
-        old = np.concatenate([self.target.placement(state.values, name) for name in self.objects])
-        correction = self.log_proposal(old) - self.log_proposal(place) + log_jacobian
-        return decide(rng, state, evaluate(self.target, moved), correction, self.temperature, self.name)
+    size = len(old)
+    number = len(places) // (size + size * (size + 1) + 1)
+    k = int(rng.random() * number)
+    normal = np.empty(size)
+    for i in range(size):
+        normal[i] = rng.standard_normal()
+    chi_squared = 0.0
+    for _ in range(DEGREES):
+        chi_squared += rng.standard_normal() ** 2
+    stretch = math.sqrt(DEGREES / chi_squared)
+    at = size
+    for i in range(size):
+        step = 0.0
+        for j in range(i + 1):
+            step += places[at * number + k] * normal[j]
+            at += 1
+        step *= stretch
+        new[i] = places[i * number + k] + step
+        if periods[i] > 0.0:
+            if not abs(step) <= 0.5 * periods[i]:
+                return math.nan
+            new[i] = wrap(new[i], periods[i])
+    return math.log(mixture_density(places, periods, old)) - math.log(mixture_density(places, periods, new))
 
 
 def mixture_of(target, objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
@@ -62,17 +62,18 @@ def mixture_of(target, objects: tuple[str, ...], places: Mapping[str, np.ndarray
     return fitted(np.concatenate([places[name] for name in objects], axis=1), tuple(periods))
 
 
-@kernels.register("relocate")
-class RelocateType(KernelType):
-    """Put an object down anew where warm-up has seen it in the world, and leave what stands on it where it is."""
+class PlacingType(KernelType):
+    """Put objects down anew in the world."""
 
     keeps_children = True
-    code = 6
+    form = PLACING
 
     def applies(self, space, block):
         return block.name in space.relocations
 
-    def build(self, target, block, tuning, options):
-        places = {name: target.placements(name, tuning.places) for name in block.objects}
-        found = mixture_of(target, block.objects, places)
-        return Relocate(target, f"{self.name} {block.name}", block.objects, found, tuning.temperature)
+
+@kernels.register("relocate")
+class RelocateType(PlacingType):
+    """Put an object down anew where warm-up has seen it in the world, and leave what stands on it where it is."""
+
+    proposal = seen_place

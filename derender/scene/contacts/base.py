@@ -6,10 +6,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.registry import Registry, suggest
 from derender.scene import polygon
 from derender.scene.parameter import Parameter
+from derender.scene.polygon import sides
 from derender.scene.pose import from_axes, inverse, rotation_angle, rotation_z, translation
 from derender.scene.shapes import Body, Shape
 
@@ -17,6 +19,9 @@ contacts: Registry["ContactType"] = Registry("contact", "derender.contacts")
 
 # Turns a frame by pi about x: the child's outward normal meets the parent's head on.
 FLIP = from_axes((1, 0, 0), (0, -1, 0), (0, 0, -1))
+
+
+offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interpreted(polygon.uv_from_offset)
 
 
 class Inverse(NamedTuple):
@@ -176,7 +181,7 @@ class SurfaceContact(ContactType):
         theta = values.get("theta", 0.0)
         if on.outline.bounded and by.outline.bounded:
             u, v = values.get("u", 0.5), values.get("v", 0.5)
-            x, y = polygon.offset_from_uv(u, v, theta, on.outline, by.outline)
+            x, y = offset_from_uv(u, v, theta, *sides(on.outline, by.outline))
         else:
             x, y = values.get("x", 0.0), values.get("y", 0.0)
         first, second = (values.get(angle.name, angle.default) for angle in self.angles())
@@ -199,7 +204,7 @@ class SurfaceContact(ContactType):
         x, y, height = (float(part) for part in meeting[:3, 3])
         outside = 0.0
         if on.outline.bounded and by.outline.bounded:
-            u, v, outside = polygon.uv_from_offset(x, y, theta, on.outline, by.outline)
+            u, v, outside = uv_from_offset(x, y, theta, *sides(on.outline, by.outline))
             offsets = (u, v)
         else:
             offsets = (x, y)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.scene import polygon
+from derender.scene.polygon import offset_from_uv, uv_from_offset
 from derender.scene.shapes import shapes
 from derender.scene.shapes.base import FACE_NAMES
 from derender.scene.shapes.box import CORNER_NAMES, EDGE_NAMES, box_feature, signs_of
@@ -43,9 +43,6 @@ def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 _ROTATIONS, _SIGNS, _AXES = _tables()
 
-reach = njit(cache=True, nogil=True)(polygon.reach)
-upper = njit(cache=True, nogil=True)(polygon.upper)
-
 
 @njit(cache=True, nogil=True)
 def outline(kind, size, code):
@@ -60,34 +57,6 @@ def outline(kind, size, code):
         return 0.0, 0.0, 0.5 * size[0], 0.0
     first, second = _AXES[code, 0], _AXES[code, 1]
     return (size[first] if first >= 0 else 0.0), (size[second] if second >= 0 else 0.0), 0.0, 0.0
-
-
-@njit(cache=True, nogil=True)
-def offset_from_uv(u, v, theta, a, b, c, d, radius):
-    """Return (x, y), metres: `polygon.offset_from_uv`."""
-    x = (2.0 * u - 1.0) * reach(theta, a, b, c, d, radius)
-    low, high = -upper(-x, theta, a, b, c, d, radius), upper(x, theta, a, b, c, d, radius)
-    return x, low + v * (high - low)
-
-
-@njit(cache=True, nogil=True)
-def uv_from_offset(x, y, theta, a, b, c, d, radius):
-    """Return (u, v, outside): `polygon.uv_from_offset`."""
-    half = reach(theta, a, b, c, d, radius)
-    near_x = min(max(x, -half), half)
-    low, high = -upper(-near_x, theta, a, b, c, d, radius), upper(near_x, theta, a, b, c, d, radius)
-    near_y = min(max(y, low), high)
-    u = 0.5 + 0.5 * near_x / half if half > 0.0 else 0.5
-    v = (near_y - low) / (high - low) if high > low else 0.5
-    return u, v, math.hypot(x - near_x, y - near_y)
-
-
-@njit(cache=True, nogil=True)
-def area_element(u, theta, a, b, c, d, radius):
-    """Return |d(x, y) / d(u, v)|: `polygon.area_element`."""
-    half = reach(theta, a, b, c, d, radius)
-    x = (2.0 * u - 1.0) * half
-    return 2.0 * half * (upper(x, theta, a, b, c, d, radius) + upper(-x, theta, a, b, c, d, radius))
 
 
 @njit(cache=True, nogil=True)

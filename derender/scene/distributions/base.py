@@ -36,7 +36,7 @@ class DistributionType:
     parameters : names of the parameters, in the order in which YAML lists them.
     defaults : values of the last parameters, which may then be left out.
     dimensionless : parameters without a unit; all others have that of the number itself.
-    code : int, the compiled twin's number, or None where there is none.
+    code : a number where density and draw can be compiled, else None.
     size : how many numbers a value has (1; a rotation's quaternion: 4).
     discrete : the density is with respect to the counting measure.
     """

@@ -1,12 +1,12 @@
 """Change of shape type: a cube is a box is a cylinder, of the same extents, standing where it stood."""
 
 from derender.structures.jumps.base import moves
-from derender.structures.jumps.recast import slot_of
-from derender.structures.jumps.reparent import Recast, slots_on
+from derender.structures.jumps.reparametrise import slot_of
+from derender.structures.jumps.reparent import Reparametrise, slots_on
 
 
 @moves.register("change-shape")
-class ChangeShape(Recast):
+class ChangeShape(Reparametrise):
     """Make an object one of another kind, touching its parent in any way that the prior allows for that kind.
 
     What it carries keeps its numbers, in fractions of the new face, so its axes must keep their names; a leaf's need

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import interpreted
 from derender.scene import polygon
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
@@ -30,6 +31,7 @@ from derender.scene.pose import from_rotation_vector, rotation_angle
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, Shape, shapes
 
+area_element = interpreted(polygon.area_element)
 HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
 STEEPEST = math.cos(math.radians(45.0))  # a face leaning more than this does not rest on what is below it
 NARROW, WIDE = {"m": 0.002, "rad": 0.01, "": 0.01, "log": 0.05}, {"m": 0.02, "rad": 0.15, "": 0.1, "log": 0.4}
@@ -143,7 +145,7 @@ def log_pose_element(kind: str, numbers: dict[str, float], parent: Body, child: 
         total += math.log(max(math.cos(numbers["tilt"]), 1e-300))
     on, by = parent.face(faces[0]), child.face(faces[1])
     if on.outline.bounded and by.outline.bounded:
-        area = polygon.area_element(numbers["u"], numbers["theta"], on.outline, by.outline)
+        area = area_element(numbers["u"], numbers["theta"], *polygon.sides(on.outline, by.outline))
         total += math.log(area) if area > 0.0 else -math.inf
     return total
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from derender.structures.jumps.base import Applied, Move, moves
-from derender.structures.jumps.recast import same_freedom
+from derender.structures.jumps.reparametrise import same_freedom
 from derender.structures.jumps.vocabulary import log_uniform_choice
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from derender.scene.shapes import shapes
 from derender.structures.jumps.base import Applied, Move, moves
 from derender.structures.jumps.charts import Rest, draw_rest, log_rest
-from derender.structures.jumps.recast import (
+from derender.structures.jumps.reparametrise import (
     Slot,
     allowed,
     carry,
@@ -30,13 +30,13 @@ class Rehang(NamedTuple):
     rotation: int
 
 
-class Recast(Move):
+class Reparametrise(Move):
     """An object becomes another description of the same posed box; subclasses say which (`slots`).
 
     Choices: the object among n grown ones; the slot among those offered; the rest of its present chart; the rotation R
     of its axes among the k that the new slot allows.
 
-        log q = -log n - log |slots| + log q(rest) - log k,      log J : see `recast`.
+        log q = -log n - log |slots| + log q(rest) - log k,      log J : see `reparametrise`.
 
     Back, the object is the same, its old slot one of those offered from the new scene, the rest what the new chart
     dropped, and R's inverse one of the k' that the old slot allows.
@@ -138,7 +138,7 @@ def slots_on(words, graph, parent: str, kind: str) -> list[Slot]:
 
 
 @moves.register("reparent")
-class Reparent(Recast):
+class Reparent(Reparametrise):
     """Hang an object on another parent: floating or in contact, on the floor or on a neighbour."""
 
     weight = 2.0
@@ -155,7 +155,7 @@ class Reparent(Recast):
 
 
 @moves.register("change-face")
-class ChangeFace(Recast):
+class ChangeFace(Reparametrise):
     """Let an object touch its parent by other faces, or in another way, where it is."""
 
     def slots(self, words, graph, name):

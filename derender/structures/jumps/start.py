@@ -8,7 +8,7 @@ from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.priors.root import FreeRoot, LookedAtRoot, written
 from derender.scene.shapes.cube import ROTATIONS
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
-from derender.structures.jumps.recast import renamed
+from derender.structures.jumps.reparametrise import renamed
 from derender.structures.jumps.vocabulary import Vocabulary
 
 FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY

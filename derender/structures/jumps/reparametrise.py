@@ -1,6 +1,6 @@
 """One solid written down anew: other parent, other faces, other shape type, in the same place. The core of three moves.
 
-A vertex and its Rest are nine coordinates of a posed box (`charts`). To recast it is to go from one chart to another:
+A vertex and its Rest are nine coordinates of a posed box (`charts`), which is taken from one chart to another:
 
     (numbers, rest) -> (extents, pose) -> axes named anew by a rotation R of the box -> (numbers', rest')
     log J = log d(extents, pose)/d(numbers, rest) - log d(extents', pose')/d(numbers', rest'),
@@ -12,7 +12,7 @@ R is drawn uniformly from those of the box's 24 (of a round solid: of its own tw
 lies in the prior's range and its face leans less than 45 degrees. Along the orbit of a pose that set has the same
 number of elements whichever R one starts from, so back and forth its probabilities are functions of the posed box.
 
-What stands on a recast solid rides along. Where its parent's axes are named anew, its own parent face is, and its
+What stands on such a solid rides along. Where its parent's axes are named anew, its own parent face is, and its
 numbers become those of the same place (their Jacobian is the ratio of area elements); where its angle then leaves
 its range by a symmetry of its shape, its axes are named anew, and so on upwards.
 """
