@@ -24,6 +24,7 @@ WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and h
 FOOT, FOOT_NOISES = 0.03, 4.0
 JOINED = 0.25  # of the outline of such a piece, along which it may be joined to others
 PIECE = 60  # pixels of such a piece, at least
+LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 
 
@@ -55,7 +56,7 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
         return not (
             np.mean(beyond[mask] > MARGIN) > OUTSIDE
             or along_edge(points[mask], beyond[mask])
-            or cut_off(points, mask, frame)
+            or (cut_off(points, mask, frame) and not shows_top(points[mask], normal[mask]))
             or (not floating and floats(points, mask, good, jump, origin))
         )
 
@@ -114,6 +115,15 @@ def cut_off(points, mask, frame):
     if max(over, beside) > CUT:
         return True
     return max(over, under, beside) > 0.0 and length(points[mask]) > LONG
+
+
+def shows_top(points, normal):
+    """Return whether a body (K, 3) shows a level top, as what is so near that it fills the view does and no wall.
+
+    normal : (K, 3) of the surface at each point.
+    """
+    top = np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SHARE) - TOP
+    return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
 
 
 def length(points):

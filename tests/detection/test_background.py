@@ -6,6 +6,7 @@ from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
 from derender.detection.background import along_edge, length
 from derender.detection.search.observation import local_noise, observe
+from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
 from derender.scene.solids import BOX, PLANE, Solids
 
@@ -58,3 +59,12 @@ def test_roughness_is_that_of_the_noise_whatever_stands_there():
     assert local_noise(image, {"fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy}) == pytest.approx(
         SIGMA, rel=0.3
     )
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_carton_whose_top_shows_stands_there_though_the_border_cuts_it_and_a_wall_does_not(number):
+    scene = make(np.random.default_rng([number, list(KINDS).index("fills")]), "fills")
+    seen = observe(scene.depth, scene.camera)
+    carton = scene.label[::2, ::2] == 0
+    assert carton.mean() > 0.4 and carton[0].any()  # the border cuts it
+    assert seen.mask[carton].mean() > 0.9 and seen.background < 0.1
