@@ -54,7 +54,8 @@ class CompiledBackend:
         self.chain, self.evaluator = Chain(*(array.copy() for array in chain)), evaluator.copy()
         self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
-        self._interpreted = {k: InterpretedBackend(LoadedTarget(self), [self.parts[k]]) for k in self._elsewhere}
+        target = LoadedTarget(self)
+        self._interpreted = {k: InterpretedBackend(target, [self.parts[k]], pick=_only) for k in self._elsewhere}
 
     def twin(self) -> "CompiledBackend":
         """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
@@ -127,3 +128,8 @@ class CompiledBackend:
                 if done % thin == 0:
                     kept[done // thin - 1] = now
         return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
+
+
+def _only(rng, table, numbers, flags) -> int:
+    """Return the number of a mixture's only kernel: which one takes the step has been drawn already."""
+    return 0

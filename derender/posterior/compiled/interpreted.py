@@ -32,7 +32,7 @@ class InterpretedBackend:
 
     Parameters
     ----------
-    replaced : functions by name, in place of those that the sweep and the proposals call by that name; for tests.
+    replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
 
     def __init__(self, target: Target, parts: list[Part], cycle: bool = False, **replaced: Callable) -> None:
