@@ -267,6 +267,7 @@ LOOP = """
 LOOPS = "".join(LOOP.format(k=k) for k in range(40))
 
 
+@pytest.mark.slow
 def test_closures_compiled_by_different_processes_are_told_apart(package):
     (package / "probe.py").write_text(FACTORY.format(loops=LOOPS))
 

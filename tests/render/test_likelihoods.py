@@ -75,7 +75,7 @@ def test_the_sampler_matches_the_density(name, values):
         lost = np.isnan(values_drawn)
         assert stats.binomtest(int(lost.sum()), lost.size, expected).pvalue > 1e-4
     found = np.sort(values_drawn[np.isfinite(values_drawn)])
-    grid = np.unique(np.concatenate([np.linspace(0.0, 12.0, 600), 1.5 + np.linspace(-0.5, 0.5, 2001)]))[1:]
+    grid = np.unique(np.concatenate([np.linspace(0.0, 12.0, 300), 1.5 + np.linspace(-0.5, 0.5, 801)]))[1:]
     density = np.array([pixel_density(name, values, x)[0, column] for x in grid])
     steps = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))])
     assert stats.kstest(found, lambda x: np.interp(x, grid, steps / steps[-1])).pvalue > 1e-4
