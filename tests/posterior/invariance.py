@@ -7,6 +7,7 @@ standard error is nearly a standard normal, and no tolerance has to be guessed. 
 form, in which most of the noise of prior and data cancels, so that small faults show.)
 """
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -99,8 +100,11 @@ def features(world, state, target) -> np.ndarray:
     coordinates = np.array(coordinates)
     summary = target.summary()
     products = np.outer(coordinates, summary).ravel()
-    cross = np.outer(coordinates, coordinates)[np.triu_indices(len(coordinates))]
+    cross = np.outer(coordinates, coordinates)[_pairs(len(coordinates))]
     return np.concatenate([[state.log_prior, state.log_likelihood], coordinates, cross, products])
+
+
+_pairs = functools.cache(np.triu_indices)
 
 
 def bound(count: int) -> float:

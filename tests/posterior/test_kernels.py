@@ -192,7 +192,7 @@ def without_haar(unknowns, laws, members, tangent, *rest):
 @pytest.mark.parametrize("twin", [WHOLE, Twin({"log_proposal": without_haar})], ids=["whole", "broken"])
 def test_independence_knows_the_measure_of_rotations(twin):
     make, broken = maker("independence", twin, inflation=2.0), twin is not WHOLE
-    result = verdict(WORLDS["floating"](), make, 5 * REPLICATES, steps=4, until_caught=broken)
+    result = verdict(WORLDS["floating"](), make, 6 * REPLICATES, steps=6, until_caught=broken)
     assert result.moved > 0.02
     assert (result.worst > bound(len(result.z))) == broken, result
 

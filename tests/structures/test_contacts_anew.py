@@ -70,7 +70,7 @@ class SilentWorld(SceneWorld):
 def test_contacts_made_anew_keep_the_prior(name, replicates, twin):
     world = SilentWorld(PLANKS)
     rng = np.random.default_rng(9)
-    archive = np.array([world.space.sample(rng) for _ in range(40)])
+    archive = np.array([world.space.sample(rng) for _ in range(15)])
     tuning = first_tuning(world.space, archive[0])
     tuning = tuning._replace(archive=archive, covariance=100.0 * tuning.covariance)
     parts = [part for part in mixture(world.space, [{name: {}}, {"resimulate": {}}]) if part.type == name]
