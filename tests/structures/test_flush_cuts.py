@@ -20,6 +20,7 @@ from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.standing import unheld
 from derender.structures.unions import on_supports, recuts
+from derender.structures.weighing import odds_at
 
 RULES = Rules(0.0015)
 CERTAIN = 1.0 / bare_image().loose.tipping
@@ -86,11 +87,15 @@ def test_a_board_that_only_friction_holds_is_not_held():
 
 
 def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
+    """At the mode of what both share, and at any other place of it: what holds tells as much."""
     best, found = weighed(hung())
-    right = [
-        odds for trial, odds, *_ in found if unheld(trial.state) == 0 and sorted(trial.state.rows[:, 15])[-1] < 0.11
-    ]
-    assert right and max(right) > 0.5 * np.log(CERTAIN)
+    right = [each for each in found if unheld(each.trial.state) == 0 and max(each.trial.state.rows[:, 15]) < 0.11]
+    likeliest = max(right, key=lambda each: each.odds)
+    assert likeliest.odds > 0.5 * np.log(CERTAIN)
+    kept, cut = 1, (0, 2)  # the other side; the board and the side that it is cut from
+    np.testing.assert_allclose(likeliest.trial.state.rows[kept, 10:16], best.state.rows[kept, 10:16], atol=0.02)
+    again, _ = odds_at(np.random.default_rng(1), best, likeliest._replace(places=(cut, cut)), best.values, RULES)
+    assert abs(again - likeliest.odds) < 0.5 * np.log(CERTAIN)
 
 
 def test_a_board_on_both_sides_stays_there():
