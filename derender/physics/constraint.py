@@ -95,10 +95,4 @@ def _kept(part: StructurePosterior, mask: np.ndarray) -> StructurePosterior:
     else:
         rows, columns = np.nonzero(mask)
         place = (rows[None], columns[None])
-    return replace(
-        part,
-        values=part.values[place],
-        log_prior=part.log_prior[place],
-        log_likelihood=part.log_likelihood[place],
-        root_pose=None if part.root_pose is None else part.root_pose[place],
-    )
+    return part.at(place)

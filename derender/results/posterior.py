@@ -91,6 +91,12 @@ class StructurePosterior:
         chain, draw = np.unravel_index(np.argmax(self.log_density), self.log_density.shape)
         return self.graph_at(int(chain), int(draw)), float(self.log_density[chain, draw])
 
+    def at(self, place) -> "StructurePosterior":
+        """Return the part with some draws alone. place : what takes them from arrays (chains, draws, ...)."""
+        root_pose = None if self.root_pose is None else self.root_pose[place]
+        return replace(self, values=self.values[place], log_prior=self.log_prior[place],
+                       log_likelihood=self.log_likelihood[place], root_pose=root_pose)  # fmt: skip
+
     def scaled(self, share: float) -> "StructurePosterior":
         """Return the same draws with a share of the weight."""
         ends = self.weight_interval

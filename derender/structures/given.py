@@ -233,13 +233,7 @@ def best_only(part: StructurePosterior) -> StructurePosterior:
     """Return the part with its best draw alone."""
     chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
     place = np.s_[chain : chain + 1, draw : draw + 1]
-    return replace(
-        part,
-        values=part.values[place],
-        log_prior=part.log_prior[place],
-        log_likelihood=part.log_likelihood[place],
-        root_pose=None if part.root_pose is None else part.root_pose[place],
-    )
+    return part.at(place)
 
 
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
