@@ -89,7 +89,7 @@ def test_gradient_by_contact_parameters():
 def test_gauss_newton_finds_the_truth():
     """The best of ten random starts is within 3 nats of the truth or above; most single starts are."""
     single = []
-    for problem, draw, _ in problems(20):
+    for problem, draw, _ in problems(12):
         truth = problem.log_density(problem.values)
         found = problem.maximise(problem.random_starts(draw.rng, 10))
         good = [maximum.log_density > truth - 3.0 for maximum in found]
@@ -98,7 +98,7 @@ def test_gauss_newton_finds_the_truth():
         for maximum in found:
             assert np.all(np.diff(maximum.log_densities) > 0)
             assert np.allclose(problem.domain.bring(maximum.values), maximum.values)
-    # 86 of 100 measured over 100 scenes; the starts of one scene fail together, so 20 scenes have an error of 4.
+    # 86 of 100 measured over 100 scenes; the starts of one scene fail together, so 12 scenes have an error of 5.
     assert np.mean(single) > 0.7
 
 

@@ -38,7 +38,7 @@ def one_moving(solids: Solids, seed: int = 0):
 WINDOW = np.array([0, 64, 0, 64])
 
 
-def own_errors(kind: int, scenes: int = 20, **settings) -> list[float]:
+def own_errors(kind: int, scenes: int = 12, **settings) -> list[float]:
     return [own_error(kind, seed, **settings) for seed in range(scenes)]
 
 
