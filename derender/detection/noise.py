@@ -20,7 +20,8 @@ def noise_of(residual, depth):
     r, z = residual[seen], depth[seen]
     if len(r) == 0:
         return LEAST_SIGMA, 0.0
-    near = z <= np.median(z)
+    middle = (len(z) - 1) // 2
+    near = z <= np.partition(z, middle)[middle]
     constant = float(np.clip(spread_of(r), LEAST_SIGMA, MOST_SIGMA)), 0.0
     if near.all():
         return constant
@@ -42,11 +43,14 @@ def spread_of(residual):
     depths that a sensor rounds to steps as wide as its noise a median tells where a step lies, not how wide they
     scatter.
     """
-    square = np.square(residual)
-    spread, count = np.sqrt(np.quantile(square, MOST)) / AT_MOST, 0
+    square = np.sort(np.square(residual))  # so that those within a limit are the first ones
+    sums = np.cumsum(square)
+    low, between = divmod(MOST * (len(square) - 1), 1.0)
+    low, high = square[int(low)], square[min(int(low) + 1, len(square) - 1)]
+    spread, count = np.sqrt(low + between * (high - low)) / AT_MOST, 0
     for _ in range(ROUNDS):
-        kept = square[square <= (NO_NOISE * spread) ** 2]
-        if len(kept) == count:
+        kept = int(np.searchsorted(square, (NO_NOISE * spread) ** 2, "right"))
+        if kept == count:
             break
-        spread, count = np.sqrt(kept.mean()) / WITHIN, len(kept)
+        spread, count = np.sqrt(sums[kept - 1] / kept) / WITHIN, kept
     return float(spread)

@@ -72,6 +72,7 @@ def report_of(
     likelihood: Mapping[str, Any] | None = None,
     lost: int = 0,
     told: np.ndarray | None = None,
+    shown: bool = True,
 ) -> Report:
     """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
 
@@ -82,6 +83,7 @@ def report_of(
     likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
     lost : how many chains died.
     told : (height, width) metres, the `explained.npy` of a folder; None: what the posterior holds.
+    shown : whether a page is made of it: only that needs draws and downloads.
     """
     from derender.report.scene_json import scene_json
     from derender.report.structure_words import told_structures
@@ -91,7 +93,7 @@ def report_of(
     if posterior is not None:
         known = {"seed": posterior.seed, "version": posterior.version, "command": posterior.command, **known}
         # Which draws are shown must not change what `infer` wrote with a seed: the picture has its own.
-        draws = [drawn.solids() for drawn in posterior.graphs(np.random.default_rng(0), SHOWN_DRAWS)]
+        draws = [drawn.solids() for drawn in posterior.graphs(np.random.default_rng(0), SHOWN_DRAWS * shown)]
         best = posterior.best_part
         periods = dict(zip(best.addresses, best.periods, strict=True)) if best.periods else {}
         rows = tables.parameter_rows(best.addresses, best.values, periods)
@@ -105,6 +107,7 @@ def report_of(
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})
     scene = scene_json(graph, posterior)
+    method = "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
     return Report(
         title,
         scene,
@@ -119,9 +122,7 @@ def report_of(
         dict(likelihood or {}),
         doubts,
         fit,
-        downloads(
-            title, graph, scene, "map" if posterior is not None and posterior.meta.get("method") == "map" else ""
-        ),
+        downloads(title, graph, scene, method) if shown else {},
     )
 
 

@@ -87,7 +87,9 @@ def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
     return colours
 
 
-def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: int = 2) -> np.ndarray:
+def shade(
+    solids: Solids, camera: Camera, names: Sequence[str] = (), samples: int = 2, shadows: bool = True
+) -> np.ndarray:
     """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting.
 
     samples : of each pixel, along either side.
@@ -95,4 +97,4 @@ def shade(solids: Solids, camera: Camera, names: Sequence[str] = (), samples: in
     from derender.render.raycast.depth import render_depth
     from derender.render.renderers.preview import draw_preview
 
-    return draw_preview(render_depth, solids, camera, colours_of(solids, names), samples)
+    return draw_preview(render_depth, solids, camera, colours_of(solids, names), samples, shadows)

@@ -106,7 +106,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     from derender.results.netcdf import can_be_read, write_netcdf
     from derender.results.predictive import blocks_of
 
-    posterior, report = judged(posterior, seen, likelihood, lost)
+    posterior, report = judged(posterior, seen, likelihood, lost, page)
     graph, best = posterior.best_graph(), posterior.best_part
     likelihood = likelihood_at_best(likelihood, best)
     text = document_text(graph, seen.camera, likelihood, made, home or folder)
@@ -151,13 +151,17 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     return Outcome(folder, posterior, report.parameters, doubts, interrupted, sensor_words(report.likelihood), seconds)
 
 
-def judged(posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, lost: int = 0) -> tuple[Posterior, Any]:
-    """Return the posterior with what is to be thought of it in its `meta`, and its Report."""
+def judged(
+    posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior, lost: int = 0, page: bool = True
+) -> tuple[Posterior, Any]:
+    """Return the posterior with what is to be thought of it in its `meta`, and its Report, made for a page or not."""
     from derender.report.contents import likelihood_numbers, report_of
 
     numbers = likelihood_numbers(likelihood_at_best(likelihood, posterior.best_part))
     name = Path(str(posterior.meta.get("image", "image"))).name
-    report = report_of(posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost)
+    report = report_of(
+        posterior.best_graph(), seen.camera, seen.depth, posterior, name, likelihood=numbers, lost=lost, shown=page
+    )
     return replace(posterior, meta={**posterior.meta, **judgement(report.doubts, report.fit)}), report
 
 

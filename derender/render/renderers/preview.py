@@ -38,6 +38,7 @@ def draw_preview(
     camera: Camera,
     colours: np.ndarray | None = None,
     samples: int = SUPERSAMPLING,
+    shadows: bool = True,
 ) -> np.ndarray:
     """Draw a shaded picture on white.
 
@@ -45,6 +46,7 @@ def draw_preview(
     ----------
     render_depth : a renderer's.
     colours : (N, 3) uint8, one for each solid. samples : of each pixel, along either side.
+    shadows : whether solids cast them, which takes as long as all else.
 
     Returns
     -------
@@ -61,7 +63,9 @@ def draw_preview(
         up = planes[0, :3, 2] * (-1 if planes[0, :3, 2] @ planes[0, :3, 3] > 0 else 1)
         sun = 1.1 * up + 0.55 * _unit(np.cross(up, [0.0, 0.0, 1.0])) - [0, 0, 0.35]
         sun /= np.linalg.norm(sun)
-    light = np.clip(normals @ sun, 0, None) * _lit(render_depth, solids, points, normals, label, sun)
+    light = np.clip(normals @ sun, 0, None)
+    if shadows:
+        light *= _lit(render_depth, solids, points, normals, label, sun)
     sky = 0.5 + 0.5 * np.clip(-normals @ np.array([0.0, 0.5, 0.87]), -1, 1)
     shade = 0.18 + 0.37 * sky + 0.55 * light
     picture = np.full((*label.shape, 3), 255.0)
