@@ -131,7 +131,10 @@ def repair(rng, image, state, hypotheses, settings, pool):
     for _ in range(settings.repairs):
         enough = settings.quiet + 3 * len(state)
         in_vain = IN_VAIN if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
-        if quiet >= (enough if places.none_left(settings) else in_vain * enough):
+        if places.none_left(settings):
+            if quiet >= enough or settings.tries == 1:  # a quick search does not look for what is better still
+                break
+        elif quiet >= in_vain * enough:
             break
         quiet += 1
         proposed = propose(rng, image, state, hypotheses, settings, places)
