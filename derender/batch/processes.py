@@ -10,6 +10,8 @@ from derender.batch.frames import Frame
 from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
 from derender.compilation.threads import THREADS_VARIABLE, safe_path
 
+ENDING = ("SIGINT", "SIGTERM", "SIGHUP")  # a terminal or a scheduler sends them to all processes of a group
+
 
 class Processes:
     """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on."""
@@ -47,19 +49,21 @@ class Processes:
             except BrokenProcessPool:
                 executor.shutdown(wait=False)
                 why = "the process that worked on it died: there may be too little memory"
-                done.append(failure(frame, why))
+                done.append(failure(frame, why)._replace(died=True))
         return done
 
     def close(self) -> None:
         """End the processes; what is in work is given up."""
         for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
             for process in list((executor._processes or {}).values()):
-                process.terminate()
+                process.kill()
             executor.shutdown(wait=False, cancel_futures=True)
 
 
 def _begin() -> None:
-    """Make this process one of many: Ctrl-C is its parent's business, and one thread is its share."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Make this process one of many: signals to end are its parent's business, and one thread is its share."""
+    for name in ENDING:
+        if hasattr(signal, name):  # not on Windows
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     os.environ[THREADS_VARIABLE] = "1"
     leave_with_parent()

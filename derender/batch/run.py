@@ -75,7 +75,7 @@ def infer_frames(
     DerenderError : no frame, or results of other options in the folder.
     """
     watcher = Watch(arguments, output) if watch else None
-    frames = watcher.look() if watcher else find_frames(arguments, output)
+    frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic)
     ledger = Ledger(output, order)
     waiting = deque(ledger.missing(frames))
     before, total = len(frames) - len(waiting), len(waiting)
@@ -89,6 +89,8 @@ def infer_frames(
                 while waiting and crew.busy < crew.size and not stop.is_set():
                     crew.submit(waiting.popleft())
                 for done in crew.finished(LOOK):
+                    if done.died and stop.is_set():  # by the signal that is to end all: it is done on the next run
+                        continue
                     ledger.record(done)
                     count["failed" if done.error else "done"] += 1
                     count["doubtful"] += not done.error and not done.rows[0]["trusted"]

@@ -56,6 +56,7 @@ class Done(NamedTuple):
     frame : which. rows : of the table, see `table.COLUMNS`.
     error : why there is no result, in a line, or "". trace : of a fault that is ours, or "".
     warnings : lines for a person. seconds : that it took.
+    died : whether the process that worked on it ended under it.
     """
 
     frame: Frame
@@ -64,6 +65,7 @@ class Done(NamedTuple):
     trace: str = ""
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
+    died: bool = False
 
 
 def infer_frame(frame: Frame, order: Order, output: str) -> Done:
@@ -125,14 +127,18 @@ def write_thumbnail(path: Path, posterior, seen: "DepthImage") -> None:
     import numpy as np
 
     from derender.camera.png import png_bytes
+    from derender.render.raycast.depth import render_depth
     from derender.report import pictures
+    from derender.scene.solids import PLANE
 
     step = max(1, round(seen.depth.shape[1] / THUMBNAIL_WIDTH))
     depth, camera = seen.depth[step // 2 :: step, step // 2 :: step], seen.camera.downscaled(step)
     depth = depth[: camera.height, : camera.width]
     graph = posterior.best_graph()
-    left = pictures.paint(depth, *pictures.depth_limits(depth), pictures.DEPTH_ANCHORS)
-    right = pictures.shade(graph.solids(), camera, graph.solid_names, samples=1)
+    solids = graph.solids()
+    things = np.isin(render_depth(solids, camera)[1], np.flatnonzero(solids.kind != PLANE))
+    left = pictures.paint(depth, *pictures.depth_limits(depth, things), pictures.DEPTH_ANCHORS)
+    right = pictures.shade(solids, camera, graph.solid_names, samples=1, shadows=False)
     with atomic_path(path) as temporary:
         temporary.write_bytes(png_bytes(np.hstack([left, right])))
 

@@ -45,6 +45,7 @@ OF_THE_RUN = frozenset(
 @click.option(
     "--up", metavar="X,Y,Z", help="Upwards in camera axes, or an axis such as -y; default: the camera file's."
 )
+@click.option("--topic", metavar="NAME", help="Of a ROS or RealSense bag: where its depth images are, if in several.")
 @click.option(
     "--method",
     type=click.Choice(["auto", "mcmc", "map", "smc"]),
@@ -139,6 +140,9 @@ def command(talk: Talk, **arguments) -> int | None:
     (metres), x, y, z and qw, qx, qy, qz (object to camera), turn (radians, seen from above, against the camera's x
     axis), rests_on, probability, trusted, doubts; a frame without objects, or one that failed, has one row. A frame
     that fails does not stop the others; the exit status is then 1. The same command run again does what is missing.
+
+    A recording of ROS, ROS 2 or the RealSense viewer (.bag, .mcap, .db3 or the folder; pip install 'derender[ros]') has
+    many frames, with their camera; recording.bag@12 is one of them.
 
     With --track IMAGE is a film: a folder of frame_000.npy ..., a pattern, or an .npz with depth (T, H, W). The camera
     file may say `fps` and `gravity` (m/s^2, camera axes). Writes DIR/track.npz, DIR/track.json, DIR/events.jsonl and
@@ -256,6 +260,7 @@ def _many(
     talk.say(f"{tally.done} frames done{doubtful} in {duration(tally.seconds)}{failed}{before}")
     talk.say(f"wrote {output}/index.html, results.csv and results.jsonl")
     if tally.interrupted and not watch:
+        talk.say("interrupted: the same command does the frames that are missing", always=True)
         return 130
     return 1 if tally.failed else 3 if strict and tally.doubtful else None
 
@@ -264,7 +269,7 @@ def _reading(arguments: dict[str, Any]) -> "Reading":
     """Take the options that say how images are read out of the arguments, and return them as one object."""
     from derender.camera.reading import Reading
 
-    keys = ("camera", "depth_scale", "confidence", "least_confidence", "up")
+    keys = ("camera", "depth_scale", "confidence", "least_confidence", "up", "topic")
     return Reading(rotate=int(arguments.pop("rotate")), **{key: arguments.pop(key) for key in keys})
 
 

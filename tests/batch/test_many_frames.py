@@ -12,7 +12,8 @@ import pytest
 
 from derender.batch.frames import Frame
 from derender.batch.processes import Processes
-from derender.batch.work import Done, Order
+from derender.batch.run import infer_frames
+from derender.batch.work import Done, Order, failure, is_done
 from derender.structures.options import Options
 
 
@@ -84,6 +85,61 @@ def test_frames_that_come_are_done_until_ctrl_c(frames, tmp_path):
         process.kill()
     assert process.returncode == 0 and out == "late\ttrusted\n", err
     assert "late,done" in (tmp_path / "out" / "results.csv").read_text()
+
+
+def test_a_signal_to_the_whole_group_finishes_what_is_in_work_and_fails_no_frame(frames, tmp_path):
+    for name in "abcdefgh":
+        (tmp_path / f"{name}.npy").write_bytes((frames / "frames" / "a.npy").read_bytes())
+    command = [sys.executable, "-m", "derender", "infer", str(tmp_path), "-j", "2", "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    try:
+        first = process.stdout.readline()
+        os.killpg(process.pid, signal.SIGTERM)  # as a Slurm job that ends is told
+        out, err = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 130 and "the same command does the frames that are missing" in err, err
+    assert first == "a\ttrusted\n" and "failed" not in out + err
+    rows = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
+    assert 1 <= len(rows) < 8 and {row["status"] for row in rows} == {"done"}
+    again = infer(str(tmp_path), "-o", tmp_path / "out", folder=tmp_path)
+    assert again.returncode == 0 and again.stdout.count("trusted") == 8 - len(rows)
+
+
+def test_a_frame_that_dies_with_a_stopped_run_is_told_by_nobody(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((4, 4)))
+
+    class Stopped:
+        """A crew whose process dies of the signal that stops the run."""
+
+        size, busy = 1, 0
+
+        def submit(self, frame):
+            self.busy = 1
+            self.frame = frame
+
+        def finished(self, timeout):
+            signal.raise_signal(signal.SIGINT)
+            self.busy = 0
+            return [failure(self.frame, "died")._replace(died=True)]
+
+        def close(self):
+            pass
+
+    tally = infer_frames([str(tmp_path / "a.npy")], tmp_path / "out", Order(), lambda order, output: Stopped())
+    assert tally.interrupted and tally.failed == 0
+    assert (tmp_path / "out" / "results.jsonl").read_text() == ""
+
+
+def test_a_frame_counts_as_done_only_once_its_thumbnail_is_there(tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
+    assert not is_done(tmp_path)  # killed between the two
+    (tmp_path / "thumbnail.png").write_bytes(b"")
+    assert is_done(tmp_path)
+    (tmp_path / "summary.json").unlink()
+    assert not is_done(tmp_path)
 
 
 class Dies:
