@@ -1,9 +1,9 @@
-"""The functions of `import derender`: read, draw, render, infer and simulate, in plain Python."""
+"""The functions of `import derender`: read, draw, render and infer, in plain Python."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def render(
     from derender.posterior.forward import observe
     from derender.render.renderers import find_renderer
 
-    scene = _as_scene(scene)
+    scene = as_scene(scene)
     camera = camera or scene.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
     depth, _ = find_renderer(renderer).render_depth(scene.graph.solids(), camera)
     if noise:
@@ -182,78 +182,15 @@ def infer(
     seen = look_at(image, document, "image", _warn)
     check_request(options, document, prior, "exact", _warn)
     posterior, likelihood = infer_image(seen, document, options, progress=progress, warn=_warn)
-    return Posterior.of(judged(posterior, seen, likelihood)[0], seen)
-
-
-class Simulation(NamedTuple):
-    """What physics says of a scene or a posterior.
-
-    Attributes
-    ----------
-    stable : whether every body of the (most probable) scene stays where it is.
-    p_stable : share of the posterior's draws that are stable; of a scene 1 or 0.
-    displacement : metres that each body moved, by name. rotation : radians that it turned.
-    fallen : names of the bodies that did not stay.
-    times : (T,) seconds. poses : (T, N, 4, 4), body to camera, of the bodies `names`.
-    """
-
-    stable: bool
-    p_stable: float
-    displacement: dict[str, float]
-    rotation: dict[str, float]
-    fallen: tuple[str, ...]
-    times: np.ndarray
-    poses: np.ndarray
-    names: tuple[str, ...]
-
-
-@only_its_keywords
-def simulate(
-    scene: Scene | SceneGraph | Posterior | str | Path,
-    *,
-    duration: float = 2.0,
-    draws: int = 50,
-    jobs: int = 1,
-    seed: int = 0,
-) -> Simulation:
-    """Let gravity act on a scene, or on the draws of a posterior, and say whether it stands.
-
-    Parameters
-    ----------
-    scene : a Scene, a scene graph, a Posterior, a scene file or a folder of results.
-    duration : seconds. draws : of a posterior, for p_stable. jobs : threads. seed : of which draws are taken.
-
-    Examples
-    --------
-    >>> import derender
-    >>> derender.simulate(derender.sample("stack", seed=0), duration=0.2).names
-    ('green', 'red', 'yellow')
-    """
-    from derender.physics.bodies import matter_of_graph
-    from derender.physics.simulate import judge, verdicts
-    from derender.physics.simulate import simulate as run
-
-    if isinstance(scene, str | Path) and Path(scene).is_dir():
-        scene = load(scene)  # type: ignore[assignment]
-    posterior = scene if isinstance(scene, Posterior) else None
-    found = posterior.best if posterior is not None else _as_scene(scene)  # type: ignore[arg-type]
-    trajectory = run(matter_of_graph(found.graph), duration)
-    verdict = judge(trajectory)
-    stable = [verdict.stable]
-    if posterior is not None and draws:
-        drawn = posterior.graphs(np.random.default_rng(seed), draws)
-        stable = [each.stable for each in verdicts(map(matter_of_graph, drawn), duration, jobs)]
-    return Simulation(
-        verdict.stable, float(np.mean(stable)), verdict.displacement, verdict.rotation, verdict.fallen,
-        trajectory.times, trajectory.poses, trajectory.names,
-    )  # fmt: skip
+    return Posterior.of(judged(posterior, seen, likelihood, page=False)[0], seen)
 
 
 def _warn(line: str) -> None:
     warnings.warn(line, stacklevel=4)  # where `infer` was called
 
 
-def _as_scene(scene: Any) -> Scene:
+def as_scene(scene: Any) -> Scene:
+    """Return the Scene that a Scene, a scene graph or a scene file is."""
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, SceneGraph):

@@ -1,8 +1,9 @@
 """A posterior for use from Python: what was found, how sure it is, and what it predicts."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene
 from derender.results import posterior as kept
+
+if TYPE_CHECKING:
+    from derender.interface.simulation import Acts
+    from derender.physics.outcome import Chance, Outcome
 
 SIDES = ("length", "width", "height")
 
@@ -181,6 +186,32 @@ class Posterior(kept.Posterior):
         from derender.results.predictive import predictive_images
 
         return predictive_images(self, self._camera(), count, np.random.default_rng(seed))
+
+    def probability(
+        self,
+        event: "Callable[[Outcome], bool] | str",
+        *,
+        draws: int = 200,
+        until: float | None = None,
+        engine: str = "mujoco",
+        duration: float = 2.0,
+        jobs: int = 1,
+        seed: int = 0,
+        **acts: "Unpack[Acts]",
+    ) -> "Chance":
+        """Return how probable something is to happen: (probability, standard error, draws simulated).
+
+        Parameters
+        ----------
+        event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
+            the name of an object that moves.
+        draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
+        engine, duration, jobs, seed : see `derender.simulate`.
+        acts : what is done to the scene: push, remove, add, tilt, shake, jitter; see `derender.simulate`.
+        """
+        from derender.interface.simulation import chance_that
+
+        return chance_that(event, self, draws, until, engine, duration, jobs, seed, **acts)
 
     def to_arviz(self):
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from derender.scene.graph import SceneGraph
 if TYPE_CHECKING:
     import trimesh
 
-    from derender.interface.functions import Simulation
+    from derender.interface.simulation import Acts, Simulation
 
 WIDTH, HEIGHT = 160, 120  # pixels of a picture where a scene has no camera
 
@@ -95,11 +95,11 @@ class Scene:
 
         return render(self, camera, noise=noise, seed=seed)
 
-    def simulate(self, duration: float = 2.0) -> "Simulation":
-        """Return what physics does to it; see `derender.simulate`."""
-        from derender.interface.functions import simulate
+    def simulate(self, duration: float = 2.0, **acts: "Unpack[Acts]") -> "Simulation":
+        """Return what physics does to it, as under push="red:+x:5N@0.1s"; see `derender.simulate`."""
+        from derender.interface.simulation import simulate
 
-        return simulate(self, duration=duration)
+        return simulate(self, duration=duration, **acts)
 
     def to_trimesh(self) -> "trimesh.Scene":
         """Return a trimesh.Scene in camera axes, metres: a mesh for each object but planes, by its name.

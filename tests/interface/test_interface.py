@@ -14,7 +14,7 @@ import derender
 from derender.errors import DerenderError
 
 MODULES = ("derender", "derender.camera.intrinsics", "derender.camera.depth_file", "derender.interface.functions",
-           "derender.interface.scene", "derender.interface.posterior")  # fmt: skip
+           "derender.interface.scene", "derender.interface.posterior", "derender.interface.simulation")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -171,7 +171,28 @@ def test_a_scene_goes_elsewhere(posterior, tmp_path):
     assert derender.load(tmp_path / "scene.yaml").graph == scene.graph
     assert scene.simulate(duration=0.1).poses.shape[1:] == (3, 4, 4)
     told = derender.simulate(posterior, duration=0.1, draws=4)
+    assert scene.simulate(0.1, remove="yellow").names == ("green", "red")
     assert 0.0 <= told.p_stable <= 1.0 and set(told.displacement) == {found.name for found in posterior.objects}
+
+
+def test_interventions_act_on_scenes_and_posteriors(posterior):
+    scene = derender.sample("stack", seed=3)
+    still, pushed = scene.simulate(0.5), scene.simulate(0.5, push=["green:+x:500N@0.3s"])
+    assert still.verdict == "stands" and pushed.verdict == "falls" and "green" in pushed.fallen
+    added = derender.simulate(scene, duration=0.1, add="lid:box:4x4x1cm@yellow", margin=True, engine="both")
+    assert "lid" in added.names and 0.0 < added.margin < 1.0
+    assert scene.simulate(0.5, tilt="60deg:+x").verdict == "falls"
+    loose = derender.simulate(scene, duration=0.2, jitter="30mm,20deg", draws=6)
+    assert loose.verdict == "stands" and loose.p_stable < 1.0 and loose.p_stable_error > 0.0
+    chance = posterior.probability("green", push="green:+x:500N@0.3s", duration=0.3, draws=5)
+    assert chance.draws == 5 and chance.probability == 1.0 and 0.0 < chance.error < 0.2
+    assert posterior.probability(lambda outcome: outcome.stable, duration=0.2, until=0.2).draws == 10
+    at_rest = derender.simulate(scene, engine="statics")
+    assert at_rest.verdict == "stands" and at_rest.poses.shape[0] == 0
+    with pytest.raises(DerenderError, match="no object is called 'gren'"):
+        posterior.probability("falls", remove="gren", draws=1)
+    with pytest.raises(TypeError, match="did you mean 'push'"):
+        scene.simulate(0.1, pusch="green:+x:5N@0.3s")
 
 
 def test_notebooks_show_pictures_that_need_no_network(posterior):
