@@ -24,6 +24,7 @@ RAW = "give the raw depth image: one channel of 16-bit units or float metres, no
 # A picture is taken for a colourised one where most of its pixels that are not dark have vivid colours.
 DARK, VIVID, MOSTLY = 30, 0.6, 0.9  # of 255; share of the brightest channel that the darkest is below; of the pixels
 STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
+ORIENTATION, TURNS_OF = 274, {1: 0, 3: 180, 6: 90, 8: 270}  # a tag of EXIF; degrees clockwise to turn it upright
 SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
 # What decoders raise on damaged files; anything else is a bug and shows its traceback.
 DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
@@ -31,11 +32,15 @@ DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, Ru
 
 
 class Decoded(NamedTuple):
-    """What a format's decoder found: the raw array and, in an .npz, camera and meta."""
+    """What a format's decoder found: the raw array and, in an .npz, camera and meta.
+
+    turn : degrees clockwise by which the file says that it is to be turned, with its camera.
+    """
 
     array: np.ndarray
     camera: object = None
     meta: dict[str, Any] = {}
+    turn: int = 0
 
 
 def recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], Decoded], str]:
@@ -156,9 +161,14 @@ def _decode_picture(data: bytes) -> Decoded:
         pages = getattr(picture, "n_frames", 1)
         if pages > 1:
             raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")
+        orientation = picture.getexif().get(ORIENTATION, 1)
+        if orientation not in TURNS_OF:
+            raise DerenderError("its EXIF orientation mirrors the image", remedy="save it without")
         picture.load()
-        array = np.array(picture)
-    return Decoded(array.astype(array.dtype.newbyteorder("=")))
+        array, turn = np.array(picture), TURNS_OF[orientation]
+        if ORIENTATION not in picture.getexif():  # Pillow has turned it, as it does to a TIFF, but not its camera
+            array = np.rot90(array, turn // 90)
+    return Decoded(array.astype(array.dtype.newbyteorder("=")), turn=turn)
 
 
 def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from derender.camera.depth_file import SUFFIXES, encode_npz, read_depth, write_depth
+from derender.camera.depth_file import SUFFIXES, encode_npz, read_depth, turned, write_depth
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 
@@ -267,3 +267,19 @@ def test_a_mutated_file_never_gives_a_traceback(data, tmp_path):
     else:
         depth = image.depth[np.isfinite(image.depth)]
         assert image.depth.shape == image.camera.shape and depth.size and depth.min() > 0
+
+
+@pytest.mark.parametrize("format", ["PNG", "TIFF"])
+@pytest.mark.parametrize(("orientation", "turn"), [(1, 0), (6, 90), (3, 180), (8, 270)])
+def test_what_exif_says_of_turning_is_done_to_image_and_camera(tmp_path, format, orientation, turn):
+    units = np.arange(500, 620).astype(np.uint16).reshape(10, 12)
+    camera = Camera(50.0, 60.0, 4.0, 7.0, 12, 10, gravity=(0.0, 1.0, 0.0))
+    exif = Image.Exif()
+    exif[274] = orientation
+    Image.fromarray(units).save(tmp_path / "image", format, exif=exif)
+    seen, wanted = read_depth(tmp_path / "image", camera), turned(read_depth(units, camera), turn)
+    assert np.array_equal(seen.depth, wanted.depth) and seen.camera == wanted.camera
+    exif[274] = 2
+    Image.fromarray(units).save(tmp_path / "image", format, exif=exif)
+    with pytest.raises(DerenderError, match="EXIF orientation mirrors"):
+        read_depth(tmp_path / "image", camera)
