@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from derender.camera.ros_bag import FRAME, bag_frames, is_bag
 from derender.errors import DerenderError
 
 SUFFIXES = (".png", ".npy", ".npz", ".tif", ".tiff", ".exr")
@@ -25,6 +26,8 @@ class Frame(NamedTuple):
 
 def is_many(arguments: Sequence[str]) -> bool:
     """Return whether what a command line names is more than one image: several, a folder or a pattern."""
+    if len(arguments) == 1 and is_bag(arguments[0]):
+        return FRAME.fullmatch(arguments[0]) is None
     return len(arguments) != 1 or os.path.isdir(arguments[0]) or is_pattern(arguments[0])
 
 
@@ -33,13 +36,16 @@ def is_pattern(text: str) -> bool:
     return glob.has_magic(text) and not os.path.exists(text)
 
 
-def find_frames(arguments: Iterable[str], output: str | Path, empty: bool = False) -> list[Frame]:
-    """Return the frames that files, folders (and those below them) and patterns name, each once, in this order.
+def find_frames(
+    arguments: Iterable[str], output: str | Path, empty: bool = False, topic: str | None = None
+) -> list[Frame]:
+    """Return the frames that files, folders (and those below them), patterns and bags name, each once, in this order.
 
     In folders and by patterns only what can be a depth image is taken: nothing inside results or the output folder, no
     hidden file and no PNG of 8 bits, which holds colours or a mask. A file that is named is taken whatever it is.
 
     empty : whether folders and patterns may have none, as when they are watched.
+    topic : of the depth images of ROS bags, each of which has many frames; None: the only one.
 
     Raises
     ------
@@ -48,7 +54,9 @@ def find_frames(arguments: Iterable[str], output: str | Path, empty: bool = Fals
     found: dict[str, str] = {}  # the name within its folder, by path
     output = Path(output).resolve()
     for argument in arguments:
-        if os.path.isdir(argument):
+        if is_bag(argument):
+            paths = bag_frames(argument, topic)
+        elif os.path.isdir(argument):
             paths = {path: _inside(path, argument) for path in _below(Path(argument), output)}
         elif is_pattern(argument):
             matches = sorted(glob.glob(argument, recursive=True))

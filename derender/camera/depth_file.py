@@ -7,6 +7,7 @@ In memory a depth image is (height, width) float64 in metres, NaN where there is
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,8 +33,10 @@ from derender.camera.depth_formats import (
 from derender.camera.exr import encode_exr
 from derender.camera.file_bytes import read_bytes
 from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera
+from derender.camera.ros_bag import is_bag, read_frame
 from derender.errors import DerenderError
 
+TURNS = (0, 90, 180, 270)  # degrees clockwise
 FARTHEST = 1000.0  # metres; farther than any depth camera sees
 FARTHEST_MEDIAN = 100.0  # metres; an image whose middle is farther has a wrong unit
 NEAREST_MEDIAN = 0.002  # metres; likewise
@@ -61,16 +64,20 @@ def read_depth(
     path: str | Path | np.ndarray | Sequence[Sequence[float]],
     camera: Camera | Mapping[str, Any] | np.ndarray | str | Path | None = None,
     depth_scale: float | None = None,
+    topic: str | None = None,
 ) -> DepthImage:
     """Read a depth image of any known format, recognised by its first bytes, and its camera; or take an array for one.
 
     Parameters
     ----------
-    path : the file; `-` is stdin. Or an array (H, W), or a list of rows: floats are metres, integers of 16 bits or more
-        are units of depth_scale millimetres.
+    path : the file; `-` is stdin; `recording.bag@12` is a frame of a ROS bag. Or an array (H, W), or a list of rows:
+        floats are metres, integers of 16 bits or more are units of depth_scale millimetres.
     camera : a Camera, a camera file, a mapping as a camera file holds it (fx, fy, cx, cy are enough), or a 3 x 3 matrix
         of intrinsics; default: the camera in the file, else a guess of 60 degrees field of view.
     depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
+    topic : of a bag's depth images, where it has several.
+
+    An image whose file says by EXIF that it is to be turned is turned, and its camera with it.
 
     Raises
     ------
@@ -84,7 +91,10 @@ def read_depth(
     >>> float(image.depth[0, 0]), image.camera.width  # 900 units are 900 mm
     (0.9, 64)
     """
-    if isinstance(path, str | Path):
+    where: str | Path
+    if isinstance(path, str | Path) and is_bag(path):
+        decoded, where = Decoded(*read_frame(str(path), topic)), path
+    elif isinstance(path, str | Path):
         data = read_bytes(path, MOST_BYTES, "the depth image", "check the path")
         decoder, name = recognise(data, path)
         try:
@@ -94,7 +104,7 @@ def read_depth(
         except DAMAGE as error:
             reason = " ".join(str(error).split())[:120] or type(error).__name__
             raise DerenderError(f"the {name} file is damaged or cut off ({reason})", path, "write it again") from None
-        where: str | Path = path
+        where = path
     else:
         decoded, where = Decoded(_array(path)), "the array"
     array = _two_dimensional(decoded.array, where)
@@ -103,7 +113,22 @@ def read_depth(
         what = f"the image is {array.shape[1]} x {array.shape[0]} pixels, its camera {found.width} x {found.height}"
         raise DerenderError(what, where, "give the camera of this image" + _at_its_size(found, array.shape))
     depth = _metres(array, found.depth_scale, depth_scale, where)
-    return DepthImage(depth, found, guessed, decoded.meta)
+    return turned(DepthImage(depth, found, guessed, decoded.meta), decoded.turn)
+
+
+def turned(seen: DepthImage, degrees: int) -> DepthImage:
+    """Return an image turned clockwise by 0, 90, 180 or 270 degrees, with the camera that would have seen it so."""
+    if degrees not in TURNS:
+        raise DerenderError(f"an image cannot be turned by {degrees}", "--rotate", "choose from 90, 180, 270")
+    depth, camera = seen.depth, seen.camera
+    for _ in range(degrees // 90):
+        depth = np.rot90(depth, -1)
+        gravity = camera.gravity
+        camera = replace(
+            camera, fx=camera.fy, fy=camera.fx, cx=camera.height - 1 - camera.cy, cy=camera.cx, width=camera.height,
+            height=camera.width, gravity=None if gravity is None else (-gravity[1], gravity[0], gravity[2]),
+        )  # fmt: skip
+    return seen._replace(depth=np.ascontiguousarray(depth), camera=camera)
 
 
 def _array(given: object) -> np.ndarray:

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from derender.camera.depth_file import DepthImage, read_depth
+from derender.camera.depth_file import DepthImage, read_depth, turned
 from derender.camera.depth_formats import MOST_BYTES
 from derender.camera.file_bytes import read_bytes
 from derender.camera.intrinsics import unit_vector
 from derender.errors import DerenderError
-
-TURNS = (0, 90, 180, 270)  # degrees clockwise
 
 
 @dataclass(frozen=True)
@@ -22,10 +20,11 @@ class Reading:
     ----------
     camera : camera file, or None: the one in the image's file, else a guess.
     depth_scale : millimetres for one unit; None: the camera's.
-    rotate : degrees, one of TURNS, by which the image is turned clockwise, its camera and gravity with it.
+    rotate : degrees, 0, 90, 180 or 270, by which the image is turned clockwise, its camera and gravity with it.
     confidence : a map of the image's size, or a folder with maps of the images' names; None: none.
     least_confidence : pixels whose confidence is less are taken as without a return.
     up : the direction upwards in camera axes before turning (x right, y down, z forward), or None: the camera's.
+    topic : of a ROS bag's depth images, or None: the only one.
     """
 
     camera: str | None = None
@@ -34,6 +33,7 @@ class Reading:
     confidence: str | None = None
     least_confidence: float = 1.0
     up: str | None = None
+    topic: str | None = None
 
     def read(self, path: str | Path) -> DepthImage:
         """Return the depth image of a file.
@@ -42,7 +42,7 @@ class Reading:
         ------
         DerenderError : anything that makes the image, its camera or its confidence unusable.
         """
-        seen = read_depth(path, self.camera, self.depth_scale)
+        seen = read_depth(path, self.camera, self.depth_scale, self.topic)
         if self.up is not None:
             down = [-number for number in direction(self.up)]
             seen = seen._replace(camera=replace(seen.camera, gravity=unit_vector(down, "--up")))
@@ -102,18 +102,3 @@ def _map(path: Path) -> np.ndarray:
     if values.ndim != 2:
         raise DerenderError("the map is no picture", path, "a map is height x width")
     return values
-
-
-def turned(seen: DepthImage, degrees: int) -> DepthImage:
-    """Return an image turned clockwise by 0, 90, 180 or 270 degrees, with the camera that would have seen it so."""
-    if degrees not in TURNS:
-        raise DerenderError(f"an image cannot be turned by {degrees}", "--rotate", "choose from 90, 180, 270")
-    depth, camera = seen.depth, seen.camera
-    for _ in range(degrees // 90):
-        depth = np.rot90(depth, -1)
-        gravity = camera.gravity
-        camera = replace(
-            camera, fx=camera.fy, fy=camera.fx, cx=camera.height - 1 - camera.cy, cy=camera.cx, width=camera.height,
-            height=camera.width, gravity=None if gravity is None else (-gravity[1], gravity[0], gravity[2]),
-        )  # fmt: skip
-    return seen._replace(depth=np.ascontiguousarray(depth), camera=camera)
