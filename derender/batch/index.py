@@ -73,8 +73,8 @@ def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]])
         f'<tr data-state="{state}" data-words="{escape(words.lower())}"><td>{picture}</td>'
         f'<th scope="row" data-key="{escape(name)}">{title or escape(name)}</th>'
         f'<td data-key="{order}"><span class="{state}">{STATES[state]}</span></td>'
-        f'<td data-key="{len(solids)}">{len(solids)}<ul>{listed}</ul></td>'
-        f'<td data-key="{len(rows[0]["doubts"] or ())}">{doubts}</td></tr>'
+        f'<td class="objects" data-key="{len(solids)}">{len(solids)}<ul>{listed}</ul></td>'
+        f'<td class="doubts" data-key="{len(rows[0]["doubts"] or ())}">{doubts}</td></tr>'
     )
 
 

@@ -75,7 +75,7 @@ def _predictive(report: Report, observed: np.ndarray) -> str:
     from derender.render.raycast.depth import render_depth
 
     camera = report.camera
-    if len(report.draws) < 2 or camera is None:
+    if len(report.draws) < 2 or camera is None or all(row["draws"].size == 1 for row in report.parameters):
         return ""
     step = max(1, -(-camera.width // PREDICTED))
     seen = observed[::step, ::step]

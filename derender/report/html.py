@@ -12,6 +12,7 @@ from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.report.depth_pictures import depth_pictures
 from derender.results import trust
+from derender.results.probability_text import probability_text
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table
@@ -116,7 +117,7 @@ def _objects(report: Report, colours: Mapping[str, str]) -> str:
             f'<tr data-object="{name}"><td>{shown if item.get("size") is not None else swatch + " " + name}</td>'
             f"<td>{escape(item['type'])}</td><td class=number>{_size(item)}</td>"
             f"<td class=number>{position}</td><td>{escape(str(item.get('parent') or '–'))}</td>"
-            f"<td class=number>{_share(item.get('probability'))}</td></tr>"
+            f"<td class=number>{_probability(item) if _drawn(report) else '–'}</td></tr>"
         )
     head = (
         "<tr><th>name</th><th>type</th><th class=number>size, cm (± half of the 90 % range)</th>"
@@ -145,8 +146,15 @@ def _wide(table: str, words: str) -> str:
             '<p class="more" hidden>The table goes on to the right.</p>')  # fmt: skip
 
 
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1%}"
+def _probability(item: Mapping[str, Any]) -> str:
+    if "probability" not in item:
+        return "–"
+    return escape(probability_text(item["probability"], item.get("probability_error", 0.0)))
+
+
+def _drawn(report: Report) -> bool:
+    """Return whether there is more than one draw: a single scene has no probabilities."""
+    return any(row["draws"].size > 1 for row in report.parameters)
 
 
 def _parameters(report: Report) -> str:
@@ -155,7 +163,7 @@ def _parameters(report: Report) -> str:
     names = tables.columns(report.parameters)
     head = "".join(f"<th{' class=number' if k else ''}>{name}</th>" for k, name in enumerate(names))
     chains, draws = report.parameters[0]["draws"].shape
-    plots = chains * draws > 1
+    plots = _drawn(report)
     rows = []
     for row in report.parameters:
         texts = tables.cells(row)

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from derender.results.probability_text import SURE, digits
+
 CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
 TRACE_POINTS = 160
 RANK_BINS = 20
@@ -164,8 +166,8 @@ def _node_words(item: Mapping[str, Any] | None) -> str:
         elif item["type"] == "cylinder":
             size = [size[0], size[2]]
         words += " " + " × ".join(f"{100 * value:.1f}" for value in size) + " cm"
-    if item.get("probability", 1) < 0.995:
-        words += f" · {item['probability']:.0%}"
+    if item.get("probability", 1.0) <= SURE:
+        words += " · p " + digits(item["probability"])
     return words
 
 
@@ -174,9 +176,9 @@ def _edge_words(item: Mapping[str, Any]) -> str:
     words = contact.get("type", "")
     if contact.get("child_face"):
         words += f" {contact['child_face']} on {contact.get('parent_face')}"
-    share = (item.get("parent_probability") or {}).get(item.get("parent"))
-    if share is not None:
-        words += f" · {share:.0%}"
+    share = (item.get("parent_probability") or {}).get(item.get("parent"), 1.0)
+    if share <= SURE:
+        words += " · p " + digits(share)
     return words
 
 

@@ -127,8 +127,10 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     told = [f"not to be trusted: {doubt.words}" for doubt in doubts if doubt.serious]
     notes = [f"worth knowing: {doubt.words}" for doubt in doubts if not doubt.serious]
     worst, least = worst_of(rows)
-    if told or worst is None or least is None:  # the latter where there are no two chains to compare
+    if told or not rows:
         return told + notes
+    if worst is None or least is None:  # no two chains to compare
+        return ["nothing speaks against this scene; how sure it is only draws would tell", *notes]
     largest, smallest = limits(worst["draws"].size)
     agreement = (
         f"the chains agree: R-hat is at most {worst['r_hat']:.3f} (good up to {largest}), effective draws are at least "

@@ -113,6 +113,15 @@ def test_a_broad_scene_graph_lies_so_that_its_words_can_be_read():
     assert width < 800 < height and picture.count("<rect") == 22
 
 
+def test_probabilities_are_said_where_draws_tell_them(report):
+    text = page(report)
+    assert "<td class=number>.75</td>" in text and "p .75" in text and "p .50" in text
+    single = tables.parameter_rows(["can.radius"], np.full((1, 1, 1), 0.1))
+    text = page(report._replace(parameters=single, draws=[report.solids] * 2))
+    assert "<td class=number>.75</td>" not in text and "What the posterior predicts" not in text
+    assert "Nothing speaks against this scene" in text
+
+
 def test_page_is_well_formed_and_needs_no_network(report):
     text = page(report)
     checker = Checker()
