@@ -1,7 +1,8 @@
 """The best structure's draws as NetCDF-4, with the groups in which ArviZ keeps them; needs h5netcdf (extra `arviz`)."""
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -42,9 +43,10 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     with atomic_path(path) as temporary, h5py.File(temporary, "w", track_order=True) as file:
         file.attrs["_NCProperties"] = f"version=2,h5py={h5py.__version__}"
         file.attrs["creation_library"] = "derender"
+        identity = count()  # of a dimension: its own in the whole file, or readers take another group's for it
         for name, (dimensions, variables) in groups.items():
             group = file.create_group(name, track_order=True)
-            _write_group(group, dimensions, variables)
+            _write_group(group, dimensions, variables, identity)
             for key in ("version", "command"):
                 group.attrs[key] = str(getattr(posterior, key))
             group.attrs["seed"] = int(posterior.seed or 0)
@@ -56,13 +58,15 @@ def can_be_read() -> bool:
     return importlib.util.find_spec("h5netcdf") is not None
 
 
-def _write_group(group, dimensions: Mapping[str, np.ndarray], variables: Mapping[str, np.ndarray]) -> None:
+def _write_group(
+    group, dimensions: Mapping[str, np.ndarray], variables: Mapping[str, np.ndarray], identity: Iterator[int]
+) -> None:
     """Write variables over all dimensions, and these with their coordinates as the scales that NetCDF-4 asks for."""
     scales = []
-    for number, (dimension, coordinates) in enumerate(dimensions.items()):
+    for dimension, coordinates in dimensions.items():
         scale = group.create_dataset(dimension, data=coordinates)
         scale.make_scale(dimension)
-        scale.attrs["_Netcdf4Dimid"] = np.int32(number)
+        scale.attrs["_Netcdf4Dimid"] = np.int32(next(identity))
         scales.append(scale)
     for label, values in variables.items():
         dataset = group.create_dataset(label, data=np.ascontiguousarray(values))
