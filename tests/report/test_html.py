@@ -136,7 +136,7 @@ def test_page_is_well_formed_and_needs_no_network(report):
 def test_page_shows_what_it_was_given(report):
     text = page(report)
     assert "&lt;box&gt; &amp; 1" in text and "<box>" not in text.split('id="scene-data"')[0]
-    assert "seed 7" in text and "4 objects" in text and "75%" in text and ".90<" in text
+    assert "seed 7" in text and "4 objects" in text and "p .75" in text and ".90<" in text
     assert text.count('aria-label="Trace of each chain"') == 2
     assert "can.radius (mm)" in text and "cube.contact.theta (°)" in text
     data = json.loads(re.search(r'id="scene-data">(.*?)</script>', text, re.S).group(1))
@@ -212,7 +212,7 @@ def test_graph_stands_on_its_root(report):
         for y, name in re.findall(r'y="([\d.]+)" text-anchor="middle" font-size="13"[^>]*>([^<]+)<', text)
     }
     assert heights["root"] > heights["floor"] > heights["can"] > heights["cube"]
-    assert "sphere 10.0 cm" in text and "50%" in text
+    assert "sphere 10.0 cm" in text and "p .50" in text
 
 
 def test_doubtful_chains_are_marked():
