@@ -4,6 +4,7 @@
     python scripts/evaluate.py settled tower -n 100      some sets, more scenes
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
+    python scripts/evaluate.py trust -n 100              how many answers end trusted (see evaluate_trust.py)
     python scripts/evaluate.py physics -n 200            verdicts, margins, bounces and pushes (see evaluate_physics.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
@@ -82,6 +83,11 @@ def main():
     if arguments.sets == ["tracking"]:
         kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS
         evaluate_tracking(arguments.n, arguments.first, arguments.sensor, kinds, arguments.verbose)
+        return
+    if arguments.sets == ["trust"]:
+        from evaluate_trust import evaluate_trust
+
+        evaluate_trust(arguments.n, arguments.first, arguments.verbose)
         return
     if "physics" in arguments.sets:
         from evaluate_physics import evaluate_physics

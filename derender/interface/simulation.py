@@ -68,6 +68,7 @@ def simulate(
     until: float | None = None,
     engine: str = "mujoco",
     margin: bool = False,
+    early: bool = False,
     push: str | Sequence[str] = (),
     remove: str | Sequence[str] = (),
     add: str | Sequence[str] = (),
@@ -84,7 +85,7 @@ def simulate(
     scene : a Scene, a scene graph, a Posterior, a scene file or a folder of results.
     duration : seconds. engine : "mujoco", "statics" or "both".
     draws : of a posterior or of the jitter, for p_stable. until : draw until its standard error is no greater.
-    margin : whether that is worked out too.
+    margin : whether that is worked out too. early : stop as soon as the verdict is known; the trajectory is then short.
     push, remove, add, tilt, shake, jitter : see `Acts`.
     jobs : threads. seed : of the draws and of the jitter.
 
@@ -107,7 +108,7 @@ def simulate(
     found = posterior.best if posterior is not None else as_scene(scene)
     acts = Acts(push=push, remove=remove, add=add, tilt=tilt, shake=shake, jitter=jitter)
     once = intervention(**_several(acts))._replace(jitter=None)
-    best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=False)
+    best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)
     chance = Chance(float(best.stable), 0.0, 1)
     if draws and (posterior is not None or jitter):
         chance = chance_that("stands", posterior or found, draws, until, engine, duration, jobs, seed, **acts)
