@@ -3,17 +3,10 @@
 import numpy as np
 
 from derender.scene import solids as kinds
+from derender.scene.shapes.box import box_mesh
 from derender.scene.solids import Solids
 
 SECTIONS = 48
-
-
-def box_mesh(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (8, 3) and triangles (12, 3) of a box about the origin, counter-clockwise from outside."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [(a, b, c) for a, b, c, _ in quads] + [(a, c, d) for a, _, c, d in quads]
-    return corners * size, np.array(triangles, dtype=np.int32)
 
 
 def cylinder_mesh(size: np.ndarray, sections: int = SECTIONS) -> tuple[np.ndarray, np.ndarray]:

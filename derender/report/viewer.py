@@ -11,6 +11,7 @@ from derender.report import pictures
 from derender.report.contents import Report
 from derender.report.geometry import plane_patch, solid_mesh
 from derender.scene import solids as kinds
+from derender.scene.shapes.box import CORNERS
 from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent
@@ -105,7 +106,7 @@ def _outline(solids: Solids, index: int) -> np.ndarray:
     """Return the twelve edges of a solid's oriented box as pairs of points, (24, 3); none for a plane."""
     if solids.kind[index] == kinds.PLANE:
         return np.zeros((0, 3))
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * solids.size[index]
+    corners = CORNERS * solids.size[index]
     corners = corners @ solids.pose[index][:3, :3].T + solids.pose[index][:3, 3]
     pairs = [(a, a | bit) for bit in (1, 2, 4) for a in range(8) if not a & bit]
     return corners[np.array(pairs).ravel()]

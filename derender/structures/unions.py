@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from derender.compilation.threads import in_threads
-from derender.detection.search.moves import cut_anew, touching_pairs
+from derender.detection.search.moves import corners_of, cut_anew, touching_pairs
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -38,11 +38,7 @@ FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change wh
 def merged_row(row, other):
     """Return the row of the upright box about two upright boxes, along the axes of the first."""
     rotation = row[1:10].reshape(3, 3)
-    corners = []
-    for r in (row, other):
-        turn = r[1:10].reshape(3, 3)
-        corners += [r[10:13] + turn @ (0.5 * r[13:16] * (2.0 * np.array(s) - 1.0)) for s in np.ndindex(2, 2, 2)]
-    along = np.array(corners) @ rotation
+    along = np.concatenate([corners_of(row), corners_of(other)]) @ rotation
     low, high = along.min(axis=0), along.max(axis=0)
     new = row.copy()
     new[10:13] = rotation @ (0.5 * (low + high))

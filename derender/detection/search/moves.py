@@ -17,6 +17,7 @@ from derender.detection.search.surface import THINNEST
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.state import held_out, run_polish
+from derender.scene.shapes.box import CORNERS
 from derender.scene.solids import BOX, CYLINDER
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another
@@ -105,8 +106,7 @@ def split(rng, image, state, hypotheses, settings, places):
 
 def corners_of(row):
     """Return the eight corners (8, 3) of a solid's oriented box."""
-    signs = np.array([[a, b, c] for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
-    return row[10:13] + (signs * row[13:16]) @ rotation_of(row).T
+    return row[10:13] + (CORNERS * row[13:16]) @ rotation_of(row).T
 
 
 def merge(rng, image, state, hypotheses, settings, places):

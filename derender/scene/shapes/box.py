@@ -13,6 +13,15 @@ EDGE_NAMES = tuple(
     f"{first}{AXES[i]}{second}{AXES[j]}" for i, j in ((0, 1), (0, 2), (1, 2)) for first, second in product("+-", "+-")
 )
 CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
+CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # (8, 3), of the box with sides of one metre
+CORNERS.flags.writeable = False
+SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # counter-clockwise
+
+
+def box_mesh(size) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (8, 3) and triangles (12, 3) of a box about the origin, counter-clockwise from outside."""
+    triangles = [(a, b, c) for a, b, c, _ in SIDES] + [(a, c, d) for a, _, c, d in SIDES]
+    return CORNERS * size, np.array(triangles, dtype=np.int32)
 
 
 def signs_of(name: str) -> np.ndarray:

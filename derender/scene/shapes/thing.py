@@ -14,6 +14,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.scene.parameter import Parameter
 from derender.scene.shapes.base import FACE_NAMES, Shape, box_face, shapes
+from derender.scene.shapes.box import box_mesh
 
 STEPS = 65535  # to which a vertex is rounded along each extent: a hundredth of a millimetre of half a metre
 HEAD = "<II"  # how many vertices, how many triangles
@@ -57,13 +58,6 @@ def decode_surface(text: str) -> tuple[np.ndarray, np.ndarray]:
     return vertices, triangles
 
 
-def box_surface() -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles, outward, of the box itself: a thing of which nothing else is known."""
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return corners, np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))], np.int32)
-
-
 @shapes.register("thing")
 class Thing(Shape):
     """A free-form body, as its visible surface tells it, closed behind. Its faces are those of its bounding box.
@@ -79,7 +73,7 @@ class Thing(Shape):
     def surface(self, options) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices (V, 3) in [-.5, .5] and triangles (T, 3) of the closed surface."""
         text = options.get("surface")
-        return decode_surface(str(text)) if text else box_surface()
+        return decode_surface(str(text)) if text else box_mesh(np.ones(3))
 
     def size(self, psi, options={}):  # noqa: B006 - never changed
         return np.array(psi, dtype=float)
