@@ -24,7 +24,8 @@ from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.distributions.compiled import compiled
-from derender.scene.graph import SceneGraph
+from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.parameter import Parameter
 from derender.scene.priors.root import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
 
@@ -52,24 +53,8 @@ def model_of(target, address: Address = address_of) -> Model:
         if unknown.distribution.size == 1 and unknown.distribution.code is None:
             raise NotCompiled(f"the distribution of {unknown.address}")
     unknowns, laws = laws_of(space, target.folds, address)
-    count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
+    vertices, extents = vertices_of(graph, root_code(target), address)
     names = {name: n for n, name in enumerate(graph.names)}
-    solids = {name: n for n, name in enumerate(graph.solid_names)}
-    vertices = np.zeros((8, count + 1), np.int64)
-    extents = np.zeros((count, 4, 3))
-    for n, vertex in enumerate(graph.vertices):
-        contact = vertex.contact
-        code = contacts[contact.type].compiled_code
-        if code is None:
-            raise NotCompiled(f"the contact type {contact.type}")
-        faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
-        solid = solids.get(vertex.name, -1)
-        vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
-        extents[n] = extents_of(vertex)
-    vertices[:6, count] = count, root_code(target), FRAME, -1, -1, -1
-    arguments = index, index, size, index, size, index, index
-    vertices[POSE_AT] = address(relative_pose, *arguments, np.zeros(SLOTS), frame)
-    vertices[INVERSE_AT] = address(invert, *arguments, frame, np.zeros(SLOTS))
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
     return Model(
@@ -80,6 +65,47 @@ def model_of(target, address: Address = address_of) -> Model:
         extents=extents,
         terms=terms,
     )
+
+
+def vertices_of(
+    graph: SceneGraph, root: int = poses.FIXED_ROOT, address: Address = address_of
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Model.vertices and Model.extents of a graph. root : how the root's numbers give its pose."""
+    count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
+    names = {name: n for n, name in enumerate(graph.names)}
+    solids = {name: n for n, name in enumerate(graph.solid_names)}
+    vertices, extents = np.zeros((8, count + 1), np.int64), np.zeros((count, 4, 3))
+    for n, vertex in enumerate(graph.vertices):
+        contact = vertex.contact
+        code = contacts[contact.type].compiled_code
+        if code is None:
+            raise NotCompiled(f"the contact type {contact.type}")
+        faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
+        solid = solids.get(vertex.name, -1)
+        vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
+        extents[n] = extents_of(vertex)
+    vertices[:6, count] = count, root, FRAME, -1, -1, -1
+    arguments = index, index, size, index, size, index, index
+    vertices[POSE_AT] = address(relative_pose, *arguments, np.zeros(SLOTS), frame)
+    vertices[INVERSE_AT] = address(invert, *arguments, frame, np.zeros(SLOTS))
+    return vertices, extents
+
+
+def numbers_of(graph: SceneGraph) -> np.ndarray:
+    """Return (N + 1, 13) the numbers of a graph's contacts and shapes as Chain.numbers has them, extents and root 0."""
+    numbers = np.zeros((len(graph.vertices) + 1, SHAPES + 3))
+    for n, vertex in enumerate(graph.vertices):
+        phi = [vertex.contact.values.get(p.name, p.default or 0.0) for p in contact_parameters(graph, vertex)]
+        psi = np.nan_to_num(vertex.psi)  # an unknown one may be missing from the template
+        numbers[n, : len(phi)] = phi
+        numbers[n, SHAPES : SHAPES + len(psi)] = psi
+    return numbers
+
+
+def contact_parameters(graph: SceneGraph, vertex: Vertex) -> tuple[Parameter, ...]:
+    """Return the parameters of a vertex's contact in their compiled order."""
+    contact, parent = vertex.contact, graph.body(vertex.parent).shape
+    return contacts[contact.type].parameters(parent, shapes[vertex.shape], contact.parent_face, contact.child_face)
 
 
 def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Address) -> tuple[np.ndarray, np.ndarray]:
@@ -155,16 +181,9 @@ def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int
         return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
     vertex = target.template.vertex(name)
     if rest.startswith("contact."):
-        return CONTACT, names[name], contact_slots(target.template, name).index(rest.removeprefix("contact."))
+        slots = [parameter.name for parameter in contact_parameters(target.template, vertex)]
+        return CONTACT, names[name], slots.index(rest.removeprefix("contact."))
     return SHAPE, names[name], [p.name for p in shapes[vertex.shape].parameters].index(rest)
-
-
-def contact_slots(graph: SceneGraph, name: str) -> list[str]:
-    """Return the names of a contact's numbers in their compiled order."""
-    vertex = graph.vertex(name)
-    faces = vertex.contact.parent_face, vertex.contact.child_face
-    parent = graph.body(vertex.parent).shape
-    return [p.name for p in contacts[vertex.contact.type].parameters(parent, shapes[vertex.shape], *faces)]
 
 
 def held(target) -> dict[str, int]:
@@ -187,15 +206,7 @@ def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
     graph = target.template
     count, solids = len(graph.vertices), len(graph.solid_names)
     size, directions = len(target.space.addresses), int(target.space.directions[-1])
-    numbers = np.zeros((2, count + 1, SHAPES + 3))
-    for n, vertex in enumerate(graph.vertices):
-        contact = vertex.contact
-        faces = contact.parent_face, contact.child_face
-        parameters = contacts[contact.type].parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)
-        phi = [contact.values.get(p.name, p.default or 0.0) for p in parameters]
-        psi = np.nan_to_num(vertex.psi)  # an unknown one may be missing from the template
-        numbers[:, n, : len(phi)] = phi
-        numbers[:, n, SHAPES : SHAPES + len(psi)] = psi
+    numbers = np.tile(numbers_of(graph), (2, 1, 1))
     if root_code(target) != poses.FIXED_ROOT:
         coordinates = dict(target.root_prior.values(graph.root_pose))
         for key, value in zip(("qw", "qx", "qy", "qz"), coordinates.pop("root.quat_wxyz", ()), strict=False):
