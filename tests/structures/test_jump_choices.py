@@ -28,7 +28,7 @@ from derender.scene.pose import (
 )
 from derender.scene.priors.values import ROTATION
 from derender.structures.jumps.base import Target, evaluate, log_proposal_ratio, moves
-from derender.structures.jumps.birth_death import Birth
+from derender.structures.jumps.birth_death import Birth, Death
 from derender.structures.jumps.charts import HAAR, rotation_density, rotation_near
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, PriorProposal
 from derender.structures.jumps.smc import STAY, Particle, log_increment
@@ -248,6 +248,18 @@ def test_a_particle_gains_the_weight_of_a_birth():
         gained = log_increment(words, Particle(after, vertex.name, before), len(words.grown(after.graph)))
         assert gained == pytest.approx(after.log_prior - before.log_prior + ratio - math.log(1.0 - STAY), abs=1e-9)
         leaves.add(len(words.leaves(after.graph)))
+        stays = log_increment(words, Particle(before, None, before), len(words.grown(before.graph)) + 1)
+        assert STAY * math.exp(stays) == pytest.approx(1.0)
+    assert len(leaves) > 1
+
+
+def test_a_death_has_half_the_probability_whichever_leaf_it_takes():
+    words, move, leaves = Vocabulary(prior_of("blocks")), moves["birth-death"], set()
+    for seed in range(12):
+        graph = scene(words, seed)
+        deaths = [math.exp(move.log_choice(words, graph, Death(name))) for name in words.leaves(graph)]
+        assert math.fsum(deaths) == pytest.approx(0.5)
+        leaves.add(len(deaths))
     assert len(leaves) > 1
 
 
@@ -281,20 +293,22 @@ def test_without_hypotheses_births_are_those_of_the_prior():
     assert density == PriorProposal().log_density(words, graph, vertex)
 
 
-def prior_mass(words, graph, factor=1.0, count=2500):
-    """Return (mean, standard error) of prior density over the mixture's, times a factor, of births: one."""
-    rng, fallback, ratios = generator(6), PriorProposal(), []
+def mass_of(part, words, graph, factor=1.0, count=2500):
+    """Return (mean, standard error) of the density of a part of the mixture over its own, times a factor, of births:
+    one."""
+    rng, ratios = generator(6), []
     for _ in range(count):
         vertex = words.proposal.sample(rng, words, graph)
-        ratio = fallback.log_density(words, graph, vertex) - words.proposal.log_density(words, graph, vertex)
+        ratio = part.log_density(words, graph, vertex) - words.proposal.log_density(words, graph, vertex)
         ratios.append(factor * math.exp(ratio))
     return np.mean(ratios), np.std(ratios) / math.sqrt(count)
 
 
-def test_births_from_the_prior_have_their_share_in_the_mixture():
-    mean, error = prior_mass(*birthplace(0.5))
+@pytest.mark.parametrize("part", [PriorProposal(), birthplace(0.0)[0].proposal], ids=["prior", "hypotheses"])
+def test_each_part_of_the_mixture_of_births_has_its_share(part):
+    mean, error = mass_of(part, *birthplace(0.5))
     assert abs(mean - 1.0) < SEVERE * error
-    mean, error = prior_mass(*birthplace(0.5), factor=1.0 / 1.3)
+    mean, error = mass_of(part, *birthplace(0.5), factor=1.0 / 1.3)
     assert abs(mean - 1.0) > SEVERE * error
 
 
