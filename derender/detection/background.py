@@ -28,7 +28,7 @@ LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metr
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 
 
-def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held, floating=False):
+def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held, floating=False, real=True):
     """Return (H, W) bool: pixels of `above` that stand on the support.
 
     Parameters
@@ -39,7 +39,8 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
     footprint, sigma : (H, W) metres across a pixel, and of noise.
     origin : (3,) the camera's centre.
     held : (H, W) bool, pixels of what surely stands on it, such as what fills the view.
-    floating : whether solids may hang in the air.
+    floating : whether solids may hang in the air. real : whether a room may be behind: of what has noise that no sensor
+        has only what is long goes on beyond the border.
     """
     jump = np.ascontiguousarray(APART * footprint + 3.0 * sigma)
     body, count = label_bodies(points, above, jump)
@@ -56,7 +57,7 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
         return not (
             np.mean(beyond[mask] > MARGIN) > OUTSIDE
             or along_edge(points[mask], beyond[mask])
-            or (cut_off(points, mask, frame) and not shows_top(points[mask], normal[mask]))
+            or (cut_off(points, mask, frame, real) and not shows_top(points[mask], normal[mask]))
             or (not floating and floats(points, mask, good, jump, origin))
         )
 
@@ -101,7 +102,7 @@ def along_edge(points, beyond):
     return length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY
 
 
-def cut_off(points, mask, frame):
+def cut_off(points, mask, frame, real=True):
     """Return whether a body is cut by the image's border so that it may go on as a wall does.
 
     frame : first and last row and column that have a depth.
@@ -112,7 +113,7 @@ def cut_off(points, mask, frame):
     over = len(np.unique(columns[rows <= top + 1])) / wide
     under = len(np.unique(columns[rows >= bottom - 1])) / wide
     beside = max(len(np.unique(rows[columns <= left + 1])), len(np.unique(rows[columns >= right - 1]))) / high
-    if max(over, beside) > CUT:
+    if real and max(over, beside) > CUT:
         return True
     return max(over, under, beside) > 0.0 and length(points[mask]) > LONG
 

@@ -37,11 +37,12 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.hidden import hidden_expected
 from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
+from derender.structures.unexplained import additions
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
 
 ROUNDS = 3  # in which each solid is tried otherwise, at most
-MOST_MERGES, MOST_CUTS = 4, 3
+MOST_ADDED, MOST_MERGES, MOST_CUTS = 3, 4, 3
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
@@ -58,7 +59,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     closer : Closer for a real sensor's draws, or None.
     """
     knowable = not seen.things and seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
-    if len(state) and seen.correlation < INDEPENDENT and knowable:
+    if seen.correlation < INDEPENDENT and knowable:
         first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
         energy = total_energy(seen.image, state, settings)
         return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
@@ -76,7 +77,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
     made = DrawsOfOne(chains, draws)
     evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
-    kept = weighed_structures(rng, first, energy, pool, settings.rules, evidence, settings.shapes, made)
+    kept = weighed_structures(rng, first, energy, pool, settings, evidence, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
     parts = []
@@ -116,17 +117,23 @@ class DrawsOfOne:
         return log_evidence(rng, refined.chart, refined.sensor, refined.values, self.of(rng, refined), members)
 
 
-def weighed_structures(rng, first, energy, pool, rules, evidence=whole_evidence, shapes=(), made=None):
+def weighed_structures(rng, first, energy, pool, settings, evidence=whole_evidence, made=None):
     """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
 
     The likeliest comes first, with odds 0 and no error: those of the others are of their odds against it. A solid has
     the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
-    evidence : of the first, see `whole_evidence`. shapes : names of those that a solid may have instead of its own.
+    evidence : of the first, see `whole_evidence`.
     made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
     """
+    rules, shapes = settings.rules, settings.shapes
     best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
+    for _ in range(MOST_ADDED):
+        former = best
+        best, others = leading(best, [*others, *additions(rng, best, settings)])
+        if best is former:
+            break
     for _ in range(MOST_MERGES):
         former = best
         best, others = leading(best, [*others, *merges(rng, best, rules)])

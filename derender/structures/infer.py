@@ -14,7 +14,6 @@ from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
-from derender.detection.solids.image import make_image
 from derender.detection.solids.support import final_parents
 from derender.detection.things import leftovers, made_thing, take_things
 from derender.detection.unit import in_metres, unit_of
@@ -241,21 +240,3 @@ def likelihood_of(parts, seen, depth, camera, temper):
     worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
     name, numbers = image_likelihood(camera, depth, best.best()[0].solids(), worth)
     return {"type": name, **numbers}
-
-
-def draw_graph(graph, shape, camera):
-    """Return (depth (H, W), label (H, W) int32 into names or negative, names) of a graph's solids over its floor."""
-    from derender.detection.solids.image import FAR, ROW, draw, make_row
-
-    names = [n for n in graph.solid_names if graph.vertex(n).shape != "plane"]
-    floor = next(n for n in graph.solid_names if graph.vertex(n).shape == "plane")
-    poses, solids = graph.poses(), graph.solids()
-    image = make_image(np.zeros(shape), 1.0, camera, poses[floor])
-    rows = np.empty((len(names), ROW))
-    for k, name in enumerate(names):
-        number = graph.solid_names.index(name)
-        pose = np.linalg.inv(poses[floor]) @ poses[name]
-        rows[k] = make_row(solids.kind[number], pose[:3, :3], pose[:3, 3], solids.size[number])
-    depth, label = np.empty(shape), np.empty(shape, np.int32)
-    draw(image, rows, -1, depth, label)
-    return np.where(depth >= FAR, np.inf, depth), label, names

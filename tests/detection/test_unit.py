@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from derender.camera.intrinsics import Camera
 from derender.detection import unit as detection_unit
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import render_floor_scene
 from derender.detection.unit import part_in_metres
 from derender.evaluation.made_scenes import SETS, make_scene, photograph
+from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z, translation
-from derender.structures.infer import draw_graph, infer_structure
+from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
 
@@ -68,6 +70,6 @@ def test_a_scene_many_times_as_large_or_small_is_found(times):
     solids = graph.solids()
     said, true = (each[np.argsort(each.prod(axis=1))] for each in (solids.size[1:], sizes))
     assert np.sort(said, axis=1) == pytest.approx(np.sort(true, axis=1), rel=0.05)
-    drawn, label, _ = draw_graph(graph, depth.shape, scene["camera"])
-    assert np.median(np.abs(depth - drawn)[label >= 0]) < noise
+    drawn, label = render_depth(solids, Camera(**scene["camera"]))
+    assert np.median(np.abs(depth - drawn)[label > 0]) < noise
     assert found.meta["likelihood"]["sigma"] == pytest.approx(noise, rel=0.25)

@@ -124,7 +124,16 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     mask = above & inside & ~beyond
     if floor.inliers.any():
         mask = standing_bodies(
-            points, above & ~beyond, beyond_edge, good, footprint, sigma, image.origin, held, floating
+            points,
+            above & ~beyond,
+            beyond_edge,
+            good,
+            footprint,
+            sigma,
+            image.origin,
+            held,
+            floating,
+            correlation > CORRELATED,
         )
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask

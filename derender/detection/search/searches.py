@@ -18,6 +18,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 
 ROUNDS = 2  # of as many searches as there are threads, at most
+HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 ON_REPAIRS = 24  # moves between structures of a search that goes on where free-form things are known
 HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
@@ -30,8 +31,8 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
     """Return (best State found, Image with the blur that it shows).
 
     Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
-    have not; where `settings` allow one try there is one. (state, energy) of all that were tried are appended to the
-    list `pool`. From a State `start` one pair goes on, for ON_REPAIRS moves.
+    have not, and longer while something hangs in the air; where `settings` allow one try there is one. (state, energy)
+    of all that were tried are appended to the list `pool`. From a State `start` one pair goes on, for ON_REPAIRS moves.
 
     Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
@@ -40,7 +41,7 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
     if start is not None:
         settings = settings._replace(repairs=ON_REPAIRS)
     task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
-    for _ in range(ROUNDS if start is None else 1):
+    for number in range(HANGING_ROUNDS if start is None else 1):
         try:
             found += in_threads(rng, [task] * settings.tries)
         except KeyboardInterrupt:
@@ -51,7 +52,9 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
         found.sort(key=lambda each: each.energy)
         if len(found) == 1:  # nothing to hold it against
             break
-        if found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state)):
+        agreed = found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state))
+        hanging = settings.temper == 1.0 and not settings.may_float and floats(found[0].state)
+        if not hanging and (agreed or number + 1 >= ROUNDS):
             break
     if pool is not None:
         for each in found:

@@ -1,0 +1,126 @@
+"""Solids where the best structure leaves an image unexplained: candidates that the search's own price kept out.
+
+The search asks 40 nats of a solid and sees single pixels; what shows in three of them, or faintly in many, is worth
+less to it. Here residuals are summed over windows of some pixels: of noise alone no such sum, in standard deviations,
+exceeds FAINT but once in twenty images. What is proposed is weighed like any other structure.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.compilation.threads import in_threads
+from derender.detection.search.bodies import body_hypotheses
+from derender.detection.search.guesses import guesses
+from derender.detection.solids.image import make_image
+from derender.detection.solids.interpenetration import highest
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, held_out, run_polish
+from derender.detection.solids.support import flat_top
+from derender.render.blur import blur
+from derender.structures.alternatives import (
+    HOPELESS,
+    PROMISING,
+    QUICK,
+    WORTHWHILE,
+    all_seen,
+    likeliest_of_each,
+)
+from derender.structures.draws.refined import at_mode, floor_pose_of, height
+from derender.structures.draws.sensor import model_depth
+from derender.structures.weighing import of_block, with_own_sensor
+
+SIDES = (2, 3, 5, 8)  # pixels of the windows
+FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand
+MOST_OF_ONE = 5.0  # standard deviations that one pixel counts for: a single outlier is no solid
+SPOTS = 2  # windows looked at, those that tell most
+SHOWS = 1.0  # standard deviations nearer than explained from which on a pixel about a window shows the solid
+CLIMBED = 6  # polished candidates of a window that are climbed
+
+
+class Spot(NamedTuple):
+    """A window of pixels that are nearer than explained. strength : standard deviations. shown : (H, W) bool."""
+
+    strength: float
+    shown: np.ndarray
+
+
+def nearer_than_explained(best):
+    """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return."""
+    sensor = best.sensor
+    model = blur(model_depth(best.chart, best.values, sensor.camera), sensor.values["blur"])
+    noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * model**2
+    return np.clip((model - sensor.observed) / noise, -MOST_OF_ONE, MOST_OF_ONE)
+
+
+def spots(nearer):
+    """Return the Spots of an image (H, W) of standard deviations, the strongest first, none beside another."""
+    nearer, found = nearer.copy(), []
+    while len(found) < SPOTS:
+        strength, side, row, column = max(strongest(nearer, side) for side in SIDES)
+        if strength < FAINT:
+            break
+        about = slice(max(row - 1, 0), row + side + 1), slice(max(column - 1, 0), column + side + 1)
+        shown = np.zeros(nearer.shape, bool)
+        shown[about] = nearer[about] > SHOWS
+        found.append(Spot(strength, shown))
+        nearer[about] = np.nan
+    return found
+
+
+def strongest(nearer, side):
+    """Return (strength, side, row, column) of the square window whose sum is most standard deviations above zero."""
+    seen = np.isfinite(nearer)
+    total, count = (window_sums(each, side) for each in (np.where(seen, nearer, 0.0), seen.astype(float)))
+    strength = np.where(count > 1, total / np.sqrt(np.maximum(count, 1.0)), 0.0)
+    row, column = np.unravel_index(np.argmax(strength), strength.shape)
+    return float(strength[row, column]), side, int(row), int(column)
+
+
+def window_sums(image, side):
+    """Return (H - side + 1, W - side + 1) the sums of an image (H, W) over square windows."""
+    sums = np.pad(image, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+
+
+def additions(rng, best, settings):
+    """Return the Weighed of the best structure with one solid more, where it leaves something unexplained."""
+    if len(best.state) >= settings.max_objects:
+        return []
+    sensor, floor = best.sensor, floor_pose_of(best)
+    nearer = nearer_than_explained(best)
+    noise = np.full(sensor.observed.shape, sensor.values["sigma"])
+    image = make_image(sensor.observed, noise, sensor.camera, floor, sensor.values["blur"])
+    seen = image.origin + image.depth[..., None] * image.direction
+    weighed = []
+    for spot in spots(nearer):
+        states = with_one_more(rng, image, best.state, seen[spot.shown], settings)
+        place = [len(best.state)]
+        climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
+        trials = in_threads(rng, [partial(climb, state=state) for state in states])
+        trials = [trial for trial in trials if height(trial) > height(best) - PROMISING]
+        trials = [with_own_sensor(rng, trial, place, WORTHWHILE) for trial in trials]
+        trials = [trial for trial in trials if height(trial) > height(best) - HOPELESS and all_seen(trial)]
+        weighed += [of_block(rng, trial, place, best, [], settings.rules) for trial in likeliest_of_each(trials)]
+    return weighed
+
+
+def with_one_more(rng, image, state, points, settings):
+    """Return the states with one solid more that shows points (N, 3), floor frame: the best polished ones."""
+    if len(points) == 0:
+        return []
+    view = held_out(image, state, -1)
+    found = []
+    supports = [(FLOOR, 0.0), *((k, highest(row)) for k, row in enumerate(state.rows) if flat_top(row))]
+    for parent, bottom in supports:
+        if bottom > points[:, 2].max():
+            continue
+        near = [*body_hypotheses(points, image.origin, settings.shapes, bottom),
+                *guesses(rng, image, points, settings.shapes, bottom, view[0], view[2])]  # fmt: skip
+        for each in near:
+            held = bottom if each.form == UPRIGHT else np.nan
+            row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, 200,
+                                        0.006)  # fmt: skip
+            found.append((energy, len(found), state.add(row, each.form, False, parent, held)))
+    return [new for _, _, new in sorted(found, key=lambda each: each[:2])[:CLIMBED]]

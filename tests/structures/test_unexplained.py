@@ -1,0 +1,80 @@
+"""What the best structure leaves unexplained is proposed as one solid more, and weighed."""
+
+import numpy as np
+from test_graph_posterior import camera, cube, floor_pose, observe, row
+
+from derender.detection.background import cut_off
+from derender.detection.search.greedy import Settings
+from derender.detection.search.searches import search
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR
+from derender.scene.solids import BOX
+from derender.structures.draws.refined import at_mode, pixels_of
+from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
+
+RULES = Rules(0.0015)
+
+
+def test_noise_alone_has_no_spots_and_a_few_nearer_pixels_have():
+    rng = np.random.default_rng(0)
+    assert sum(bool(spots(rng.standard_normal((48, 64)))) for _ in range(20)) <= 3
+    nearer = rng.standard_normal((48, 64))
+    nearer[10:13, 20:24] += 2.0  # none of these pixels stands out by itself
+    nearer[30, 40] = np.nan
+    (spot,) = spots(nearer)
+    assert spot.strength > FAINT and np.argwhere(spot.shown).mean(axis=0).round().astype(int).tolist()[0] in (
+        10,
+        11,
+        12,
+    )
+    assert spots(-nearer) == []  # what is farther than explained no solid more would explain
+
+
+def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
+    rng = np.random.default_rng(1)
+    both = cube(0.12).add(row(BOX, 0.2, 0.16, 0.05, 0.0, (0.04,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    sensor, _, _ = observe(rng, both, {"sigma": 0.006, "blur": 0.5}, camera(48, 36))
+    best = at_mode(rng, cube(0.12), floor_pose(), sensor, RULES)
+    found = additions(rng, best, Settings())
+    assert max(each.odds for each in found) > 3.0
+    likeliest = max(found, key=lambda each: each.odds)
+    assert pixels_of(likeliest.trial)[1] < 12 and likeliest.places == ((1,), ())
+    np.testing.assert_allclose(likeliest.trial.state.rows[1, 10:12], [0.16, 0.05], atol=0.03)
+    whole = at_mode(rng, both, floor_pose(), sensor, RULES)
+    assert np.nanmax(np.abs(nearer_than_explained(whole))) < FAINT + 1.0
+    assert additions(rng, whole, Settings()) == []
+    assert additions(rng, best, Settings(max_objects=1)) == []
+
+
+def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
+    """Two searches that agree about a cube in the air have missed what bears it."""
+    from derender.detection.search import searches
+
+    made = []
+
+    def one_search(rng, image, hypotheses, settings, early, state=None):
+        made.append(len(made))
+        state = cube()
+        state.bottoms[0] = 0.0 if len(made) > 4 else np.nan
+        return searches.Found(state, 10.0 - (len(made) > 4), image, [])
+
+    monkeypatch.setattr(searches, "one_search", one_search)
+    state, _ = search(np.random.default_rng(0), None, [], Settings(tries=2))
+    assert len(made) == 6 and state.bottoms == [0.0]
+    made.clear()
+    search(np.random.default_rng(0), None, [], Settings(tries=2, may_float=True))
+    assert len(made) == 2
+
+
+def test_only_before_a_room_does_what_the_border_cuts_count_as_background():
+    """A tower whose top the image does not show is a solid where no wall can be behind it."""
+    mask = np.zeros((20, 30), bool)
+    mask[:8, 10:15] = True
+    points = np.zeros((20, 30, 3))
+    points[..., 0] = 0.01 * np.arange(30)
+    frame = 0, 19, 0, 29
+    assert cut_off(points, mask, frame) and not cut_off(points, mask, frame, real=False)
+    wide = np.zeros((20, 30), bool)
+    wide[:3] = True
+    assert cut_off(3.0 * points, wide, frame, real=False)
