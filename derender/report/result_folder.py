@@ -124,7 +124,7 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
         "chains": int(best.values.shape[0]),
         "draws": int(best.values.shape[1]),
         "log_density": float(np.max(best.log_density)),
-        "structures": [structure_summary(part, posterior.meta.get("missed", 0.0)) for part in posterior.parts],
+        "structures": [structure_summary(part) for part in posterior.parts],
         "extras": best.extras,
         "parameters": rows,
         "scene": report.scene,
@@ -186,17 +186,12 @@ def _number(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def structure_summary(part: Any, missed: float = 0.0) -> dict[str, Any]:
-    """Return what summary.json says of one structure: its weight, the 90 % interval of that, its objects.
-
-    missed : probability that the search has not found what is there; the interval reaches as much lower.
-    """
-    low, high = (part.weight, part.weight) if part.weight_interval is None else part.weight_interval
-    interval = [(1.0 - missed) * low, high]
-    error = float(np.hypot(part.weight_error, missed * part.weight))
+def structure_summary(part: Any) -> dict[str, Any]:
+    """Return what summary.json says of one structure: its weight, the 90 % interval of that, its objects."""
+    interval = (part.weight, part.weight) if part.weight_interval is None else part.weight_interval
     return {
         "weight": part.weight,
-        "weight_error": error,
-        "weight_interval": interval,
+        "weight_error": part.weight_error,
+        "weight_interval": list(interval),
         "objects": list(part.graph.names),
     }

@@ -118,7 +118,7 @@ class Posterior:
 
     Attributes
     ----------
-    parts : the structures found, any order; their weights sum to one.
+    parts : the structures found, any order; their weights sum to one, less what a search may have missed.
     seed, command : what made it; version : of derender that did.
     meta : what else is worth knowing, as JSON would hold it (the camera, seconds, lost chains ...).
     explanation : what the most probable scene says of each pixel of the image, where that was worked out; a file does
@@ -149,11 +149,10 @@ class Posterior:
         return self._probability(lambda graph: name in graph.names)
 
     def object_probability_error(self, name: str) -> float:
-        """Return the standard error of that probability: of the weights, and of what the search may have missed."""
+        """Return the standard error of that probability, from those of the weights."""
         there = [part.weight_error for part in self.parts if name in part.graph.names]
         gone = [part.weight_error for part in self.parts if name not in part.graph.names]
-        known = min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
-        return float(np.hypot(known, self.meta.get("missed", 0.0)))
+        return min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
 
     def parent_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each parent of an object, given that it is there; the likeliest first."""

@@ -37,7 +37,7 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.hidden import hidden_expected
 from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
-from derender.structures.unexplained import additions
+from derender.structures.unexplained import additions, nearer_than_explained, spots
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
 
@@ -93,7 +93,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         low, high = (float(end) for end in intervals[place])
         if place == 0:
             hidden = hidden_expected(rng, trial, settings.beliefs)
-            part = replace(part, extras={**part.extras, "hidden_expected": hidden})
+            left = len(spots(nearer_than_explained(trial)))
+            part = replace(part, extras={**part.extras, "hidden_expected": hidden, "unexplained": left})
         parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
     return parts
 
@@ -131,7 +132,7 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
     best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
     for _ in range(MOST_ADDED):
         former = best
-        best, others = leading(best, [*others, *additions(rng, best, settings)])
+        best, others = leading(best, [*others, *additions(rng, best, settings, evidence)])
         if best is former:
             break
     for _ in range(MOST_MERGES):

@@ -8,7 +8,7 @@ import numpy as np
 from derender.detection.given_floor import read_floor
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import body_hypotheses, find_bodies
-from derender.detection.search.greedy import Settings, settle
+from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
@@ -27,6 +27,7 @@ NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven
 ENOUGH, FEW, FINEST = 2500, 500, 2.0
 WIDEST = 160  # columns of the image that is searched
 RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
+AGAIN = 2  # searches more, at most, of an image of independent noise that solids do not explain
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
 
@@ -54,10 +55,10 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
         if settings.free_forms and seen.correlation > CORRELATED:
             first = first_search(rng, seen.image, hypotheses, settings)
             first, masks = take_things(seen, first, settings, RELUCTANT)
-            state, image = search(rng, seen.image, hypotheses, settings, pool, first)
+            state, image, agreed = search(rng, seen.image, hypotheses, settings, pool, first)
         else:
-            state, image = search(rng, seen.image, hypotheses, settings, pool)
-        seen = seen._replace(image=image)
+            state, image, agreed = searched_well(rng, seen, hypotheses, settings, pool)
+        seen = seen._replace(image=image, agreed=agreed)
     except Interrupted as stopped:
         state, image = stopped.state, stopped.image
         seen = seen._replace(image=image, interrupted=True)
@@ -70,6 +71,20 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     state.parents = final_parents(state)
     state = state.ordered()
     return state, seen._replace(things=tuple(made_thing(seen, state, *each) for each in masks))
+
+
+def searched_well(rng, seen, hypotheses, settings, pool):
+    """As `search`, again while it leaves what only a free-form thing would explain, and noise has no such forms."""
+    state, image, agreed = search(rng, seen.image, hypotheses, settings, pool)
+    for _ in range(AGAIN if settings.temper == 1.0 and settings.free_forms and settings.tries > 1 else 0):
+        kept = image._replace(floor=image.floor.copy())  # taking things changes the image
+        if not take_things(seen._replace(image=kept), state, settings)[1]:
+            break
+        pool.append((state, total_energy(image, state, settings)))
+        other, focus, agreed = search(rng, seen.image, hypotheses, settings, pool)
+        if total_energy(focus, other, settings) < total_energy(image, state, settings):
+            state, image = other, focus
+    return state, image, agreed
 
 
 def settings_for(settings, seen):
@@ -193,6 +208,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         parts = parts_about(interrupted or options.method == "map")
     except KeyboardInterrupt:
         interrupted, parts = True, parts_about(True)
+    missed = 0.0 if library else missed_by(seen, parts, loose)
+    parts = [part.scaled(1.0 - missed) for part in parts]
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
     if isinstance(plane, str):
         parts = [without_floor(part) for part in parts]
@@ -201,10 +218,23 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "interrupted": interrupted, "tempered": len(state) > 0 and "likelihood" not in parts[0].extras,
-            "missed": loose.missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
+            "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))
+
+
+def missed_by(seen, parts, loose):
+    """Return the probability that the search has missed what is there; loose : what the prior says of that.
+
+    It has explained everything where two searches agreed and neither free-form things nor badly explained spots are
+    left of an image whose pixels are independent. Of a real sensor's the tempered score says how open it is.
+    """
+    settled, open_ = loose.missed
+    if seen.correlation > CORRELATED or len(parts) == 1 and parts[0].log_density.size == 1:  # one scene says no odds
+        return settled
+    left = seen.things or parts[0].extras.get("unexplained", 0)
+    return settled if seen.agreed and not left else open_
 
 
 def explanation_of(posterior, seen, depth, camera):

@@ -5,7 +5,6 @@ the price of each number in `Settings` stands for the Occam factor that its inte
 """
 
 import time
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -22,13 +21,12 @@ from derender.detection.solids.state import FLOOR, State, carried_by, held_out, 
 from derender.detection.solids.support import with_bottom
 from derender.results.posterior import StructurePosterior
 from derender.sampling.diagnostics import unwrap
-from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT
-from derender.scene.pose import inverse, rotation_vector
+from derender.scene.pose import rotation_vector
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.alternatives import supports_within
 from derender.structures.draws.agreement import agree
 from derender.structures.draws.discrepancy import with_offsets
+from derender.structures.draws.numbers import numbers_at, parameters_of
 
 # Structures less probable than the best by more than this many nats are not reported.
 NEGLIGIBLE = 8.0
@@ -124,50 +122,16 @@ def undo_spin(rows, start):
     rows[..., ROTATION:CENTRE] = turns.reshape(*rows.shape[:-1], 9)
 
 
-def numbers_of(graph, state, rows, names, floor_pose):
-    """Return the graph's numbers by address (as `graph.numbers()`) when its solids have these rows, contacts kept."""
-    bodies = {}
-    poses = {ROOT: np.asarray(floor_pose, float)}
-    numbers = {}
-    for vertex in graph.vertices:
-        if vertex.name not in names:
-            bodies[vertex.name] = graph.body(vertex.name)
-            poses[vertex.name] = graph.poses()[vertex.name]
-            continue
-        row = rows[names.index(vertex.name)]
-        parameters = parameters_of(row, vertex.shape)
-        vertex = replace(vertex, parameters=parameters)
-        bodies[vertex.name] = vertex.body
-        poses[vertex.name] = floor_pose @ pose_of(row)
-        relative = inverse(poses[vertex.parent]) @ poses[vertex.name]
-        contact = vertex.contact
-        parent = bodies.get(vertex.parent, graph.body(vertex.parent))
-        found = contacts[contact.type].invert(relative, parent, vertex.body, contact.parent_face, contact.child_face)
-        values = found.values
-        numbers.update({f"{vertex.name}.{key}": value for key, value in parameters.items()})
-        numbers.update({f"{vertex.name}.contact.{key}": values[key] for key in contact.values})
-    return numbers
-
-
-def values_of(graph, state, rows, names, floor_pose, addresses):
+def values_of(graph, rows, names, floor_pose, addresses):
     """Return the graph's numbers at these addresses, (chains, draws, P), of rows (chains, draws, N, ROW)."""
+    kinds = [graph.vertex(name).shape for name in names]
     values = np.empty((*rows.shape[:2], len(addresses)))
     for chain, draw in np.ndindex(rows.shape[:2]):
-        numbers = numbers_of(graph, state, rows[chain, draw], names, floor_pose)
+        places = {name: (pose_of(row), parameters_of(row, kind))
+                  for name, kind, row in zip(names, kinds, rows[chain, draw], strict=True)}  # fmt: skip
+        numbers = numbers_at(graph, floor_pose, places)
         values[chain, draw] = [numbers[a] for a in addresses]
     return values
-
-
-def parameters_of(row, shape):
-    """Return psi by name of a row's solid as this shape."""
-    size = [float(s) for s in row[13:16]]
-    if shape == "cube":
-        return {"side": size[0]}
-    if shape == "box":
-        return dict(zip(("length", "width", "height"), size, strict=True))
-    if shape == "sphere":
-        return {"radius": size[0] / 2}
-    return {"radius": size[0] / 2, "height": size[2]}
 
 
 def alternatives(rng, image, state, settings):
@@ -216,7 +180,7 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
     periods = periods_of(graph, addresses)
     if len(state) == 0 or draws < 2:
         rows, energies = state.rows[None, None], np.array([[total_energy(image, state, settings)]])
-        values = values_of(graph, state, rows, names, floor_pose, addresses)
+        values = values_of(graph, rows, names, floor_pose, addresses)
     else:
         walkers = [Walker(state.copy(), np.full((len(state), WALK_MOVES), 1e-3), [NO_JOINT_STEPS] * len(state))
                    for _ in range(chains)]  # fmt: skip
@@ -230,7 +194,7 @@ def part_of(rng, seen, closer, state, settings, names, weight, chains, draws):
                 for chain, draw in np.ndindex(energies.shape):
                     rows[chain, draw] = with_offsets(rng, rows[chain, draw], state, settings.discrepancy)
             rows[0, 0], energies[0, 0] = state.rows, total_energy(image, state, settings)
-            values = values_of(graph, state, rows, names, floor_pose, addresses)
+            values = values_of(graph, rows, names, floor_pose, addresses)
             if chains == 1 or agree(np.stack([*map(unwrap, np.moveaxis(values, -1, 0), periods)], axis=-1)):
                 break
             spent, steps = spent + steps * draws * len(state), 2 * steps

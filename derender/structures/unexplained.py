@@ -1,8 +1,8 @@
 """Solids where the best structure leaves an image unexplained: candidates that the search's own price kept out.
 
 The search asks 40 nats of a solid and sees single pixels; what shows in three of them, or faintly in many, is worth
-less to it. Here residuals are summed over windows of some pixels: of noise alone no such sum, in standard deviations,
-exceeds FAINT but once in twenty images. What is proposed is weighed like any other structure.
+less to it. Here residuals and their squares are summed over windows of some pixels: of noise alone no such sum, in
+standard deviations, exceeds FAINT but once in ten images. What is proposed is weighed like any other structure.
 """
 
 from functools import partial
@@ -20,27 +20,25 @@ from derender.detection.solids.state import FLOOR, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
 from derender.structures.alternatives import (
-    HOPELESS,
     PROMISING,
     QUICK,
-    WORTHWHILE,
-    all_seen,
     likeliest_of_each,
+    weighed_whole,
+    whole_evidence,
 )
 from derender.structures.draws.refined import at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
-from derender.structures.weighing import of_block, with_own_sensor
 
 SIDES = (2, 3, 5, 8)  # pixels of the windows
 FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand
-MOST_OF_ONE = 5.0  # standard deviations that one pixel counts for: a single outlier is no solid
+MOST_OF_ONE = 4.0  # standard deviations that one pixel counts for: a single outlier is no solid
 SPOTS = 2  # windows looked at, those that tell most
-SHOWS = 1.0  # standard deviations nearer than explained from which on a pixel about a window shows the solid
-CLIMBED = 6  # polished candidates of a window that are climbed
+SHOWS = 1.0  # standard deviations off what is explained from which on a pixel about a window shows the solid
+CLIMBED, WEIGHED = 6, 2  # polished candidates of a window that are climbed by themselves, and then with all others
 
 
 class Spot(NamedTuple):
-    """A window of pixels that are nearer than explained. strength : standard deviations. shown : (H, W) bool."""
+    """A window of badly explained pixels. strength : standard deviations. shown : (H, W) bool, those pixels."""
 
     strength: float
     shown: np.ndarray
@@ -63,17 +61,23 @@ def spots(nearer):
             break
         about = slice(max(row - 1, 0), row + side + 1), slice(max(column - 1, 0), column + side + 1)
         shown = np.zeros(nearer.shape, bool)
-        shown[about] = nearer[about] > SHOWS
+        shown[about] = np.abs(nearer[about]) > SHOWS
         found.append(Spot(strength, shown))
         nearer[about] = np.nan
     return found
 
 
 def strongest(nearer, side):
-    """Return (strength, side, row, column) of the square window whose sum is most standard deviations above zero."""
+    """Return (strength, side, row, column) of the square window whose sum, or sum of squares, tells most.
+
+    Squares by the cube root of their mean, which is nearly normal (Wilson and Hilferty, PNAS 1931).
+    """
     seen = np.isfinite(nearer)
-    total, count = (window_sums(each, side) for each in (np.where(seen, nearer, 0.0), seen.astype(float)))
-    strength = np.where(count > 1, total / np.sqrt(np.maximum(count, 1.0)), 0.0)
+    filled = np.where(seen, nearer, 0.0)
+    total, squares, count = (window_sums(each, side) for each in (filled, filled**2, seen.astype(float)))
+    count = np.maximum(count, 1.0)
+    spread = 2.0 / (9.0 * count)
+    strength = np.maximum(total / np.sqrt(count), (np.cbrt(squares / count) - 1.0 + spread) / np.sqrt(spread))
     row, column = np.unravel_index(np.argmax(strength), strength.shape)
     return float(strength[row, column]), side, int(row), int(column)
 
@@ -84,26 +88,26 @@ def window_sums(image, side):
     return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
-def additions(rng, best, settings):
-    """Return the Weighed of the best structure with one solid more, where it leaves something unexplained."""
+def additions(rng, best, settings, evidence=whole_evidence):
+    """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
+
+    Others may have given way to explain what it shows, so all move and all are integrated over. evidence : of the best,
+    see `whole_evidence`.
+    """
     if len(best.state) >= settings.max_objects:
         return []
-    sensor, floor = best.sensor, floor_pose_of(best)
-    nearer = nearer_than_explained(best)
+    sensor, floor, place = best.sensor, floor_pose_of(best), [len(best.state)]
     noise = np.full(sensor.observed.shape, sensor.values["sigma"])
     image = make_image(sensor.observed, noise, sensor.camera, floor, sensor.values["blur"])
     seen = image.origin + image.depth[..., None] * image.direction
-    weighed = []
-    for spot in spots(nearer):
-        states = with_one_more(rng, image, best.state, seen[spot.shown], settings)
-        place = [len(best.state)]
-        climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
+    climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
+    candidates = []
+    for spot in spots(nearer_than_explained(best)):
+        states = with_one_more(rng, image, best.state, seen[spot.shown & (image.depth > 0)], settings)
         trials = in_threads(rng, [partial(climb, state=state) for state in states])
-        trials = [trial for trial in trials if height(trial) > height(best) - PROMISING]
-        trials = [with_own_sensor(rng, trial, place, WORTHWHILE) for trial in trials]
-        trials = [trial for trial in trials if height(trial) > height(best) - HOPELESS and all_seen(trial)]
-        weighed += [of_block(rng, trial, place, best, [], settings.rules) for trial in likeliest_of_each(trials)]
-    return weighed
+        trials = likeliest_of_each([trial for trial in trials if height(trial) > height(best) - PROMISING])
+        candidates += sorted(trials, key=height, reverse=True)[:WEIGHED]
+    return weighed_whole(rng, best, [trial.state for trial in candidates], settings.rules, QUICK, evidence)
 
 
 def with_one_more(rng, image, state, points, settings):

@@ -1,10 +1,7 @@
 """Probabilities are said no finer than their error, and never as certain."""
 
-from types import SimpleNamespace
-
 import pytest
 
-from derender.report.result_folder import structure_summary
 from derender.results.probability_text import probability_text
 
 
@@ -28,11 +25,3 @@ def test_probabilities_are_said_as_finely_as_they_are_known(probability, error, 
 
 def test_nothing_is_certain():
     assert not any("1.0" in probability_text(1.0 - 10.0**-k, error) for k in range(1, 9) for error in (0.0, 0.05, 0.2))
-
-
-def test_a_lone_structure_is_no_surer_in_the_summary_than_the_search_is():
-    graph = SimpleNamespace(names=("floor", "cube_1"))
-    alone = SimpleNamespace(weight=1.0, weight_error=0.0, weight_interval=(1.0, 1.0), graph=graph)
-    told = structure_summary(alone, 0.005)
-    assert told["weight_interval"] == pytest.approx([0.995, 1.0]) and told["weight_error"] == pytest.approx(0.005)
-    assert structure_summary(alone)["weight_interval"] == [1.0, 1.0]

@@ -51,6 +51,7 @@ class Observation(NamedTuple):
         it is seen.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     interrupted : whether the search that looked at it was, so that what it found is the best so far.
+    agreed : whether two searches found the same.
     """
 
     image: Image
@@ -67,6 +68,7 @@ class Observation(NamedTuple):
     backdrop: bool
     things: tuple = ()
     interrupted: bool = False
+    agreed: bool = True
 
 
 class Closer(NamedTuple):

@@ -28,16 +28,18 @@ SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
 def search(rng, image, hypotheses, settings, pool=None, start=None):
-    """Return (best State found, Image with the blur that it shows).
+    """Return (best State found, Image with the blur that it shows, whether a second search found the same).
 
-    Searches run in pairs, each with random numbers of its own, until two agree about the least energy, or ROUNDS pairs
-    have not, and longer while something hangs in the air; where `settings` allow one try there is one. (state, energy)
-    of all that were tried are appended to the list `pool`. From a State `start` one pair goes on, for ON_REPAIRS moves.
+    Searches run in pairs, each with random numbers of its own, until two agree about the least energy and the kinds of
+    solids, or ROUNDS pairs have not, and longer while something hangs in the air; where `settings` allow one try there
+    is one. (state, energy) of all that were tried are appended to the list `pool`. From a State `start` one pair goes
+    on, for ON_REPAIRS moves.
 
     Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
     found: list[Found] = []
     early: list[Found] = []
+    agreed = False
     if start is not None:
         settings = settings._replace(repairs=ON_REPAIRS)
     task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
@@ -52,7 +54,7 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
         found.sort(key=lambda each: each.energy)
         if len(found) == 1:  # nothing to hold it against
             break
-        agreed = found[1].energy - found[0].energy < settings.temper * max(AGREEING, APIECE * len(found[0].state))
+        agreed = agree(found, settings)
         hanging = settings.temper == 1.0 and not settings.may_float and floats(found[0].state)
         if not hanging and (agreed or number + 1 >= ROUNDS):
             break
@@ -60,7 +62,19 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
         for each in found:
             pool += each.pool
         pool += [(each.state, each.energy) for each in found[1:]]
-    return found[0].state, found[0].image
+    return found[0].state, found[0].image, agreed
+
+
+def agree(found, settings):
+    """Whether the two best of some Found, by energy, are as good as each other and of the same kinds of solids.
+
+    On a real sensor's images, whose bends are taken for this solid or that, it is enough that they are as good.
+    """
+    one, other = (each.state for each in found[:2])
+    if found[1].energy - found[0].energy > settings.temper * max(AGREEING, APIECE * len(one)):
+        return False
+    kinds = [sorted(zip(state.rows[:, 0], state.forms, strict=True)) for state in (one, other)]
+    return settings.temper > 1.0 or kinds[0] == kinds[1]
 
 
 class Interrupted(KeyboardInterrupt):

@@ -27,7 +27,8 @@ class Loose:
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
     overlap : metres by which solids may enter each other.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
-    missed : probability that a search has not found what is there at all.
+    missed : probability that a search has not found what is there at all: where two searches agreed and nothing is left
+        unexplained, and where not.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     """
@@ -38,7 +39,7 @@ class Loose:
     overlap: float = 3e-4
     hanging: float = 1e-13
     tipping: float = 0.01
-    missed: float = 0.005
+    missed: tuple[float, float] = (0.005, 0.1)
     second_support: float = 0.5
     within: float = 0.06
 
@@ -75,12 +76,12 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
-NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": "", "missed": ""}
+NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": ""}
 
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "second_support", *NUMBERS)
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", *NUMBERS)
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -93,6 +94,9 @@ def read_loose(section: Section) -> Loose:
         if low >= high:
             raise section["seen_from"].fault("the nearest is not nearer than the farthest", "write [0.4, 1.5]")
         found["seen_from"] = low, high
+    if "missed" in section:
+        settled, open_ = (item.number(lower=0.0, upper=1.0) for item in section["missed"].sequence(2))
+        found["missed"] = settled, open_
     if "second_support" in section:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)

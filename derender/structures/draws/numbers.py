@@ -1,13 +1,16 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from derender.detection.solids.graph import turns_freely
-from derender.detection.solids.image import ROW
+from derender.detection.solids.image import ROW, SIZE
 from derender.detection.solids.state import FLOOR
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, SLOTS, invert
 from derender.scene.graph import ROOT
+from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
 from derender.scene.solids import PLANE
 from derender.structures.draws.chart import KIND, camera_poses, place_rows
@@ -16,6 +19,37 @@ from derender.structures.draws.chart import KIND, camera_poses, place_rows
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
            "cylinder": ((0, 0.5), (2, 1.0))}  # fmt: skip
 NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
+
+
+def parameters_of(row, shape):
+    """Return psi by name of a row's solid as this shape."""
+    return {parameter.name: share * float(row[SIZE + axis])
+            for parameter, (axis, share) in zip(shapes[shape].parameters, EXTENTS[shape], strict=True)}  # fmt: skip
+
+
+def numbers_at(graph, floor_pose, places):
+    """Return the graph's numbers by address when its solids are elsewhere and of other sizes, contacts kept.
+
+    floor_pose : (4, 4), floor frame to camera. places : by name, a pose (4, 4) in the floor frame and psi by name, or
+        None where that is no unknown.
+    """
+    bodies, poses, numbers = {ROOT: graph.body(ROOT)}, {ROOT: np.asarray(floor_pose, float)}, {}
+    for vertex in graph.vertices:
+        bodies[vertex.name] = graph.body(vertex.name)
+        if vertex.name not in places:
+            poses[vertex.name] = graph.poses()[vertex.name]
+            continue
+        local, parameters = places[vertex.name]
+        if parameters is not None:
+            bodies[vertex.name] = replace(vertex, parameters=parameters).body
+            numbers.update({f"{vertex.name}.{key}": value for key, value in parameters.items()})
+        poses[vertex.name] = floor_pose @ local
+        relative, contact = inverse(poses[vertex.parent]) @ poses[vertex.name], vertex.contact
+        found = contacts[contact.type].invert(
+            relative, bodies[vertex.parent], bodies[vertex.name], contact.parent_face, contact.child_face
+        )
+        numbers.update({f"{vertex.name}.contact.{key}": found.values[key] for key in contact.values})
+    return numbers
 
 
 def contact_numbers(chart, draws, parents, codes):

@@ -19,13 +19,12 @@ from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import WALK_MOVES, walk
 from derender.detection.solids.state import FLOOR, NOTHING, in_the_way
 from derender.results.posterior import StructurePosterior
-from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import inverse
 from derender.scene.solids import MESH
+from derender.structures.draws.numbers import numbers_at, parameters_of
 from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.structures.known.image import walk_known
-from derender.structures.scored_posterior import NO_JOINT_STEPS, parameters_of
+from derender.structures.scored_posterior import NO_JOINT_STEPS
 
 STEPS = 24  # of each object between two draws
 LEAST_LIKELY = 1e-3
@@ -139,7 +138,7 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
             if draw == 0 and chain == 0:
                 now = list(placed)
             if draw >= 0:
-                numbers = numbers_of_known(graph, now, names, floor_pose)
+                numbers = numbers_at(graph, floor_pose, places_of(graph, now, names))
                 values[chain, draw] = [numbers[a] for a in addresses]
                 density[chain, draw] = -placement.view(now)[2].sum() / placement.settings.temper
     return StructurePosterior(graph, addresses, values, np.zeros((chains, draws)), density, 1.0,
@@ -165,26 +164,10 @@ def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
     return replace(item, row=make_row(known.proxy, rotation, centre, known.size))
 
 
-def numbers_of_known(graph, placed, names, floor_pose) -> dict[str, float]:
-    """Return the graph's numbers by address when what was placed is here, contacts kept."""
-    poses = {ROOT: np.asarray(floor_pose, float), FLOOR_NAME: graph.poses()[FLOOR_NAME]}
-    bodies = {FLOOR_NAME: graph.body(FLOOR_NAME), ROOT: graph.body(ROOT)}
-    numbers = {}
-    for vertex in graph.vertices:
-        if vertex.name not in names:
-            continue
-        item = placed[names.index(vertex.name)]
-        if item.known is None:
-            vertex = replace(vertex, parameters=parameters_of(item.row, vertex.shape))
-            local = pose_of(item.row)
-            numbers.update({f"{vertex.name}.{key}": value for key, value in vertex.parameters.items()})
-        else:
-            local = pose_of_known(item.row)
-        poses[vertex.name], bodies[vertex.name] = floor_pose @ local, vertex.body
-        relative = inverse(poses[vertex.parent]) @ poses[vertex.name]
-        contact = vertex.contact
-        found = contacts[contact.type].invert(
-            relative, bodies[vertex.parent], vertex.body, contact.parent_face, contact.child_face
-        )
-        numbers.update({f"{vertex.name}.contact.{key}": found.values[key] for key in contact.values})
-    return numbers
+def places_of(graph, placed, names):
+    """Return what `numbers_at` takes of what was placed."""
+    return {
+        name: (pose_of(item.row), parameters_of(item.row, graph.vertex(name).shape)) if item.known is None
+        else (pose_of_known(item.row), None)
+        for name, item in zip(names, placed, strict=True)
+    }  # fmt: skip
