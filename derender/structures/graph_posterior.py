@@ -41,8 +41,8 @@ from derender.structures.unexplained import additions, nearer_than_explained, sp
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
 
-ROUNDS = 3  # in which each solid is tried otherwise, at most
-MOST_ADDED, MOST_MERGES, MOST_CUTS = 3, 4, 3
+ROUNDS = 4  # in which each solid is tried otherwise, and then one more where something is unexplained, at most
+MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
@@ -130,11 +130,6 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
     """
     rules, shapes = settings.rules, settings.shapes
     best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
-    for _ in range(MOST_ADDED):
-        former = best
-        best, others = leading(best, [*others, *additions(rng, best, settings, evidence)])
-        if best is former:
-            break
     for _ in range(MOST_MERGES):
         former = best
         best, others = leading(best, [*others, *merges(rng, best, rules)])
@@ -148,6 +143,8 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
     for _ in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         former = best
         best, others = one_solid_each(rng, best, others, rules, shapes)
+        if best is former:  # nothing of what is there explains more
+            best, others = leading(best, [*others, *additions(rng, best, settings, evidence)])
         if made is not None and best is former:
             found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
             best, others = leading(best, found)
