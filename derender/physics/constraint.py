@@ -65,9 +65,10 @@ def assume_stable(posterior: Posterior) -> tuple[Posterior, float]:
     total = sum(weights)
     if total <= 0.0:
         raise DerenderError("no draw of the posterior stands", "--assume-stable", "infer without it, and look")
-    share = total / sum(part.weight for part in posterior.parts)
+    known = sum(part.weight for part in posterior.parts)  # less than one where a search may have missed something
+    share = total / known
     parts = tuple(
-        replace(_kept(part, mask), weight=weight / total)
+        replace(_kept(part, mask), weight=known * weight / total)
         for (part, mask), weight in zip(found, weights, strict=True)
         if weight > 0
     )

@@ -73,3 +73,5 @@ def test_a_scene_many_times_as_large_or_small_is_found(times):
     drawn, label = render_depth(solids, Camera(**scene["camera"]))
     assert np.median(np.abs(depth - drawn)[label > 0]) < noise
     assert found.meta["likelihood"]["sigma"] == pytest.approx(noise, rel=0.25)
+    missed = found.meta["missed"]
+    assert missed > 0.0 and sum(part.weight for part in found.parts) == pytest.approx(1.0 - missed)

@@ -30,10 +30,10 @@ SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 def search(rng, image, hypotheses, settings, pool=None, start=None):
     """Return (best State found, Image with the blur that it shows, whether a second search found the same).
 
-    Searches run in pairs, each with random numbers of its own, until two agree about the least energy and the kinds of
-    solids, or ROUNDS pairs have not, and longer while something hangs in the air; where `settings` allow one try there
-    is one. (state, energy) of all that were tried are appended to the list `pool`. From a State `start` one pair goes
-    on, for ON_REPAIRS moves.
+    Searches run in pairs, each with random numbers of its own, until two agree about the least energy and how many
+    solids there are, or ROUNDS pairs have not, and longer while something hangs in the air; where `settings` allow one
+    try there is one. (state, energy) of all that were tried are appended to the list `pool`. From a State `start` one
+    pair goes on, for ON_REPAIRS moves.
 
     Raises Interrupted with the best so far on Ctrl-C, once there is one.
     """
@@ -66,15 +66,16 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
 
 
 def agree(found, settings):
-    """Whether the two best of some Found, by energy, are as good as each other and of the same kinds of solids.
+    """Whether the two best of some Found, by energy, are as good as each other and as many solids stand on the floor
+    and on others. Of which kinds they are is weighed later.
 
     On a real sensor's images, whose bends are taken for this solid or that, it is enough that they are as good.
     """
     one, other = (each.state for each in found[:2])
     if found[1].energy - found[0].energy > settings.temper * max(AGREEING, APIECE * len(one)):
         return False
-    kinds = [sorted(zip(state.rows[:, 0], state.forms, strict=True)) for state in (one, other)]
-    return settings.temper > 1.0 or kinds[0] == kinds[1]
+    counts = [(len(state), state.parents.count(FLOOR)) for state in (one, other)]
+    return settings.temper > 1.0 or counts[0] == counts[1]
 
 
 class Interrupted(KeyboardInterrupt):
