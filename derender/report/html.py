@@ -103,7 +103,7 @@ def _structures(report: Report) -> str:
         for weight, words in report.structures[:MOST_STRUCTURES]
     )
     head = '<tr><th class="number">weight</th><th>structure</th></tr>'
-    return _wide(f'<table class="narrow">{head}{rows}</table>', "structures")
+    return wide(f'<table class="narrow">{head}{rows}</table>', "structures")
 
 
 def _objects(report: Report, colours: Mapping[str, str]) -> str:
@@ -123,7 +123,7 @@ def _objects(report: Report, colours: Mapping[str, str]) -> str:
         "<tr><th>name</th><th>type</th><th class=number>size, cm (± half of the 90 % range)</th>"
         "<th class=number>position in the camera's frame, m</th><th>rests on</th><th class=number>probability</th></tr>"
     )
-    return "<h2>Objects</h2>" + _wide(f"<table>{head}{''.join(rows)}</table>", "objects")
+    return "<h2>Objects</h2>" + wide(f"<table>{head}{''.join(rows)}</table>", "objects")
 
 
 def _size(item: Mapping[str, Any]) -> str:
@@ -140,10 +140,10 @@ def _size(item: Mapping[str, Any]) -> str:
     return " × ".join(words)
 
 
-def _wide(table: str, words: str) -> str:
-    """Return a table that may be wider than the window, which then says that it goes on, and scrolls by keys too."""
-    return (f'<div class="scroll" role="region" tabindex="0" aria-label="Table of {words}">{table}</div>'
-            '<p class="more" hidden>The table goes on to the right.</p>')  # fmt: skip
+def wide(inside: str, words: str) -> str:
+    """Return what may be wider than the window: it then says that it goes on, and scrolls by keys too."""
+    return (f'<div class="scroll" role="region" tabindex="0" aria-label="{words}">{inside}</div>'
+            '<p class="more" hidden>This goes on to the right.</p>')  # fmt: skip
 
 
 def _probability(item: Mapping[str, Any]) -> str:
@@ -173,13 +173,13 @@ def _parameters(report: Report) -> str:
         rows.append(f"<tr><td{mark}>{escape(texts[0])}</td>{numbers}{shown}</tr>")
     if not plots:
         table = f'<table class="narrow"><tr>{head}</tr>{"".join(rows)}</table>'
-        return "<h2>Numbers of the most probable scene</h2>" + _wide(table, "numbers")
+        return "<h2>Numbers of the most probable scene</h2>" + wide(table, "numbers")
     largest, smallest = trust.limits(chains * draws)
     return (
         f"<h2>Posterior of the most probable structure: {chains} chain{'s' if chains > 1 else ''} of {draws} draws</h2>"
         f'<p class="soft">R-hat above {largest} and effective sample sizes (ESS) below {smallest:.0f} are in red. '
         "In a rank plot level lines are good.</p>"
-        + _wide(f"<table><tr>{head}<th>traces</th><th>ranks</th></tr>{''.join(rows)}</table>", "numbers")
+        + wide(f"<table><tr>{head}<th>traces</th><th>ranks</th></tr>{''.join(rows)}</table>", "numbers")
     )
 
 

@@ -9,14 +9,16 @@ import numpy as np
 
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures
+from derender.report.html import wide
 from derender.scene.solids import PLANE, Solids
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 
-PAGE_STYLE = Path(pictures.__file__).with_name("page.css")
+PAGE_STYLE, PAGE_SCRIPT = (Path(pictures.__file__).with_name(name) for name in ("page.css", "page.js"))
 MOST_PICTURES = 240  # frames shown; of a longer film every so many
 FLOOR_COLOUR, AIR_COLOUR, GONE_COLOUR = "#8a8f98", "#f0b429", "#ffffff"
-ROW, LEFT, WIDE = 26, 110, 960  # pixels of the time line: a row's height, its names' width, and its length
+# Pixels of the time line: a row's height, its names' width, its length, and how narrow it is drawn at most.
+ROW, LEFT, WIDE, NARROWEST = 26, 110, 960, 640
 
 
 def report_page(
@@ -27,19 +29,21 @@ def report_page(
     named = {name: "#" + bytes(colour.tolist()).hex() for name, colour in zip(track.names, colours, strict=True)}
     seconds = float(track.times[-1] - track.times[0])
     lost = sum(row.count(LOST) for row in track.states)
-    words = f"{len(track.names)} things, {len(track.times)} frames, {seconds:.2f} s"
+    words = (
+        f"{len(track.names)} thing{'s' if len(track.names) != 1 else ''}, {len(track.times)} frames, {seconds:.2f} s"
+    )
     words += f"; lost in {lost} object-frames" if lost else "; nothing lost"
     notes = "".join(f'<p class="bad">{escape(note[0].upper() + note[1:])}.</p>' for note in track.notes)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{PAGE_STYLE.read_text()}{STYLE}</style></head><body>"
-        f"<h1>{escape(title)}</h1><p>{words}</p>{notes}"
+        f"<main><h1>{escape(title)}</h1><p>{words}</p>{notes}"
         + _film(track, frames, camera)
         + "<h2>What rests on what</h2>" + _time_line(track, events, named)
         + "<h2>Events</h2>" + _events(events, named)
         + "<h2>Things</h2>" + _things(track, named)
-        + f"<script>{SCRIPT}</script></body></html>\n"
+        + f"</main><script>{SCRIPT}{PAGE_SCRIPT.read_text()}</script></body></html>\n"
     )  # fmt: skip
 
 
@@ -78,9 +82,10 @@ def _film(track, frames, camera) -> str:
     )
     times = ",".join(f"{track.times[t]:.3f}" for t in shown)
     return (
-        '<h2>Film</h2><div class="heads"><span>observed</span><span>explained</span>'
+        '<h2>Film</h2><div class="heads soft"><span>observed</span><span>explained</span>'
         f'<span>observed − explained, ±20 mm</span></div><div id="film" data-times="{times}">{strips}</div>'
-        f'<p><button id="play">play</button> <input type="range" id="at" min="0" max="{len(uris) - 1}" value="0"> '
+        '<p><button id="play">play</button> '
+        f'<input type="range" id="at" min="0" max="{len(uris) - 1}" value="0" aria-label="frame"> '
         '<span id="clock" class="soft"></span></p>'
     )
 
@@ -93,7 +98,8 @@ def _time_line(track, events, named) -> str:
     parts = []
     for k, name in enumerate(track.names):
         top = ROW * k + 4
-        parts.append(f'<text x="0" y="{top + 15}" fill="{named[name]}" font-weight="600">{escape(name)}</text>')
+        parts.append(f'<text class="ink" x="0" y="{top + 15}" font-weight="600">{escape(name)}</text>')
+        runs: list[tuple[int, str]] = []  # of frames that look alike: where one begins, and how it looks
         for t in range(count):
             state, parent = track.states[t][k], parents[t][k]
             colour = AIR_COLOUR if parent is None else FLOOR_COLOUR if parent == "floor" else named[parent]
@@ -101,28 +107,30 @@ def _time_line(track, events, named) -> str:
                 colour = GONE_COLOUR if state == GONE else "#b2182b"
             chances = track.parent_probability[t, k]
             sure = float(np.max(chances)) if np.isfinite(chances).all() else 1.0
-            title = f"{name}, frame {t}: {state}, on {parent or 'nothing'} ({sure:.2f})"
             opacity = 0.3 if state == HIDDEN else max(0.25, sure)
-            parts.append(
-                f'<rect x="{LEFT + t * step:.1f}" y="{top}" width="{step:.2f}" height="18" fill="{colour}" '
-                f'fill-opacity="{opacity:.2f}"><title>{escape(title)}</title></rect>'
-            )
+            words = escape(f"{name}: {state}, on {parent or 'nothing'} ({sure:.1f})")
+            look = f'height="18" fill="{colour}" fill-opacity="{opacity:.1f}"><title>{words}</title>'
+            if not runs or runs[-1][1] != look:
+                runs.append((t, look))
+        for (t, look), end in zip(runs, [*(begin for begin, _ in runs[1:]), count], strict=True):
+            parts.append(f'<rect x="{LEFT + t * step:.1f}" y="{top}" width="{(end - t) * step:.1f}" {look}</rect>')
         for event in events:
             if event["object"] == name:
                 x = LEFT + (event["frame"] + 0.5) * step
                 parts.append(
-                    f'<path d="M{x:.1f} {top - 3}l4 5h-8z" fill="#22252a"><title>{escape(event["event"])}, frame '
+                    f'<path d="M{x:.1f} {top - 3}l4 5h-8z" class="ink"><title>{escape(event["event"])}, frame '
                     f"{event['frame']}</title></path>"
                 )
     for t in range(0, count, max(1, count // 12)):
-        parts.append(f'<text x="{LEFT + t * step:.1f}" y="{height - 12}" font-size="11" fill="#6a7078">{t}</text>')
+        parts.append(f'<text x="{LEFT + t * step:.1f}" y="{height - 12}" font-size="11" class="faint">{t}</text>')
     legend = f"on the floor {_swatch(FLOOR_COLOUR)} in the air or a hand {_swatch(AIR_COLOUR)} "
     legend += " ".join(f"on {escape(name)} {_swatch(colour)}" for name, colour in named.items())
-    return (
-        f'<div class="scroll"><svg width="{LEFT + WIDE}" height="{height}" viewBox="0 0 {LEFT + WIDE} {height}" '
-        f'font-size="13">{"".join(parts)}<line id="now" x1="{LEFT}" x2="{LEFT}" y1="0" y2="{height - 24}" '
-        f'stroke="#22252a" data-left="{LEFT}" data-step="{step}"/></svg></div><p class="soft">{legend}</p>'
+    picture = (
+        f'<svg style="min-width:{NARROWEST}px" width="{LEFT + WIDE}" height="{height}" font-size="13" '
+        f'viewBox="0 0 {LEFT + WIDE} {height}">{"".join(parts)}<line id="now" x1="{LEFT}" x2="{LEFT}" y1="0" '
+        f'y2="{height - 24}" stroke="currentColor" data-left="{LEFT}" data-step="{step}"/></svg>'
     )
+    return wide(picture, "time line") + f'<p class="soft">{legend}</p>'
 
 
 def _swatch(colour) -> str:
@@ -132,12 +140,12 @@ def _swatch(colour) -> str:
 def _events(events, named) -> str:
     rows = "".join(
         f'<tr><td class="number">{event["frame"]}</td><td class="number">{event["time"]:.3f}</td>'
-        f'<td style="color:{named.get(event["object"], "#000")}">{escape(event["object"])}</td>'
+        f"<td>{_swatch(named.get(event['object'], '#000'))} {escape(event['object'])}</td>"
         f"<td>{escape(event['event'])}</td><td>{escape(_words(event))}</td></tr>"
         for event in events
     )
-    head = '<tr><th class="number">frame</th><th class="number">s</th><th>thing</th><th>event</th><th></th></tr>'
-    return f'<div class="scroll"><table class="narrow">{head}{rows}</table></div>'
+    head = '<tr><th class="number">frame</th><th class="number">s</th><th>thing</th><th>event</th><th>how</th></tr>'
+    return wide(f'<table class="narrow">{head}{rows}</table>', "events")
 
 
 def _words(event) -> str:
@@ -155,16 +163,16 @@ def _things(track, named) -> str:
         size = " × ".join(f"{1e3 * s:.0f}" for s in track.sizes[-1, k])
         lost = [str(t) for t, row in enumerate(track.states) if row[k] == LOST]
         rows.append(
-            f'<tr><td style="color:{named[name]}">{escape(name)}</td><td>{track.types[k]}</td><td>{size}</td>'
+            f"<tr><td>{_swatch(named[name])} {escape(name)}</td><td>{track.types[k]}</td><td>{size}</td>"
             f'<td class="number">{sure}</td><td>{", ".join(lost) or "never"}</td></tr>'
         )
     head = '<tr><th>thing</th><th>type</th><th>size, mm</th><th class="number">sd of the centre, mm (median)</th>'
-    return f'<div class="scroll"><table class="narrow">{head}<th>lost in frames</th></tr>{"".join(rows)}</table></div>'
+    return wide(f'<table class="narrow">{head}<th>lost in frames</th></tr>{"".join(rows)}</table>', "things")
 
 
 STYLE = """
 #film .shot:not([hidden]), .heads { display: grid; grid-template-columns: 1fr 1fr 1fr; gap: 10px; }
-#film img { width: 100%; image-rendering: pixelated; border-radius: 3px; } .heads { font-size: 13px; color: #6a7078; }
+#film img { width: 100%; image-rendering: pixelated; border-radius: 3px; } .heads { font-size: 13px; }
 #at { width: 60%; vertical-align: middle; }
 """
 SCRIPT = """
