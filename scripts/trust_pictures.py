@@ -17,12 +17,13 @@ import derender
 from derender.cli import status_of
 from derender.render.renderers.preview import default_colours
 from derender.results.fit import fit_of
+from derender.results.probability_text import digits
 
 SIZE = 256, 192
 RED = np.array([215, 30, 30])
 SMALL = derender.Camera.from_field_of_view(48, 36)
-GOOD, UNSURE, WRONG = 11, 6, 11  # seeds of the scenes
-NOISE = 0.01  # metres, of the unsure image
+GOOD, UNSURE, WRONG = 11, 1, 11  # seeds of the scenes
+NOISE = 0.015  # metres, of the unsure image
 
 
 def answers():
@@ -30,7 +31,7 @@ def answers():
     scene = derender.sample("grammar", seed=GOOD)
     image = scene.render(noise=True, seed=1)
     yield "good", image, derender.infer(image, seed=1)
-    scene = derender.sample("grammar", seed=UNSURE)
+    scene = derender.sample("tabletop", seed=UNSURE)
     scene = replace(scene, likelihood=scene.likelihood.with_values({"sigma": NOISE}))
     image = scene.render(SMALL, noise=True, seed=1)
     yield "unsure", image, derender.infer(image, seed=1)
@@ -55,11 +56,11 @@ def main(target):
     for name, image, posterior in answers():
         print(name, "trusted" if posterior.trusted else "not trusted")
         for structure in posterior.structures[:3]:
-            print(f"  p {structure.probability:.2f}  {structure.words}")
+            print(f"  p {digits(structure.probability)}  {structure.words}")
         for doubt in posterior.doubts:
             print("  " + doubt)
         for found in posterior.objects:
-            print("  ", found.name, (1000 * found.size).round(), "+-", (1000 * found.size_error).round(1), "mm")
+            print("  ", found.name, (1000 * found.size).round(), "±", (1000 * found.size_error).round(1), "mm")
         panels += [panel(image, posterior), np.full((2 * SIZE[1] + GAP, GAP, 3), 255, np.uint8)]
     picture = Image.fromarray(np.hstack(panels[:-1]))
     picture.quantize(160).save(target, optimize=True)

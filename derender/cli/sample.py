@@ -36,8 +36,8 @@ def command(
     """Draw scenes from PRIOR: a prior file, or the name of a built-in one.
 
     Built in: tabletop (default), bare-image (what `infer IMAGE` believes), stack, two-stacks, relations, free, grammar,
-    algorithm-1, figure-4, figure-5. Writes sample_000.yaml, the scene, and sample_000.npz, its depth image with the
-    camera, and so on. Scene number k is the same whatever -n is.
+    algorithm-1, one-box, figure-4, figure-5. Writes sample_000.yaml, the scene, and sample_000.npz, its depth image
+    with the camera, and so on. Scene number k is the same whatever -n is.
 
     \b
     Examples:
