@@ -5,8 +5,10 @@ import pytest
 from browser import axe_source, needed, run_in_page
 from test_html import report as gathered  # noqa: F401  the fixture, under a name that no argument hides
 
+from derender.batch.index import index_page
 from derender.report.html import page
 from derender.results.regions import Region
+from derender.results.table import failed_row, rows_of
 from derender.results.trust import Doubt
 
 
@@ -18,8 +20,20 @@ def text(gathered):  # noqa: F811
     return page(gathered._replace(doubts=doubts, files={"scene.yaml": ("text/yaml", b"derender: 1\n")}))
 
 
+def many_frames(folder):
+    """Return the page of many frames: one that is trusted, one that is not, one that failed."""
+    box = {"name": "box_1", "type": "box", "size": [0.1, 0.2, 0.3], "pose": np.eye(4).tolist(), "parent": "floor"}
+    rows = {"bad": [failed_row("bad", "no image at all")]}
+    for name, trusted in (("fine", True), ("doubtful", False)):
+        told = {"trusted": trusted, "doubts": [] if trusted else ["the chains disagree"]}
+        scene = {"objects": [box], "gravity": [0.0, 1.0, 0.0]}
+        rows[name] = rows_of(name, {"scene": scene, "method": "map", **told})
+    return index_page(folder, rows)
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_axe_finds_no_violation(text, tmp_path, dark):
+@pytest.mark.parametrize("of", ["one image", "many frames"])
+def test_axe_finds_no_violation(text, tmp_path, of, dark):
     needed(axe=True)
     script = axe_source().replace("</script", "<\\/script") + (
         ";const told = await axe.run(document,"
@@ -27,7 +41,7 @@ def test_axe_finds_no_violation(text, tmp_path, dark):
         "return {dark: matchMedia('(prefers-color-scheme: dark)').matches, wrong: told.violations.map("
         "v => [v.id, v.nodes.map(n => n.html.slice(0, 160)).slice(0, 3)])};"
     )
-    told = run_in_page(text, script, tmp_path, dark=dark)
+    told = run_in_page(text if of == "one image" else many_frames(tmp_path), script, tmp_path, dark=dark)
     assert told["wrong"] == [] and told["dark"] == dark
 
 
@@ -76,3 +90,21 @@ def test_the_page_is_no_wider_than_its_window(text, tmp_path, width):
     told = run_in_page(text, script, tmp_path, width=1400)
     assert told["over"] == [] and told["wide"] <= width and told["told"] and told["touch"] == "pan-y"
     assert told["some"] or width > 390
+
+
+def test_many_frames_are_cards_on_a_phone(tmp_path):
+    needed()
+    script = """
+      const frame = document.createElement("iframe");
+      frame.style.cssText = "border:0;height:900px;width:390px";
+      const loaded = new Promise(done => frame.onload = done);
+      const copy = document.documentElement.cloneNode(true);
+      copy.querySelector("#asked").remove();
+      frame.srcdoc = copy.outerHTML;
+      document.body.append(frame); await loaded;
+      const inner = frame.contentDocument;
+      inner.querySelector("input[value=failed]").click();
+      return {wide: Math.max(...[...inner.querySelectorAll("body *")].map(e => e.getBoundingClientRect().right)),
+              shown: [...inner.querySelectorAll("tbody tr")].filter(e => e.offsetHeight > 0).length};"""
+    told = run_in_page(many_frames(tmp_path), script, tmp_path, width=1400)
+    assert told["wide"] <= 390 and told["shown"] == 1
