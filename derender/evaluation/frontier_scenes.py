@@ -24,13 +24,15 @@ SUPPORT, BEHIND = -1, -2  # labels
 
 
 class Kind(NamedTuple):
-    """How the scenes of a kind are seen. down : degrees by which the camera looks down; away : metres, (low, high)."""
+    """How the scenes of a kind are seen. down : degrees by which the camera looks down; away : metres, (low, high);
+    known : whether the first thing's size is told."""
 
     says: str
     sensor: str = "white"
     down: tuple[float, float] = (30.0, 55.0)
     away: tuple[float, float] = (0.7, 1.0)
     size: tuple[int, int] = (320, 240)
+    known: bool = False
 
 
 KINDS = {
@@ -50,6 +52,7 @@ KINDS = {
     "boards": Kind("a board that leans on a box"),
     "bridges": Kind("a plank on two towers"),
     "pallets": Kind("2 x 3 x 2 equal cartons with gaps of 0 to 5 mm", away=(2.0, 2.5)),
+    "cartons": Kind("such pallets where the carton's size is known", away=(2.0, 2.5), known=True),
 }  # fmt: skip
 
 

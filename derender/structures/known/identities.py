@@ -18,6 +18,7 @@ from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.detection.solids.support import standing_on
 from derender.scene.solids import BOX, MESH, SPHERE
+from derender.structures.known.grids import cells_of
 from derender.structures.known.image import draw_known, known_misfit, walk_known
 from derender.structures.known.library import Known, turn
 
@@ -95,7 +96,7 @@ class Placement:
         """Yield (rotation, centre, base) from which an object may be refined where a solid was found."""
         row = self.state.rows[anchor]
         middles = [row[10:12]]
-        seen = self.label == anchor
+        seen = (self.label == anchor) & (self.image.depth > 0)
         if seen.sum() >= 4:
             points = self.image.origin + self.image.depth[seen][:, None] * self.image.direction[seen]
             away = np.median(points[:, :2], axis=0) - self.image.origin[:2]
@@ -156,12 +157,13 @@ class Placement:
 
     def place(self) -> list[Placed]:
         """Return what is there: known objects one after the other, then what is none of them."""
-        placed: list[Placed] = []
         counts = {item.name: item.count for item in self.library}
-        view = self.view(placed)
+        placed = self.grids(counts)
+        view, begun = self.view(placed), len(placed)
         options = {
-            (anchor, known.name): (*self.best_pose(known, anchor, placed, view), 0)
-            for anchor in range(len(self.state)) for known in self.library
+            (anchor, known.name): (*self.best_pose(known, anchor, placed, view), begun)
+            for anchor in sorted(set(range(len(self.state))) - {item.anchor for item in placed})
+            for known in self.library if counts[known.name] > 0
         }  # fmt: skip
         while options and len(placed) < self.settings.max_objects:
             key = min(options, key=lambda k: options[k][0])
@@ -178,6 +180,25 @@ class Placement:
         if self.others:
             placed = self.add_unknown(placed)
         return self.settle(placed)
+
+    def grids(self, counts) -> list[Placed]:
+        """Return the known boxes of which large ones of the first search may consist, where they explain as much.
+
+        counts : of how many of each object there may be more, changed in place.
+        """
+        placed: list[Placed] = []
+        _, _, _, least = self.view_of(self.state.rows)
+        for anchor, row in enumerate(self.state.rows):
+            for known in self.library:
+                cells = cells_of(row, known)
+                if not 0 < len(cells) <= counts[known.name]:
+                    continue
+                instead = np.concatenate([np.delete(self.state.rows, anchor, axis=0), cells])
+                if self.view_of(instead)[3] < least + self.settings.price:
+                    placed += [Placed(known, cell, anchor, lowest(cell)) for cell in cells]
+                    counts[known.name] -= len(cells)
+                    break
+        return placed
 
     def add_unknown(self, placed):
         """Return the scene with those solids of the first search that it still needs."""
