@@ -101,7 +101,7 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     ------
     DerenderError : unreadable or unknown file, distortion, no size, impossible numbers; says which file.
     """
-    tree = _load(path)
+    tree = load_tree(path)
     try:
         if isinstance(tree, list) and len(tree) in (3, 9):
             tree = _matrix_tree(tree, Path(path).name)
@@ -197,11 +197,16 @@ def _matrix_tree(rows: list, name: str) -> dict[str, Any]:
     return {"K" if stray else "cam_K": _numbers(rows, "the matrix", 9).reshape(3, 3).tolist(), **more}
 
 
-def _load(path: str | Path) -> object:
-    """Return the tree of a JSON or YAML file; YAML's scalars stay text, which `finite_number` reads."""
+def load_tree(
+    path: str | Path, what: str = "the camera", remedy: str = "give a camera file, e.g. a BOP camera.json"
+) -> object:
+    """Return the tree of a JSON or YAML file or of a .npy; YAML's scalars stay text, which `finite_number` reads.
+
+    what, remedy : what the file should be, and what to do where it cannot be read.
+    """
     import yaml
 
-    data = read_bytes(path, LARGEST_FILE, "the camera", "give a camera file with --camera")
+    data = read_bytes(path, LARGEST_FILE, what, remedy)
     try:
         if data.startswith(b"\x93NUMPY"):
             return np.load(BytesIO(data), allow_pickle=False).tolist()
@@ -215,7 +220,7 @@ def _load(path: str | Path) -> object:
         _refuse_deep(yaml.parse(text, loader))
         return next(iter(yaml.load_all(text, loader)))  # `rostopic echo` separates messages by ---
     except (ValueError, yaml.YAMLError, RecursionError, StopIteration, TypeError):
-        raise DerenderError("neither JSON nor YAML", path, "give a camera file, e.g. a BOP camera.json") from None
+        raise DerenderError("neither JSON nor YAML", path, remedy) from None
 
 
 def _is_json(text: str) -> bool:

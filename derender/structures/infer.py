@@ -163,6 +163,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.structures.free_forms import with_things
     from derender.structures.graph_posterior import parts_of
     from derender.structures.known.library import chosen_library
+    from derender.structures.together import first_look, look_from, together_parts
 
     options = options or Options()
     rng = np.random.default_rng(options.seed) if rng is None else rng
@@ -178,7 +179,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     plane = read_floor(options.floor)
     loose = (bare_image() if settings.beliefs is None else settings.beliefs).loose
-    unit = 1.0 if options.unit is not None else unit_of(depth, loose)
+    unit = 1.0 if options.unit is not None or options.frames else unit_of(depth, loose)
     open_unit = isinstance(options.prior, BareImagePrior | None)
     if unit != 1.0 and not options.known and open_unit:  # others say how long things are
         floor = plane if plane is None or isinstance(plane, str) else plane / [1.0, 1.0, 1.0, unit]
@@ -192,6 +193,11 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = options.chains or 2, options.draws or 100
     interrupted = seen.interrupted
+    looks = [first_look(state, seen)]
+    for frame in options.frames:
+        if progress:
+            progress(0.6, f"searching {frame.name} for solids")
+        looks.append(look_from(looks[0], *point_estimate(rng, frame.depth, frame.camera, settings), frame))
 
     def parts_about(only_best):
         if library:
@@ -200,6 +206,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
             many = (1, 1) if only_best else (chains, draws)
             others = not options.only_known
             return known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
+        if len(looks) > 1:
+            return together_parts(rng, looks, settings, chains, draws, only_best)
         real = seen.factor > 1 and seen.correlation > CORRELATED
         closer = closer_look(seen, depth, camera) if real else None
         return parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)

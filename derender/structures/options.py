@@ -37,6 +37,7 @@ class Options:
     budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
         worth it, and a seed gives the same on any machine.
     unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
+    frames : further images of the same scene, which stands still, each a `together.Frame`.
     """
 
     method: str = "auto"
@@ -60,6 +61,7 @@ class Options:
     likelihood: Any = None
     budget: float | None = None
     unit: float | None = None
+    frames: Sequence[Any] = ()
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -77,5 +79,5 @@ class Options:
 
 
 NOT_DECIDING = frozenset(
-    {"assume_stable", "folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit"}
+    {"assume_stable", "folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit", "frames"}
 )

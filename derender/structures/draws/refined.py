@@ -102,11 +102,13 @@ def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
 
 
 class View(NamedTuple):
-    """An image to refine by: its Camera; observed (H, W) metres, NaN where it says nothing; into, see Sensor."""
+    """An image to refine by: its Camera; observed (H, W) metres, NaN where it says nothing; into, see Sensor;
+    effective_pixels that it is worth."""
 
     camera: Camera
     observed: np.ndarray
     into: np.ndarray = np.eye(4)
+    effective_pixels: float = np.inf
 
 
 def view_of(seen):
@@ -123,8 +125,12 @@ def refine(rng, views, floor_pose, state, rules, tries=THREADS):
     """
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
-    first, *others = (first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into)
-                      for view in views)  # fmt: skip
+    first, *others = (
+        first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into).changed(
+            effective_pixels=view.effective_pixels
+        )
+        for view in views
+    )
     sensor = first._replace(others=tuple(others))
     refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
     kept = without_unseen(refined.state, refined)

@@ -1,0 +1,175 @@
+"""Several depth images of one scene that stands still: their candidate structures, and one posterior of them all.
+
+Each image is searched by itself. What was found in it is brought over the first one's floor, and joined to what the
+others found: a solid that one view hides another shows. The joined states are candidates as those that a search meets:
+brought to the mode, weighed and drawn from under the product of the images' likelihoods (`Sensor.views`).
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from derender.detection.search.greedy import total_energy
+from derender.detection.search.observation import Observation
+from derender.detection.solids.graph import names_of
+from derender.detection.solids.image import CENTRE, ROTATION, SIZE
+from derender.detection.solids.interpenetration import penetration
+from derender.detection.solids.naming import matched_names, structure_key
+from derender.detection.solids.state import State
+from derender.errors import DerenderError
+from derender.scene.pose import inverse, rotation_z
+from derender.structures.draws.refined import View, height, refine, view_of
+from derender.structures.graph_posterior import independent_parts
+from derender.structures.shared_errors import with_shared_errors
+from derender.structures.unions import on_supports
+
+MOST_CANDIDATES = 3  # joined states that are brought to the mode
+ENTERED = 0.2  # share of what is thinnest by which a solid of one view may enter another's and yet be another one
+SAME_FLOOR, SAME_HEIGHT = np.radians(5.0), 0.03  # radians, metres between the floors of two views of one scene
+ROUNDS = 2  # in which each solid is tried as another view has it
+
+
+class Frame(NamedTuple):
+    """A further image of the scene: depth (H, W) metres, NaN = no return; its Camera; into (4, 4) float64, the first
+    camera's axes to its own, or None: it is found. name : what a person calls it."""
+
+    depth: np.ndarray
+    camera: Any
+    into: np.ndarray | None
+    name: str
+
+
+class Look(NamedTuple):
+    """What was found in one image.
+
+    Attributes
+    ----------
+    state : State over the floor of this image. seen : its Observation.
+    into : (4, 4), the first camera's axes to this one's.
+    over : (4, 4), this floor's frame to the first one's: a turn and a shift along the floor.
+    """
+
+    state: State
+    seen: Observation
+    into: np.ndarray
+    over: np.ndarray
+
+
+def first_look(state, seen) -> Look:
+    """Return the Look at the first image."""
+    return Look(state, seen, np.eye(4), np.eye(4))
+
+
+def look_from(first: Look, state, seen, frame: Frame) -> Look:
+    """Return the Look at another image from where its camera is said to have stood.
+
+    Raises
+    ------
+    DerenderError : the two images show different floors.
+    """
+    assert frame.into is not None
+    over = inverse(first.seen.floor.pose) @ inverse(frame.into) @ seen.floor.pose
+    tilt, apart = float(np.arccos(np.clip(over[2, 2], -1.0, 1.0))), float(over[2, 3])
+    if tilt > SAME_FLOOR or abs(apart) > SAME_HEIGHT:
+        what = f"its floor is {np.degrees(tilt):.0f} degrees and {100 * apart:.0f} cm off the first image's"
+        remedy = "poses are camera to world, in metres, of one scene: camera axes x right, y down, z forward"
+        raise DerenderError(what, frame.name, remedy)
+    return Look(state, seen, frame.into, along_floor(over))
+
+
+def along_floor(over):
+    """Return the turn about z and the shift along the floor of a motion (4, 4) between two floors' frames."""
+    level = rotation_z(float(np.arctan2(over[1, 0], over[0, 0])))
+    level[:2, 3] = over[:2, 3]
+    return level
+
+
+def moved(state, over):
+    """Return a State moved along the floor: over (4, 4), a turn about z and a shift."""
+    state = state.copy()
+    turns = state.rows[:, ROTATION:CENTRE].reshape(-1, 3, 3)
+    state.rows[:, ROTATION:CENTRE] = (over[:3, :3] @ turns).reshape(-1, 9)
+    state.rows[:, CENTRE:SIZE] = state.rows[:, CENTRE:SIZE] @ over[:3, :3].T + over[:3, 3]
+    return state
+
+
+def energy_of(looks: Sequence[Look], state, settings) -> float:
+    """Return the search's energy of a State over the first floor, the sum over all images."""
+    return sum(total_energy(look.seen.image, moved(state, inverse(look.over)), settings) for look in looks)
+
+
+def joined(looks: Sequence[Look], settings) -> list[tuple[State, float]]:
+    """Return (State over the first floor, energy) of what the images show together, the best first, each once.
+
+    Each image's own state is completed by what the others found elsewhere; a solid that several have found is as that
+    one has it by which all images are explained best.
+    """
+    states = [moved(look.state, look.over) for look in looks]
+    names = names_of(states[0])
+    found: dict[tuple, tuple[State, float]] = {}
+    for state in states:
+        state = completed(state, states)
+        state, energy = as_others_have_it(state, states, looks, settings)
+        key = structure_key(state, matched_names(state, states[0], names))
+        if key not in found or energy < found[key][1]:
+            found[key] = state, energy
+    return sorted(found.values(), key=lambda pair: pair[1])[:MOST_CANDIDATES]
+
+
+def completed(state, states):
+    """Return a State with the solids of others that lie elsewhere than all of its own, each on what bears it."""
+    for other in states:
+        for k, row in enumerate(other.rows):
+            thin = row[SIZE:].min()
+            if all(penetration(row, own) < ENTERED * min(thin, own[SIZE:].min()) for own in state.rows):
+                state = state.add(row, other.forms[k], other.cubes[k], bottom=other.bottoms[k])
+    return on_supports(state)
+
+
+def as_others_have_it(state, states, looks, settings):
+    """Return (State, energy) with each solid as that state has it by which all images are explained best."""
+    energy = energy_of(looks, state, settings)
+    own = [str(k) for k in range(len(state))]
+    others = [(other, matched_names(other, state, own)) for other in states]
+    for _ in range(ROUNDS):
+        before = energy
+        for other, names in others:
+            for j, name in enumerate(names):
+                if name not in own:
+                    continue
+                k, trial = own.index(name), state.copy()
+                trial.rows[k], trial.forms[k], trial.cubes[k] = other.rows[j], other.forms[j], other.cubes[j]
+                trial.bottoms[k] = other.bottoms[j]
+                trial = on_supports(trial)
+                value = energy_of(looks, trial, settings)
+                if value < energy:
+                    state, energy = trial, value
+        if energy == before:
+            break
+    return state, energy
+
+
+def views_of(looks: Sequence[Look], settings) -> list[View]:
+    """Return the Views by which all images are explained together: without what is background or free-form."""
+    views = []
+    for look in looks:
+        view, seen = view_of(look.seen), look.seen
+        free = np.any([thing.mask for thing in seen.things], axis=0) if seen.things else np.zeros_like(seen.behind)
+        observed = np.where(seen.behind | free, np.nan, view.observed)
+        worth = settings.for_correlation(seen.correlation).temper / settings.temper
+        worth = np.inf if worth <= 1.0 else observed.size / worth
+        views.append(View(view.camera, observed, look.into, worth))
+    return views
+
+
+def together_parts(rng, looks: Sequence[Look], settings, chains, draws, only_best):
+    """Return the parts of the posterior given all images, in the axes of the first camera."""
+    views, floor = views_of(looks, settings), looks[0].seen.floor.pose
+    candidates = joined(looks, settings)
+    refined = [refine(rng, views, floor, state, settings.rules, settings.tries) for state, _ in candidates]
+    first = max(refined, key=height)
+    first = with_shared_errors(rng, first)
+    energy = min(energy for _, energy in candidates)
+    pool = [(each.state, energy) for each in refined if each.state is not first.state]
+    return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
