@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.atomic import make_folder
 from derender.camera.depth_file import DepthImage
+from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
 from derender.camera.reading import Reading
 from derender.compilation.threads import import_in_background
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
@@ -18,8 +19,9 @@ from derender.errors import DerenderError, at_fault
 from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
+from derender.scene.pose import inverse
 from derender.structures.draws.scene_density import BARE_IMAGE
-from derender.structures.options import Options
+from derender.structures.options import Frame, Options
 from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
@@ -51,6 +53,8 @@ def infer_to_folder(
     progress: Progress | None = None,
     say: Say = silent,
     warn: Say = silent,
+    frames: Sequence[str] = (),
+    poses: str | None = None,
 ) -> Outcome:
     """Infer the scene behind a depth image and write the folder of results.
 
@@ -63,12 +67,16 @@ def infer_to_folder(
     command : recorded in what is written. page : whether report.html is written, which can be made later. timed :
         whether summary.json says how long it took, which is never twice the same.
     progress : called with (fraction done, message). say, warn : called with a line for a person.
+    frames : files of further images of the same scene, which stands still; poses : file of where all cameras stood
+        (camera/poses.py), None: as the camera file says, or else they are found.
 
     Raises
     ------
-    DerenderError : whatever is wrong with the image, the camera, the prior or the folder.
+    DerenderError : whatever is wrong with the images, the camera, the poses, the prior or the folder.
     """
     started = time.monotonic()
+    if frames:
+        options = replace(options, frames=read_frames([image, *frames], poses, reading))
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
     request = ask(image, options, prior, folder, reading, gradient, command, warn)
     return answer(request, make_folder(folder), page, started if timed else None, progress, say, warn)
@@ -118,6 +126,19 @@ def ask(
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
     where = prior if has_objects(document) else image
     return Request(str(image), seen, document, where, options, gradient, made, folder.resolve())
+
+
+def read_frames(images: Sequence[str], poses: str | None, reading: Reading) -> tuple[Frame, ...]:
+    """Return the Frames of all images but the first, from where the cameras stood."""
+    known = read_poses(poses, images) if poses is not None else poses_of_camera_file(reading.camera, images)
+    frames = []
+    for k, name in enumerate(images[1:], start=1):
+        seen, into = reading.read(name), None
+        if known is not None:
+            first, own = (turned_pose(pose, reading.rotate) for pose in (known[0], known[k]))
+            into = inverse(own) @ first
+        frames.append(Frame(seen.depth, seen.camera, into, name))
+    return tuple(frames)
 
 
 def answer(
@@ -185,6 +206,8 @@ def check_request(options: Options, document: Document | None, prior: object, gr
     if given:
         from derender.structures.given import SMC_PARTICLES
 
+        if options.frames:
+            raise DerenderError("--together is for images without a scene", prior, "leave out --together or --scene")
         for key in FOR_BARE_IMAGES:
             if getattr(options, key):
                 option = SWITCHES.get(key, "--" + key.replace("_", "-"))
@@ -193,6 +216,11 @@ def check_request(options: Options, document: Document | None, prior: object, gr
             if method == "smc" and number is not None:
                 warn(f"{option} says nothing here: each population of --method smc has {SMC_PARTICLES} particles")
         return
+    if options.frames:
+        for option, present in (("--known", options.known), ("--floor", options.floor),
+                                (f"--method {method}", method in ("mcmc", "smc"))):  # fmt: skip
+            if present:
+                raise DerenderError(f"{option} is for one image", "--together", f"leave out {option} or --together")
     for name in options.shapes or ():
         if name not in KINDS:
             raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))

@@ -6,6 +6,7 @@
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
     python scripts/evaluate.py trust -n 100              how many answers end trusted (see evaluate_trust.py)
     python scripts/evaluate.py physics -n 200            verdicts, margins, bounces and pushes (see evaluate_physics.py)
+    python scripts/evaluate.py views -n 20               what a second look tells of towers (see evaluate_views.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
 first scene that pays for loading the compiled code.
@@ -88,6 +89,11 @@ def main():
         from evaluate_trust import evaluate_trust
 
         evaluate_trust(arguments.n, arguments.first, arguments.verbose)
+        return
+    if arguments.sets == ["views"]:
+        from evaluate_views import evaluate_views
+
+        evaluate_views(arguments.n, arguments.first, arguments.verbose)
         return
     if "physics" in arguments.sets:
         from evaluate_physics import evaluate_physics

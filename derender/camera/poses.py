@@ -18,7 +18,7 @@ from derender.camera.camera_file import LARGEST_FILE, load_tree
 from derender.camera.file_bytes import read_bytes
 from derender.camera.intrinsics import finite_number
 from derender.errors import DerenderError
-from derender.scene.pose import inverse
+from derender.scene.pose import inverse, rotation_z
 
 UNTURNED = 1e-2  # by which a rotation's columns may be off length 1 and off right angles: poses printed to two digits
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenCV's camera axes to OpenGL's
@@ -46,6 +46,13 @@ def read_poses(path: str | Path, images: Sequence[str]) -> np.ndarray:
         raise DerenderError(error.what, path, error.remedy) from None
 
 
+def poses_of_camera_file(path: str | None, images: Sequence[str]) -> np.ndarray | None:
+    """Return the poses (V, 4, 4) of images that their camera file holds; None where it holds none."""
+    if path is None or str(path).lower().endswith((".npz", ".npy")) or poses_in(load_tree(path)) is None:
+        return None
+    return read_poses(path, images)
+
+
 def poses_in(tree: object) -> list[Any] | dict[str, Any] | None:
     """Return the matrices of a loaded file, in order or by names of images; None where it holds none."""
     if isinstance(tree, Mapping):
@@ -63,9 +70,14 @@ def poses_in(tree: object) -> list[Any] | dict[str, Any] | None:
     return [tree] if _shape(tree) == (4, 4) else None
 
 
-def write_poses(path: str | Path, poses: Mapping[str, np.ndarray]) -> None:
-    """Write poses (4, 4), camera to world, by names of images: a file that `read_poses` reads."""
-    tree = {name: np.asarray(pose, float).tolist() for name, pose in poses.items()}
+def turned_pose(pose: np.ndarray, degrees: int) -> np.ndarray:
+    """Return the pose (4, 4), camera to world, of the camera that would have seen the image turned clockwise."""
+    return pose @ rotation_z(-np.radians(degrees))
+
+
+def write_poses(path: str | Path, poses: Sequence[np.ndarray]) -> None:
+    """Write poses (4, 4), camera to world, in the order of the images: a file that `read_poses` reads."""
+    tree = [np.asarray(pose, float).tolist() for pose in poses]
     write_text(Path(path), json.dumps({"poses": tree}, indent=1) + "\n")
 
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "sample": "Draw scenes from a prior, with their depth images.",
     "render": "Render scenes to depth images, or to a picture.",
     "infer": "Turn one depth image into a posterior over scene graphs.",
+    "look": "Say which camera move would tell most.",
     "simulate": "Let physics act on a scene or posterior: is it stable?",
     "show": "Print a scene graph as a tree, or as JSON.",
     "score": "Print log prior, log likelihood and each object's share.",

@@ -1,6 +1,7 @@
 """derender infer: a depth image in, a posterior over scene graphs out; or many images, and a table of all."""
 
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -92,6 +93,14 @@ OF_THE_RUN = frozenset(
     help="Without --scene: draw on until the chains agree or so much time (30s, 2min) is spent on the image. Default: "
     "while it is worth it; then a seed gives the same on any machine.",
 )
+@click.option(
+    "--together", is_flag=True, help="The images show one scene that stands still: one posterior given all of them."
+)
+@click.option(
+    "--poses",
+    metavar="FILE",
+    help="With --together: where the cameras stood. Default: as the camera file says; else they are found.",
+)
 @click.option("--track", is_flag=True, help="The images are a film: follow the things through it.")
 @click.option(
     "--fps", type=float, metavar="N", help="With --track: frames a second. Default: the camera file's, or 30."
@@ -149,6 +158,12 @@ def command(talk: Talk, **arguments) -> int | None:
     DIR/report.html with a time line. With --dynamics also DIR/dynamics.npz, draws of friction, restitution, mass ratios
     and velocities (chain, draw), and in track.json, under `parameters`, those that the motion tells.
 
+    With --together the images are views of one scene that stands still, from cameras whose poses --poses says: JSON,
+    YAML or .npz with a 4 x 4 matrix for each image, camera to world, metres, camera axes x right, y down, z forward; in
+    the order of the images, or by their names. A transforms.json of Nerfstudio and a scene_camera.json of BOP say it
+    too; where nothing says it, the poses are found. The result is in the axes of the first camera. Errors that images
+    share are measured, and do not count twice.
+
     \b
     Examples:
         derender sample && derender infer sample_000.npz
@@ -157,6 +172,7 @@ def command(talk: Talk, **arguments) -> int | None:
         derender infer sample_000.npz --scene figure-4 --chains 4 --draws 2000
         derender infer frames/ --camera camera.json --quick -o results && cut -d, -f1-6 results/results.csv
         derender infer recordings/ --watch -o results
+        derender infer front.png side.png --together --poses poses.json --camera camera.json -o both
         derender infer film/ --track --fps 30 -o out && cat out/events.jsonl
     """
     from derender.batch.frames import is_many
@@ -174,14 +190,28 @@ def command(talk: Talk, **arguments) -> int | None:
     if film["track"]:
         from derender.cli.tracking import follow
 
+        if arguments.pop("together") or arguments.pop("poses"):
+            raise click.UsageError("--track and --together are two things: a film, or a scene that stands still")
         return follow(talk, images, {**arguments, **film, "watch": watch})
+    together, poses = arguments.pop("together"), arguments.pop("poses")
+    if poses is not None and not together:
+        raise click.UsageError("--poses goes with --together")
+    if together:
+        if watch or scheduler:
+            raise click.UsageError("--together takes images that are there: leave out --watch and --scheduler")
+        from derender.batch.frames import find_frames
+
+        first, *others = (frame.path for frame in find_frames(images, arguments["output"] or "inferred"))
+        return _one(talk, first, arguments, others, poses)
     if watch or scheduler or is_many(images):
         return _many(talk, images, watch, scheduler, arguments)
     return _one(talk, images[0], arguments)
 
 
-def _one(talk: Talk, image: str, arguments: dict[str, Any]) -> int | None:
-    """Infer one image and print its table."""
+def _one(
+    talk: Talk, image: str, arguments: dict[str, Any], frames: Sequence[str] = (), poses: str | None = None
+) -> int | None:
+    """Infer one image, or with further `frames` of the scene and their `poses` file all together; print its table."""
     from derender.structures.options import Options
     from derender.workflow import infer_to_folder
 
@@ -194,7 +224,7 @@ def _one(talk: Talk, image: str, arguments: dict[str, Any]) -> int | None:
     try:
         outcome = infer_to_folder(
             image, wanted, prior, output, reading, gradient, command_line(), page is not False,
-            progress=bar, say=talk.say, warn=talk.warn,
+            progress=bar, say=talk.say, warn=talk.warn, frames=frames, poses=poses,
         )  # fmt: skip
     finally:
         if bar:

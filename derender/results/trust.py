@@ -18,6 +18,7 @@ SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where t
 MARGIN = 2.5  # times the draws that seem enough
 # Of images whose neighbouring pixels share noise, where structures are not weighed by the integral of a density.
 TEMPERED = "probabilities of structures are those of a tempered score, whose error is not known"
+LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
@@ -77,6 +78,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
+    for view in posterior.meta.get("views", ()):
+        if view["explained"] < LEAST_OF_VIEW:
+            doubts.append(f"{1.0 - view['explained']:.0%} of {view['image']} is not explained by what all images show")
     structures = posterior.meta.get("structure_chains", {})
     evidence = posterior.meta.get("log_evidence") or [0.0]
     if max(evidence) - min(evidence) > APART:

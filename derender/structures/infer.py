@@ -18,6 +18,7 @@ from derender.detection.solids.support import final_parents
 from derender.detection.things import leftovers, made_thing, take_things
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
+from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import BareImagePrior
 from derender.structures.options import Options
 
@@ -163,6 +164,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.structures.free_forms import with_things
     from derender.structures.graph_posterior import parts_of
     from derender.structures.known.library import chosen_library
+    from derender.structures.stills import averaged
     from derender.structures.together import first_look, look_from, together_parts
 
     options = options or Options()
@@ -177,6 +179,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     if progress:
         progress(0.0, "searching for solids")
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
+    depth, frames = averaged(depth, whole_camera(camera, depth.shape), options.frames)
     plane = read_floor(options.floor)
     loose = (bare_image() if settings.beliefs is None else settings.beliefs).loose
     unit = 1.0 if options.unit is not None or options.frames else unit_of(depth, loose)
@@ -188,16 +191,16 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     pool: list = []
     library = chosen_library(options.known) if options.known else ()
     state, seen = point_estimate(rng, depth, camera, settings, pool=pool, plane=plane)
-    settings = settings_for(settings, seen)
+    asked, settings = settings, settings_for(settings, seen)
     if progress:
         progress(0.6, f"{len(state)} solids; sampling")
     chains, draws = options.chains or 2, options.draws or 100
-    interrupted = seen.interrupted
     looks = [first_look(state, seen)]
-    for frame in options.frames:
+    for frame in frames:
         if progress:
             progress(0.6, f"searching {frame.name} for solids")
-        looks.append(look_from(looks[0], *point_estimate(rng, frame.depth, frame.camera, settings), frame))
+        looks.append(look_from(looks[0], *point_estimate(rng, frame.depth, frame.camera, asked), frame, settings))
+    interrupted = any(look.seen.interrupted for look in looks)
 
     def parts_about(only_best):
         if library:
@@ -229,7 +232,11 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
             "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
-    return replace(posterior, explanation=explanation_of(posterior, seen, depth, camera))
+    graph = posterior.best_graph()
+    if len(looks) > 1:
+        into = np.array(posterior.best_part.extras["into"])
+        posterior.meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], frames, strict=True)]
+    return replace(posterior, explanation=explanation_of(graph, seen, depth, camera))
 
 
 def missed_by(seen, parts, loose):
@@ -245,14 +252,21 @@ def missed_by(seen, parts, loose):
     return settled if seen.agreed and not left else open_
 
 
-def explanation_of(posterior, seen, depth, camera):
-    """Return what the most probable scene says of each pixel of the image as it came, an Explanation."""
+def view_data(graph, into, look, frame):
+    """Return what is kept of a further view: its name, pose (to the first camera), and the share that is explained."""
+    there = replace(graph, root_pose=into @ graph.root_pose)
+    told = explanation_of(there, look.seen, frame.depth, frame.camera)
+    return {"image": frame.name, "pose": inverse(into).tolist(), "explained": told.share(frame.depth)}
+
+
+def explanation_of(graph, seen, depth, camera):
+    """Return what a scene says of each pixel of the image as it came, an Explanation."""
     from derender.results.explanation import explain
 
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
     camera = whole_camera(camera, depth.shape)
-    return explain(posterior.best_graph(), depth, camera, seen.floor.sigma, seen.behind[rows[:, None], columns])
+    return explain(graph, depth, camera, seen.floor.sigma, seen.behind[rows[:, None], columns])
 
 
 def whole_camera(camera, shape):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,16 @@ from derender.errors import DerenderError
 from derender.registry import suggest
 
 METHODS = ("auto", "mcmc", "map", "smc")
+
+
+class Frame(NamedTuple):
+    """A further image of a scene: depth (H, W) metres, NaN = no return; its Camera; into (4, 4) float64, the first
+    camera's axes to its own, None: it is found. name : what a person calls it."""
+
+    depth: np.ndarray
+    camera: Any
+    into: np.ndarray | None
+    name: str
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,7 @@ class Options:
     budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
         worth it, and a seed gives the same on any machine.
     unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
-    frames : further images of the same scene, which stands still, each a `together.Frame`.
+    frames : further images of the same scene, which stands still, from elsewhere.
     """
 
     method: str = "auto"
@@ -61,7 +71,7 @@ class Options:
     likelihood: Any = None
     budget: float | None = None
     unit: float | None = None
-    frames: Sequence[Any] = ()
+    frames: Sequence[Frame] = ()
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

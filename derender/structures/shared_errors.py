@@ -46,7 +46,9 @@ def shared(refined):
     found = np.zeros((len(views), len(views)))
     for a in range(len(views)):
         for b in range(a):
-            found[a, b] = found[b, a] = correlation(views[a], views[b], models[a], models[b], residuals[a], residuals[b])
+            found[a, b] = found[b, a] = correlation(
+                views[a], views[b], models[a], models[b], residuals[a], residuals[b]
+            )
     return found
 
 

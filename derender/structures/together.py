@@ -6,21 +6,23 @@ brought to the mode, weighed and drawn from under the product of the images' lik
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.detection.search.greedy import total_energy
 from derender.detection.search.observation import Observation
 from derender.detection.solids.graph import names_of
-from derender.detection.solids.image import CENTRE, ROTATION, SIZE
+from derender.detection.solids.image import SIZE
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.naming import matched_names, structure_key
 from derender.detection.solids.state import State
 from derender.errors import DerenderError
 from derender.scene.pose import inverse, rotation_z
+from derender.structures.alignment import found_over, moved, with_poses_refined
 from derender.structures.draws.refined import View, height, refine, view_of
 from derender.structures.graph_posterior import independent_parts
+from derender.structures.options import Frame
 from derender.structures.shared_errors import with_shared_errors
 from derender.structures.unions import on_supports
 
@@ -30,23 +32,13 @@ SAME_FLOOR, SAME_HEIGHT = np.radians(5.0), 0.03  # radians, metres between the f
 ROUNDS = 2  # in which each solid is tried as another view has it
 
 
-class Frame(NamedTuple):
-    """A further image of the scene: depth (H, W) metres, NaN = no return; its Camera; into (4, 4) float64, the first
-    camera's axes to its own, or None: it is found. name : what a person calls it."""
-
-    depth: np.ndarray
-    camera: Any
-    into: np.ndarray | None
-    name: str
-
-
 class Look(NamedTuple):
     """What was found in one image.
 
     Attributes
     ----------
     state : State over the floor of this image. seen : its Observation.
-    into : (4, 4), the first camera's axes to this one's.
+    into : (4, 4), the first camera's axes to this one's. found : whether that was found, not given.
     over : (4, 4), this floor's frame to the first one's: a turn and a shift along the floor.
     """
 
@@ -54,6 +46,7 @@ class Look(NamedTuple):
     seen: Observation
     into: np.ndarray
     over: np.ndarray
+    found: bool = False
 
 
 def first_look(state, seen) -> Look:
@@ -61,14 +54,16 @@ def first_look(state, seen) -> Look:
     return Look(state, seen, np.eye(4), np.eye(4))
 
 
-def look_from(first: Look, state, seen, frame: Frame) -> Look:
-    """Return the Look at another image from where its camera is said to have stood.
+def look_from(first: Look, state, seen, frame: Frame, settings) -> Look:
+    """Return the Look at another image from where its camera is said, or found, to have stood.
 
     Raises
     ------
-    DerenderError : the two images show different floors.
+    DerenderError : the two images show different floors, or nothing stands in both.
     """
-    assert frame.into is not None
+    if frame.into is None:
+        over = found_over(first, state, seen, settings, frame.name)
+        return Look(state, seen, seen.floor.pose @ inverse(over) @ inverse(first.seen.floor.pose), over, True)
     over = inverse(first.seen.floor.pose) @ inverse(frame.into) @ seen.floor.pose
     tilt, apart = float(np.arccos(np.clip(over[2, 2], -1.0, 1.0))), float(over[2, 3])
     if tilt > SAME_FLOOR or abs(apart) > SAME_HEIGHT:
@@ -83,15 +78,6 @@ def along_floor(over):
     level = rotation_z(float(np.arctan2(over[1, 0], over[0, 0])))
     level[:2, 3] = over[:2, 3]
     return level
-
-
-def moved(state, over):
-    """Return a State moved along the floor: over (4, 4), a turn about z and a shift."""
-    state = state.copy()
-    turns = state.rows[:, ROTATION:CENTRE].reshape(-1, 3, 3)
-    state.rows[:, ROTATION:CENTRE] = (over[:3, :3] @ turns).reshape(-1, 9)
-    state.rows[:, CENTRE:SIZE] = state.rows[:, CENTRE:SIZE] @ over[:3, :3].T + over[:3, 3]
-    return state
 
 
 def energy_of(looks: Sequence[Look], state, settings) -> float:
@@ -168,8 +154,8 @@ def together_parts(rng, looks: Sequence[Look], settings, chains, draws, only_bes
     views, floor = views_of(looks, settings), looks[0].seen.floor.pose
     candidates = joined(looks, settings)
     refined = [refine(rng, views, floor, state, settings.rules, settings.tries) for state, _ in candidates]
-    first = max(refined, key=height)
+    first = with_poses_refined(rng, max(refined, key=height), [look.found for look in looks])
     first = with_shared_errors(rng, first)
     energy = min(energy for _, energy in candidates)
-    pool = [(each.state, energy) for each in refined if each.state is not first.state]
+    pool = [(each.state, energy) for each in refined]
     return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)

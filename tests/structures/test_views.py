@@ -1,5 +1,7 @@
 """Several images of one scene: their joint density, what it says of the scene, and what shared errors leave of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,13 +9,19 @@ from derender.camera.intrinsics import Camera
 from derender.detection.solids.image import make_row
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
+from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
-from derender.scene.pose import inverse, rotation_x, rotation_z
+from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import SIZE, make_chart
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.metropolis import engine_of, evaluate, load
+from derender.structures.draws.metropolis import engine_of, evaluate, load, sample
+from derender.structures.draws.refined import refined_at
 from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.infer import infer_structure
+from derender.structures.options import Frame, Options
+from derender.structures.shared_errors import shared
+from derender.structures.stills import averaged
 
 UPRIGHT = 0
 BOTH = ("gaussian", "robust")
@@ -103,3 +111,93 @@ def test_an_effective_number_of_pixels_tempers_the_precision():
         load(engine, chart, values)
         found.append(Curvature(engine, chart, tempered, values).precision([0])[0, 0])
     assert found[1] < 0.02 * found[0]
+
+
+def test_a_second_view_narrows_what_the_first_hides():
+    rng = np.random.default_rng(5)
+    chart, values, sensor = looks(rng, (0.0, np.pi / 2), ("gaussian",), ((64, 48),), elevation=0.3)
+    spreads = []
+    for used in (sensor._replace(others=()), sensor):
+        drawn = sample(rng, chart, used, values.copy(), 1, 80, 40)[0].values
+        sizes = drawn[:, np.unique(chart.slots[:, SIZE:])]
+        truth = values[np.unique(chart.slots[:, SIZE:])]
+        spreads.append(sizes.std(axis=0))
+        assert np.all(np.abs(sizes.mean(axis=0) - truth) < 5.0 * spreads[-1] + 2e-4)
+    hidden = spreads[0] > 0.002
+    assert hidden.any() and np.all(spreads[1][hidden] < 0.5 * spreads[0][hidden])
+
+
+def test_errors_that_images_share_count_once():
+    """The same noise again tells nothing; noise of its own as much again."""
+    rng = np.random.default_rng(6)
+    chart, values, sensor = looks(rng, (0.0, 0.0, 1.4), ("gaussian",))
+    first, again, side = sensor.views
+    again = again._replace(values=first.values)
+    same = again._replace(observed=first.observed)
+    state = tower()
+    for other, expected in ((same, 1.0), (again, 0.0), (side, 0.0)):
+        both = first._replace(others=(other,))
+        found = shared(refined_at(state, chart, values, both, 0.0, 0.0))
+        np.testing.assert_allclose(found, [[0.0, expected], [expected, 0.0]], atol=0.02)
+    bias = 0.002 * rng.standard_normal(first.observed.shape)
+    one, two = (view._replace(observed=view.observed + bias) for view in (first, again))
+    assert 0.35 < shared(refined_at(state, chart, values, one._replace(others=(two,)), 0.0, 0.0))[0, 1] < 0.65
+
+
+def frame(depth, into, name):
+    return Frame(depth, camera(64, 48), into, name)
+
+
+def test_images_from_one_place_are_averaged_and_what_they_share_stays():
+    rng = np.random.default_rng(7)
+    chart, values = make_chart(tower(), floor_pose(0.0), Rules(0.0015))
+    clean = model_depth(chart, values, camera(64, 48))
+    bias = 0.001 * rng.standard_normal(clean.shape)
+    images = clean + bias + 0.002 * rng.standard_normal((64, *clean.shape))
+    images[:40, 3, 4] = np.nan
+    for into in (np.eye(4), None):
+        others = [frame(image, into, str(k)) for k, image in enumerate(images[1:])]
+        mean, left = averaged(images[0], camera(64, 48), others)
+        assert not left and np.isnan(mean[3, 4])
+        assert np.nanstd(mean - clean - bias) == pytest.approx(0.002 / 8.0, rel=0.1)
+        assert np.nanstd(mean - clean) > 0.0009
+    side = inverse(floor_pose(0.0)) @ floor_pose(1.4)
+    _, left = averaged(images[0], camera(64, 48), [frame(images[1], side, "side")])
+    assert [each.name for each in left] == ["side"]
+    with pytest.raises(DerenderError, match="both are from one place"):
+        averaged(images[0], camera(64, 48), [frame(images[1] + 0.1, np.eye(4), "other")])
+
+
+@pytest.fixture(scope="module")
+def two_looks():
+    """(camera, first image, another, the motion between their cameras) of a tower and a box beside it."""
+    rng = np.random.default_rng(8)
+    beside = make_row(BOX, rotation_z(1.0)[:3, :3], np.array([0.13, 0.06, 0.03]), np.array([0.05, 0.07, 0.06]))
+    state, view = tower().add(beside, UPRIGHT, False, FLOOR, 0.0), camera(128, 96)
+    chart, values = make_chart(state, floor_pose(0.3), Rules(0.0015))
+    into = floor_pose(1.5, 0.6, 0.75) @ inverse(chart.floor)
+    images = [model_depth(chart, values, view, each) + 0.001 * rng.standard_normal((96, 128)) for each in (None, into)]
+    return view, *images, into
+
+
+def test_poses_are_found_within_a_millimetre(two_looks):
+    view, one, other, into = two_looks
+    options = Options(method="map", quick=True, frames=(Frame(other, view, None, "other"),))
+    found = infer_structure(one, view, options, np.random.default_rng(1))
+    off = inverse(np.array(found.best_part.extras["into"][0])) @ into
+    middle = np.array([0.0, 0.0, 0.7, 1.0])
+    assert np.linalg.norm((off @ middle - middle)[:3]) < 0.001 and rotation_angle(off, np.eye(4)) < 0.003
+    assert len(found.best_graph().names) == 4
+    (told,) = found.meta["views"]
+    assert told["image"] == "other" and told["explained"] > 0.98
+
+
+def test_images_of_different_scenes_are_told_in_one_line(two_looks):
+    view, one, other, into = two_looks
+    bare = model_depth(*make_chart(State(), floor_pose(0.3), Rules(0.0015)), view)
+    options = Options(method="map", quick=True)
+    for depth, pose, what in ((bare, None, "cannot be brought onto"), (other, np.eye(4), "its floor is")):
+        given = replace(options, frames=(Frame(depth, view, pose, "other.png"),))
+        with pytest.raises(DerenderError, match=what) as caught:
+            infer_structure(one, view, given, np.random.default_rng(1))
+        assert "\n" not in str(caught.value) and "other.png" in str(caught.value)

@@ -235,7 +235,8 @@ def structure_posterior(refined, names, weight, chains: list[Draws]):
         graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,
         root.reshape(*shape, 4, 4),
         {"accepted": [chain.accepted for chain in chains],
-         "likelihood": refined.sensor.to_data()},
+         "likelihood": refined.sensor.to_data(),
+         **({"into": [view.into.tolist() for view in refined.sensor.others]} if refined.sensor.others else {})},
     )  # fmt: skip
 
 

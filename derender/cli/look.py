@@ -1,0 +1,92 @@
+"""derender look: which camera move would tell most about a scene that was inferred."""
+
+import json
+from pathlib import Path
+
+import click
+
+from derender.cli import options
+from derender.cli.options import Talk
+
+SHOWN = 5  # views in the table
+
+
+@click.command()
+@click.argument("folder", metavar="DIR")
+@click.option(
+    "--about",
+    type=click.Choice(["sizes", "structure", "stable"]),
+    default="sizes",
+    show_default=True,
+    help="What another image is to tell: sizes, which structure it is, or whether the scene stands.",
+)
+@options.output("File of the poses, and beside it the picture. Default: DIR/poses.json.", None, "FILE")
+@options.as_json
+@options.seed
+@options.quiet
+def command(folder: str, about: str, output: str | None, as_json: bool, seed: int, talk: Talk) -> None:
+    """Say from where another image would tell most about what `derender infer` left in DIR.
+
+    Candidates are cameras on rings about the scene, as far from it as the first. The draws of the posterior are
+    rendered from each; by how much their images tell their sizes, structures and stability apart is how much the image
+    is expected to tell, in nats. The table shows the best: the turn about the scene (seen from above, anticlockwise)
+    and the elevation over the floor in degrees, how far the camera moves, and the 90 % range of the size that is known
+    least, as it is and as it is expected to be. The poses of all cameras, the best candidate's last, go to a file that
+    `derender infer --together --poses` takes, and a picture with a map of all views beside it.
+
+    \b
+    Examples:
+        derender look results/
+        derender infer first.png second.png --together --poses results/poses.json -o both
+    """
+    import numpy as np
+
+    from derender.camera.poses import write_poses
+    from derender.cli.reading import read_scene
+    from derender.errors import DerenderError
+    from derender.physics.next_view import next_views
+    from derender.report.next_view_picture import write_picture
+
+    found = read_scene(folder)
+    if found.posterior is None or found.camera is None:
+        raise DerenderError("there is no posterior here", folder, "give a DIR made by derender infer")
+    if found.posterior.best_part.log_density.size < 2:
+        raise DerenderError("there is but one draw", folder, "infer without --quick and --method map")
+    likelihood = found.posterior.best_part.extras.get("likelihood") or found.posterior.meta.get("likelihood", {})
+    views = next_views(found.posterior, found.camera, likelihood, np.random.default_rng(seed), about)
+    place = Path(output) if output else Path(folder) / "poses.json"
+    others = [np.array(view["pose"]) for view in found.posterior.meta.get("views", ())]
+    write_poses(place, [np.eye(4), *others, views[0].pose])
+    picture = place.with_suffix(".png")
+    write_picture(picture, found.graph, found.camera, views, about)
+    if as_json:
+        click.echo(json.dumps({"about": about, "views": [tree_of(view) for view in views]}))
+    else:
+        click.echo(table_of(views))
+    talk.say(f"wrote {place} and {picture}")
+
+
+def tree_of(view) -> dict:
+    """Return a NextView as JSON has it, angles in degrees."""
+    import numpy as np
+
+    return {
+        "turn": float(np.degrees(view.turn)), "elevation": float(np.degrees(view.elevation)), "moved": view.moved,
+        "pose": view.pose.tolist(), "nats": view.nats, "spreads": {k: list(pair) for k, pair in view.spreads.items()},
+    }  # fmt: skip
+
+
+def table_of(views) -> str:
+    """Return the table of the views that tell most."""
+    import numpy as np
+
+    least = max(views[0].spreads, key=lambda name: views[0].spreads[name][0])
+    lines = [f"{'turn':>6}{'elevation':>11}{'moved':>9}{'sizes':>8}{'structure':>11}{'stable':>8}  {least}"]
+    for view in views[:SHOWN]:
+        before, after = (2000.0 * 1.645 * spread for spread in view.spreads[least])
+        nats = "".join(f"{view.nats[key]:{wide}.1f}" for key, wide in (("sizes", 8), ("structure", 11), ("stable", 8)))
+        lines.append(
+            f"{np.degrees(view.turn):6.0f}{np.degrees(view.elevation):11.0f}{view.moved:7.2f} m{nats}"
+            f"  {before:.1f} mm -> {after:.1f} mm"
+        )
+    return "\n".join(lines)

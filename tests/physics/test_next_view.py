@@ -1,0 +1,107 @@
+"""The next best view: its linear-Gaussian estimate, and what it says of scenes where the answer is known."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from derender.camera.depth_file import DepthImage
+from derender.camera.intrinsics import Camera
+from derender.camera.poses import read_poses
+from derender.cli import group
+from derender.document import LikelihoodPrior
+from derender.physics.next_view import candidates, information, next_views, spreads_after
+from derender.render.raycast.depth import render_depth
+from derender.report.result_folder import write_results
+from derender.results.posterior import Posterior, StructurePosterior
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x
+
+CAMERA = Camera(72, 72, 39.5, 29.5, 80, 60)
+LIKELIHOOD = {"type": "gaussian", "sigma": 0.001, "blur": 0.5, "background": 10.0}
+
+
+def scene():
+    """A box on a floor, one of its level edges along the camera's line of sight."""
+    pose = rotation_x(np.pi / 2 + 0.25)
+    pose[:3, 3] = 0.0, 0.02, 0.7
+    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
+    size = {"length": 0.08, "width": 0.06, "height": 0.1}
+    contact = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
+    return SceneGraph(pose, (floor, Vertex("box", "box", size, "floor", contact)))
+
+
+def posterior(axis):
+    """A posterior that knows all but one extent of the box, whose near side stays where it is."""
+    graph, rng = scene(), np.random.default_rng(1)
+    other = "x" if axis == "length" else "y"
+    extents = graph.vertex("box").parameters[axis] + 0.02 * rng.random((2, 100))
+    away = 1.0 if np.sign((graph.root_pose[:3, 0] if other == "x" else graph.root_pose[:3, 1])[2]) > 0 else -1.0
+    shift = 0.5 * away * (extents - graph.vertex("box").parameters[axis])
+    values = np.stack([extents, shift], axis=-1)
+    addresses = (f"box.{axis}", f"box.contact.{other}")
+    density = -np.abs(extents - extents.mean())
+    part = StructurePosterior(graph, addresses, values, np.zeros_like(density), density, 1.0, (None, None),
+                              extras={"likelihood": LIKELIHOOD})  # fmt: skip
+    meta = {"interrupted": False, "camera": CAMERA.to_dict(), "lost_chains": []}
+    return Posterior((part,), seed=0, meta=meta)
+
+
+def test_expected_spreads_are_those_of_a_kalman_update():
+    rng = np.random.default_rng(2)
+    images, table = rng.standard_normal((30, 12)), rng.standard_normal((3, 30))
+    images -= images.mean(axis=0)
+    ((before, after),) = spreads_after([table], images)
+    joint = np.cov(np.vstack([table, images.T]))
+    own, cross, seen = joint[:3, :3], joint[:3, 3:], joint[3:, 3:]
+    expected = own - cross @ np.linalg.solve(seen + np.eye(12), cross.T)
+    np.testing.assert_allclose(before**2, np.diag(own), rtol=1e-10)
+    np.testing.assert_allclose(after**2, np.diag(expected), rtol=1e-8)
+    # a broken twin: without the noise of the image
+    blind = own - cross @ np.linalg.solve(seen, cross.T)
+    assert np.all(np.diag(blind) < 0.99 * after**2)
+
+
+def test_what_is_known_already_tells_nothing():
+    assert information(np.array([1e-4, 0.01]), np.array([1e-6, 0.001]), 3e-4) == pytest.approx(np.log(10.0))
+
+
+def test_all_candidates_look_at_the_scene_from_above_the_floor():
+    graph = scene()
+    middle = graph.poses()["box"][:3, 3]
+    for pose, _, elevation, moved in candidates(graph):
+        x, y, z = (np.linalg.inv(pose) @ [*middle, 1.0])[:3]
+        assert abs(x) < 1e-9 and abs(y) < 1e-9 and z == pytest.approx(np.linalg.norm(middle))
+        height = (pose[:3, 3] - graph.root_pose[:3, 3]) @ graph.root_pose[:3, 2]
+        assert height > 0.1 and elevation > 0.2 and moved == pytest.approx(np.linalg.norm(pose[:3, 3]))
+    assert min(moved for *_, moved in candidates(graph)) < 0.1
+
+
+def test_the_best_view_of_a_hidden_depth_is_not_the_one_that_hid_it():
+    views = next_views(posterior("width"), CAMERA, LIKELIHOOD, np.random.default_rng(3))
+    here = min(views, key=lambda view: view.moved)
+    best = views[0]
+    assert best.nats["sizes"] > here.nats["sizes"] + 0.5
+    before, after = best.spreads["box.width"]
+    assert before > 0.004 and after < 0.2 * before
+    assert best.nats["structure"] == 0.0  # there is one alone
+
+
+def test_the_command_writes_poses_that_infer_takes(tmp_path):
+    found = posterior("width")
+    depth, _ = render_depth(found.best_graph().solids(), CAMERA)
+    seen = DepthImage(depth, CAMERA)
+    (tmp_path / "result").mkdir()
+    write_results(
+        tmp_path / "result", found, seen, LikelihoodPrior("gaussian", {"sigma": 0.001}), {}, 0, 0.0, page=False
+    )
+    run = CliRunner().invoke(group, ["look", str(tmp_path / "result"), "--json"])
+    assert run.exit_code == 0, run.output
+    told = json.loads(run.stdout)
+    poses = read_poses(tmp_path / "result" / "poses.json", ["a.png", "b.png"])
+    np.testing.assert_allclose(poses[0], np.eye(4))
+    np.testing.assert_allclose(poses[1], told["views"][0]["pose"], atol=1e-12)
+    assert (tmp_path / "result" / "poses.png").read_bytes().startswith(b"\x89PNG")
+    table = CliRunner().invoke(group, ["look", str(tmp_path / "result"), "--about", "stable", "-q"])
+    assert table.exit_code == 0 and "box.width" in table.stdout
