@@ -11,7 +11,7 @@ from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
-from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z
+from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z, translation
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import SIZE, make_chart
 from derender.structures.draws.curvature import Curvature
@@ -123,7 +123,7 @@ def test_a_second_view_narrows_what_the_first_hides():
         truth = values[np.unique(chart.slots[:, SIZE:])]
         spreads.append(sizes.std(axis=0))
         assert np.all(np.abs(sizes.mean(axis=0) - truth) < 5.0 * spreads[-1] + 2e-4)
-    hidden = spreads[0] > 0.002
+    hidden = spreads[0] > 0.005
     assert hidden.any() and np.all(spreads[1][hidden] < 0.5 * spreads[0][hidden])
 
 
@@ -196,7 +196,7 @@ def test_images_of_different_scenes_are_told_in_one_line(two_looks):
     view, one, other, into = two_looks
     bare = model_depth(*make_chart(State(), floor_pose(0.3), Rules(0.0015)), view)
     options = Options(method="map", quick=True)
-    for depth, pose, what in ((bare, None, "cannot be brought onto"), (other, np.eye(4), "its floor is")):
+    for depth, pose, what in ((bare, None, "cannot be brought onto"), (other, translation(0.0, 0.3, 0.0), "its floor is")):
         given = replace(options, frames=(Frame(depth, view, pose, "other.png"),))
         with pytest.raises(DerenderError, match=what) as caught:
             infer_structure(one, view, given, np.random.default_rng(1))
