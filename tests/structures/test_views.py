@@ -196,7 +196,10 @@ def test_images_of_different_scenes_are_told_in_one_line(two_looks):
     view, one, other, into = two_looks
     bare = model_depth(*make_chart(State(), floor_pose(0.3), Rules(0.0015)), view)
     options = Options(method="map", quick=True)
-    for depth, pose, what in ((bare, None, "cannot be brought onto"), (other, translation(0.0, 0.3, 0.0), "its floor is")):
+    for depth, pose, what in (
+        (bare, None, "cannot be brought onto"),
+        (other, translation(0.0, 0.3, 0.0), "its floor is"),
+    ):
         given = replace(options, frames=(Frame(depth, view, pose, "other.png"),))
         with pytest.raises(DerenderError, match=what) as caught:
             infer_structure(one, view, given, np.random.default_rng(1))
