@@ -18,7 +18,7 @@ from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.standing import unheld
+from derender.structures.standing import log_standing, unheld
 from derender.structures.unions import on_supports, recuts
 from derender.structures.weighing import odds_at
 
@@ -83,7 +83,9 @@ def test_a_cut_keeps_the_outline_and_another_takes_it_back():
 
 
 def test_a_board_that_only_friction_holds_is_not_held():
+    """And is as much less probable as the file says."""
     assert unheld(hung()) == 1 and unheld(shelf()) == 0
+    assert log_standing(shelf(), RULES) - log_standing(hung(), RULES) == pytest.approx(np.log(CERTAIN))
 
 
 def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
