@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from derender.physics.bodies import Body, Matter, matter_of_scene
+from derender.physics.disturbance import Disturbance
 from derender.physics.mujoco_model import ROLLING, World
 from derender.physics.simulate import judge, save_trajectory, simulate, verdicts
 from derender.scene.pose import random_rotation, rotation_x, rotation_y, translation
@@ -140,6 +141,13 @@ def test_overlapping_neighbours_are_not_thrown_apart():
     assert World(scene).gap("a", "b") == pytest.approx(-0.004, abs=1e-9)
     verdict = judge(simulate(scene))
     assert verdict.stable and max(verdict.displacement.values()) < 1e-4
+
+
+def test_rest_is_half_a_second_of_calm():
+    """A moment of it may be where something turns back. An idle disturbance keeps the engine from falling asleep."""
+    scene = matter(FLOOR, cube("a", 0, 0.05), supports=[("a", "floor")])
+    trajectory = simulate(scene, 2.0, early=True, disturbance=Disturbance())
+    assert 0.5 <= trajectory.times[-1] < 0.7
 
 
 def test_planes_hold_on_either_side():
