@@ -35,6 +35,7 @@ from derender.structures.draws.refined import (
     view_of,
     with_sensor_refitted,
 )
+from derender.structures.draws.sensor import too_far
 from derender.structures.hidden import hidden_expected
 from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
 from derender.structures.unexplained import additions, nearer_than_explained, spots
@@ -58,7 +59,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
     closer : Closer for a real sensor's draws, or None.
     """
-    knowable = not seen.things and seen.background < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
+    knowable = not seen.things and unknown_share(seen) < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
     if seen.correlation < INDEPENDENT and knowable:
         first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
         energy = total_energy(seen.image, state, settings)
@@ -66,6 +67,13 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
     if only_best:
         return [part_of(rng, seen, closer, state, settings, names_of(state), 1.0, 1, 1)]
     return posterior_parts(rng, seen, closer, state, pool, settings, chains, draws)
+
+
+def unknown_share(seen):
+    """Return the share of the pixels that show background which the sensor model does not leave out as too far."""
+    good = seen.image.weight > 0
+    far = too_far(np.where(good, seen.image.depth, np.nan))
+    return float((seen.behind & good & ~far).sum() / max(good.sum(), 1))
 
 
 def independent_parts(rng, first, energy, pool, settings, chains, draws, only_best):

@@ -242,14 +242,13 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
 def missed_by(seen, parts, loose):
     """Return the probability that the search has missed what is there; loose : what the prior says of that.
 
-    It has explained everything where two searches agreed and neither free-form things nor badly explained spots are
-    left of an image whose pixels are independent. Of a real sensor's the tempered score says how open it is.
+    Of an image whose pixels are independent it has explained everything where two searches agreed, the model weighed
+    what they found, and no badly explained spots are left. Of a real sensor's the tempered score says how open it is.
     """
     settled, open_ = loose.missed
     if seen.correlation > CORRELATED or len(parts) == 1 and parts[0].log_density.size == 1:  # one scene says no odds
         return settled
-    left = seen.things or parts[0].extras.get("unexplained", 0)
-    return settled if seen.agreed and not left else open_
+    return settled if seen.agreed and parts[0].extras.get("unexplained") == 0 else open_
 
 
 def view_data(graph, into, look, frame):

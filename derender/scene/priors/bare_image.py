@@ -39,7 +39,7 @@ class Loose:
     overlap: float = 3e-4
     hanging: float = 1e-13
     tipping: float = 0.01
-    missed: tuple[float, float] = (0.005, 0.1)
+    missed: tuple[float, float] = (0.005, 0.3)
     second_support: float = 0.5
     within: float = 0.06
 
