@@ -145,7 +145,8 @@ class Posterior:
         return self.best_part.best()[0]
 
     def object_probability(self, name: str) -> float:
-        """Return the probability that an object of this name is there."""
+        """Return the probability that an object of this name is there; a structure that was missed may well have it,
+        so that it is taken to have it as often as those that were found."""
         return self._probability(lambda graph: name in graph.names)
 
     def object_probability_error(self, name: str) -> float:
@@ -178,7 +179,8 @@ class Posterior:
         return {what: p / present for what, p in sorted(found.items(), key=lambda item: -item[1])} if present else {}
 
     def _probability(self, holds) -> float:
-        return float(sum(part.weight for part in self.parts if holds(part.graph)))
+        total = sum(part.weight for part in self.parts)
+        return float(sum(part.weight for part in self.parts if holds(part.graph)) / total) if total > 0.0 else 0.0
 
     def graphs(self, rng: np.random.Generator, count: int) -> list[SceneGraph]:
         """Return `count` scenes drawn from the posterior: structures by weight, draws uniformly within.

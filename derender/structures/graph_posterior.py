@@ -101,7 +101,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         low, high = (float(end) for end in intervals[place])
         if place == 0:
             hidden = hidden_expected(rng, trial, settings.beliefs)
-            left = len(spots(nearer_than_explained(trial)))
+            # the robust likelihood explains what is left as outliers: edges that lie a pixel beside
+            left = len(spots(nearer_than_explained(trial))) if trial.sensor.likelihood.name == "gaussian" else 0
             part = replace(part, extras={**part.extras, "hidden_expected": hidden, "unexplained": left})
         parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
     return parts

@@ -56,6 +56,8 @@ def test_probabilities_are_sums_of_weights():
     posterior = Posterior((one, other))
     assert posterior.object_probability("low") == pytest.approx(1.0)
     assert posterior.object_probability("top") == pytest.approx(0.7)
+    missing = Posterior((one.scaled(0.7), other.scaled(0.7)))  # what was missed may have the object as well
+    assert missing.object_probability("top") == pytest.approx(0.7)
     assert posterior.object_probability("nobody") == 0.0
     assert posterior.parent_probability("top") == {"high": 1.0}
     assert posterior.parent_probability("nobody") == {}
