@@ -7,7 +7,7 @@ from test_graph_posterior import camera, cube, floor_pose, observe, row
 
 from derender.detection.background import cut_off
 from derender.detection.search.greedy import Settings
-from derender.detection.search.searches import search
+from derender.detection.search.searches import Found, agree, search
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.rules import Rules
@@ -72,6 +72,15 @@ def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
     made.clear()
     search(np.random.default_rng(0), None, [], Settings(tries=2, may_float=True))
     assert len(made) == 2
+
+
+def test_searches_agree_where_they_find_as_many_solids_as_well():
+    on_top = cube().add(row(BOX, 0.2, 0.0, 0.0, 0.08, (0.04,) * 3), UPRIGHT, True, 0, 0.08)
+    beside = cube().add(row(BOX, 0.2, 0.2, 0.0, 0.0, (0.04,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    one, *others = (Found(state, 10.0, None, []) for state in (cube(), on_top, beside))
+    assert agree([one, one], Settings()) and not agree([one, one._replace(energy=99.0)], Settings())
+    assert not any(agree([one, other], Settings()) for other in others) and not agree(others, Settings())
+    assert agree(others, Settings(temper=4.0))  # of a real sensor's image it is enough that they are as good
 
 
 def test_only_before_a_room_does_what_the_border_cuts_count_as_background():
