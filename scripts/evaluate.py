@@ -5,6 +5,9 @@
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
     python scripts/evaluate.py trust -n 100              how many answers end trusted (see evaluate_trust.py)
+    python scripts/evaluate.py dynamics -n 5             friction, restitution, mass ratios (see dynamics_figures.py)
+    python scripts/evaluate.py prediction -n 4           what comes next in a film (see evaluate_prediction.py)
+    python scripts/evaluate.py tosses -n 20              where real tosses come to rest (the same file)
     python scripts/evaluate.py physics -n 200            verdicts, margins, bounces and pushes (see evaluate_physics.py)
     python scripts/evaluate.py views -n 20               what a second look tells of towers (see evaluate_views.py)
 
@@ -71,6 +74,21 @@ def evaluate_made(name, count, first, options, verbose):
     return row
 
 
+def evaluate_motion(arguments):
+    """Print the figures of dynamics, prediction or tosses."""
+    import dynamics_figures
+    import evaluate_prediction
+
+    kinds, keep = tuple(filter(None, arguments.kinds.split(","))), arguments.keep
+    films = (arguments.n, arguments.first, arguments.sensor)
+    if arguments.sets == ["dynamics"]:
+        dynamics_figures.evaluate_dynamics(*films, kinds or dynamics_figures.FILMS, keep, arguments.verbose)
+    elif arguments.sets == ["prediction"]:
+        evaluate_prediction.evaluate_prediction(*films, kinds or evaluate_prediction.FILMS, keep)
+    else:
+        evaluate_prediction.evaluate_tosses(arguments.n, arguments.first, keep)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", nargs="*", help=f"of {', '.join(SETS + REAL_SETS)}; default: all")
@@ -78,9 +96,13 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (its seed)")
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
-    parser.add_argument("--sensor", default="kinect", help="of the films of `tracking`")
-    parser.add_argument("--kinds", default="", help="of the films of `tracking`, such as place,topple; default: all")
+    parser.add_argument("--sensor", default="kinect", help="of films")
+    parser.add_argument("--kinds", default="", help="of films, such as place,topple; default: all")
+    parser.add_argument("--keep", default="", help="folder of results of films that are not done again")
     arguments = parser.parse_args()
+    if arguments.sets in (["dynamics"], ["prediction"], ["tosses"]):
+        evaluate_motion(arguments)
+        return
     if arguments.sets == ["tracking"]:
         kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS
         evaluate_tracking(arguments.n, arguments.first, arguments.sensor, kinds, arguments.verbose)

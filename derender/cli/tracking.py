@@ -17,8 +17,9 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     from derender.structures.options import Options
     from derender.tracking.run import track_to_folder
 
-    if arguments["prior"]:
-        raise DerenderError("--track finds everything from the film", "--scene", "leave out --scene or --track")
+    prior = arguments["prior"]
+    if prior and not arguments["dynamics"]:
+        raise DerenderError("--track finds everything from the film", "--prior", "leave it out, or give --dynamics")
     known = {field.name for field in fields(Options)}
     wanted = Options(**{key: value for key, value in arguments.items() if key in known})
     watch = bool(arguments["watch"])
@@ -37,7 +38,7 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     if arguments["dynamics"]:
         from derender.tracking.materials import materials_to_folder
 
-        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line()):
+        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line(), prior):
             click.echo(line)
     talk.say(f"wrote {outcome.folder}/")
     return None

@@ -59,7 +59,7 @@ class Engine:
     def _world(self, matter: Matter, step: float) -> World:
         extents = [float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"]
         period = np.sqrt(min(extents) / (float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY))
-        world = World(matter, False, step / period)
+        world = World(matter, False, step / period, moving=True)
         if all(body.kind in ("plane", "box") for body in matter.bodies):
             world.model.geom_condim[:] = WITHOUT_SPINNING
             world.model.pair_dim[:] = WITHOUT_SPINNING

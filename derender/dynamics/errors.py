@@ -23,7 +23,7 @@ LEVER = 2.0
 
 
 class Scales(NamedTuple):
-    """Logarithms are what is learnt; medians and spreads (of the logarithm) of their log-normal priors below.
+    """Their logarithms are what is learnt; `Prior` says what is believed of them before.
 
     Attributes
     ----------
@@ -35,17 +35,6 @@ class Scales(NamedTuple):
     impact: float
     steady: float
     tracking: float
-
-
-# Wide enough for films that the engine itself made, which err little, and for real tosses, which err some ten times
-# as much: a factor of e either way is one standard deviation.
-MEDIAN = Scales(0.06, 0.015, 1.0)
-LOG_SPREAD = Scales(1.0, 1.0, 0.5)
-
-
-def log_prior(logarithms: np.ndarray) -> float:
-    """Return the log density of the scales' logarithms (3,), up to a constant."""
-    return float(-0.5 * np.sum(((logarithms - np.log(MEDIAN)) / np.array(LOG_SPREAD)) ** 2))
 
 
 def impulses(before: np.ndarray, after: np.ndarray, gravity: np.ndarray, interval: float) -> np.ndarray:

@@ -9,11 +9,11 @@ from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from derender.dynamics.engine import Engine
-from derender.dynamics.errors import LOG_SPREAD, MEDIAN, Scales, log_prior
+from derender.dynamics.errors import Scales
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
+from derender.dynamics.prior import Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
-from derender.dynamics.states import CHANGE
 from derender.physics.mujoco_model import Diverged
 
 # Where Levenberg-Marquardt may start: friction and restitution; masses as densities say. Films from all of them are
@@ -48,7 +48,7 @@ class Mode(NamedTuple):
     robust : (T, N), by how much each tracked pose counts.
     scales : learnt there.
     log_marginal : with all unknowns integrated out, linear about this mode.
-    covariance : (P, P) of the coordinates.
+    covariance : (Z, Z) of all unknowns: changes at the cuts, offsets, coordinates.
     first : (12 N, 12 N), covariance of the states in the first frame.
     """
 
@@ -145,8 +145,9 @@ def learn_scales(
 
     def density(logarithms: np.ndarray) -> float:
         errors = shooting.errors(path, Scales(*np.exp(logarithms)), robust)
-        return log_marginal(shooting, path, derivatives, errors, False)[0] + log_prior(logarithms)
+        return log_marginal(shooting, path, derivatives, errors, False)[0] + prior.log_density_of_scales(logarithms)
 
+    prior = shooting.parameters.prior
     best = np.log(scales)
     value, step = density(best), np.full(3, 0.7)
     while step.max() > 0.1:
@@ -171,25 +172,28 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
     errors = shooting.errors(path, scales, robust)
     precision = log_marginal(shooting, path, derivatives, errors, False)[1]
     covariance = np.linalg.inv(precision)
-    first = covariance[: CHANGE * shooting.count, : CHANGE * shooting.count]
-    covariance = covariance[shooting.size :, shooting.size :]
+    ways = shooting.first
+    first = ways @ covariance[: ways.shape[1], : ways.shape[1]] @ ways.T
     weights = shooting.robust(path, errors, scales)
     return Mode(path, *derivatives, weights, scales, value, covariance, first)
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
-    """Return coordinates to start from, the nearest first: those whose films lie nearest to the tracked centres."""
+    """Return coordinates to start from: of those whose films lie nearest to the tracked centres the nearest few, and
+    where something is struck the nearest one of each restitution."""
     middle = shooting.parameters.middle()
     found = []
-    for friction in FRICTIONS:
-        for restitution in RESTITUTIONS:
+    for restitution in RESTITUTIONS if shooting.struck else RESTITUTIONS[:1]:
+        tried = []
+        for friction in FRICTIONS:
             coordinates = np.array([math.log(friction), restitution, *middle[2:]])
             path = shooting.first_path(coordinates)
             residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
             far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
-            found.append((float(np.sum(np.log1p(far))), coordinates))
-    found.sort(key=lambda pair: pair[0])
-    return [coordinates for _, coordinates in found[:STARTS]]
+            tried.append((float(np.sum(np.log1p(far))), coordinates))
+        tried.sort(key=lambda pair: pair[0])
+        found += tried[: 1 if shooting.struck else STARTS]
+    return [coordinates for _, coordinates in sorted(found, key=lambda pair: pair[0])]
 
 
 def find_modes(shooting: Shooting) -> list[Mode]:
@@ -206,7 +210,7 @@ def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarra
     bounces = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates).restitution
 
     def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
-        prior = parameters.log_prior(coordinates) + log_prior(logarithms)
+        prior = parameters.log_prior(coordinates) + parameters.prior.log_density_of_scales(logarithms)
         if not np.isfinite(prior) or not np.array_equal(parameters.inside(coordinates)[::2], coordinates[::2]):
             return -np.inf
         try:
@@ -232,10 +236,10 @@ def sample(
     ones have the mean and covariance of the weighted draws so far. A draw's weight is the target's density over that of
     all rounds' proposals, mixed by their numbers of draws (Cornuet, Marin, Mira and Robert 2012).
     """
-    size = parameters.size
-    floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), LOG_SPREAD]) ** 2)
+    size, spread = parameters.size, parameters.prior.log_scales()[1]
+    floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), spread]) ** 2)
     first = np.zeros((size + 3, size + 3))
-    first[size:, size:] = np.diag((0.5 * np.array(LOG_SPREAD)) ** 2)
+    first[size:, size:] = np.diag((0.5 * spread) ** 2)
     rounds: list[list[tuple[np.ndarray, np.ndarray]]] = []
     points, target, log_weights = np.empty((0, size + 3)), np.empty(0), np.empty(0)
     for number in range(MOST_ROUNDS):
@@ -250,7 +254,7 @@ def sample(
         else:
             components = []
             for mode in modes:
-                first[:size, :size] = mode.covariance
+                first[:size, :size] = mode.covariance[-size:, -size:]
                 components.append(
                     (np.concatenate([mode.path.coordinates, np.log(mode.scales)]), (first + floor) * WIDER**2)
                 )
@@ -285,8 +289,8 @@ def _flattened(log_weights: np.ndarray) -> np.ndarray:
 def _proposal(rng: np.random.Generator, components: list, parameters: Parameters) -> np.ndarray:
     """Return one point from a mixture of t distributions, or from the prior."""
     if rng.uniform() < FROM_PRIOR:
-        scales = np.log(MEDIAN) + np.array(LOG_SPREAD) * rng.standard_normal(3)
-        return np.concatenate([parameters.sample_prior(rng), scales])
+        scales = [error.sample(rng) for error in parameters.prior.errors]
+        return np.concatenate([parameters.sample_prior(rng), np.log(scales)])
     centre, covariance = components[rng.integers(len(components))]
     width = math.sqrt(FREEDOM / rng.chisquare(FREEDOM))
     return centre + width * (np.linalg.cholesky(covariance) @ rng.standard_normal(len(centre)))
@@ -305,9 +309,9 @@ def _mixture(points: np.ndarray, rounds: list, parameters: Parameters) -> np.nda
             constant -= math.log(len(components) * len(rounds))
             logs.append(constant - 0.5 * (FREEDOM + dimension) * np.log1p(square / FREEDOM))
     student = logsumexp(logs, axis=0)
-    constant = -float(np.sum(np.log(LOG_SPREAD))) - 1.5 * math.log(2 * math.pi)
-    prior = np.array([parameters.log_prior(point[:size]) + log_prior(point[size:]) for point in points])
-    return np.logaddexp(math.log1p(-FROM_PRIOR) + student, math.log(FROM_PRIOR) + prior + constant)
+    scales = parameters.prior.log_density_of_scales
+    prior = np.array([parameters.log_prior(point[:size]) + scales(point[size:]) for point in points])
+    return np.logaddexp(math.log1p(-FROM_PRIOR) + student, math.log(FROM_PRIOR) + prior)
 
 
 class Identified(NamedTuple):
@@ -325,13 +329,10 @@ class Identified(NamedTuple):
     draws: Draws
 
 
-def identify(
-    motion: Motion, rng: np.random.Generator, parameters: Parameters | None = None, draws: int = DRAWS
-) -> Identified:
-    """Return the posterior over friction, restitution and mass ratios, given tracked poses."""
+def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = None, draws: int = DRAWS) -> Identified:
+    """Return the posterior over friction, restitution and mass ratios, given tracked poses; prior None: the default."""
     engine = Engine(motion.matter, motion.names, motion.step)
-    if parameters is None:
-        parameters = Parameters(motion.names, engine.masses)
+    parameters = Parameters(motion.names, engine.masses, prior or read_dynamics_prior())
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     return Identified(parameters, modes, sample(target_of(shooting, modes[0]), parameters, modes, rng, draws))

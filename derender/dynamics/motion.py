@@ -13,6 +13,12 @@ from derender.physics.bodies import Body, Matter
 MOVED_ERRORS = 6.0
 MOVED_METRES = 0.01
 MOVED_RADIANS = 0.12
+# Tracking's errors are alike from frame to frame, for two reasons: sizes are learnt slowly (a share of the variance
+# that fades over so many frames), and outlines fall on the same pixels until a body has moved by so many of them. On 35
+# made films errors of neighbouring frames correlate at .8 below half a pixel and at .35 beyond one.
+SLOW, SLOW_FRAMES, SAME_PIXELS = 0.4, 4.0, 0.5
+# Of two poses that are nearer than this (metres, and entries of the rotation), the second is the first one held.
+REPEATED = 1e-9
 
 
 class Motion(NamedTuple):
@@ -27,6 +33,7 @@ class Motion(NamedTuple):
     poses : (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen.
     covariances : (T, N, 6, 6) float64 of the centre (metres, in the frame of the poses) and of a rotation vector
         (radians, in the body's axes: R_true = R exp(phi)).
+    pixels : (N,) metres that a pixel of the image shows at each body; 0 where errors of poses are independent.
     """
 
     matter: Matter
@@ -34,11 +41,32 @@ class Motion(NamedTuple):
     times: np.ndarray
     poses: np.ndarray
     covariances: np.ndarray
+    pixels: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
         """(T, N) bool, where there is a pose."""
         return np.isfinite(self.poses).all(axis=(2, 3))
+
+    @property
+    def fresh(self) -> np.ndarray:
+        """(T, N) bool, where a pose tells something: not between two others that are the same, held while it rests."""
+        same = np.abs(np.diff(np.nan_to_num(self.poses, nan=1e9), axis=0)).max(axis=(2, 3)) < REPEATED
+        held = np.zeros(self.poses.shape[:2], bool)
+        held[1:-1] = same[:-1] & same[1:]
+        return self.seen & ~held
+
+    def noise(self, k: int) -> np.ndarray:
+        """Return the covariance (F, 6, F, 6) of body k's poses over its F fresh frames."""
+        shown = np.flatnonzero(self.fresh[:, k])
+        alike = np.eye(len(shown))
+        if self.pixels[k] > 0:
+            centre = self.poses[shown, k, :3, 3]
+            moved = np.linalg.norm(centre[:, None] - centre, axis=-1) / self.pixels[k]
+            apart = np.abs(shown[:, None] - shown)
+            alike = SLOW * np.exp(-apart / SLOW_FRAMES) + (1 - SLOW) * np.exp(-moved / SAME_PIXELS)
+        lower = np.linalg.cholesky(self.covariances[shown, k])
+        return np.einsum("ts,tij,skj->tisk", alike, lower, lower)
 
     @property
     def step(self) -> float:
@@ -56,13 +84,18 @@ class Motion(NamedTuple):
 
 
 def motion_of(
-    matter: Matter, names: tuple[str, ...], times: np.ndarray, poses: np.ndarray, covariances: np.ndarray
+    matter: Matter,
+    names: tuple[str, ...],
+    times: np.ndarray,
+    poses: np.ndarray,
+    covariances: np.ndarray,
+    pixels: np.ndarray | None = None,
 ) -> Motion:
     """Check tracked poses, and return those of the bodies that moved; all others stand fixed at their mean pose.
 
     Parameters
     ----------
-    matter, names, times, poses, covariances : as in `Motion`, of all tracked bodies.
+    matter, names, times, poses, covariances, pixels : as in `Motion`, of all tracked bodies.
 
     Raises
     ------
@@ -96,6 +129,7 @@ def motion_of(
         times,
         poses[:, moving],
         covariances[:, moving],
+        np.zeros(len(moving)) if pixels is None else np.asarray(pixels, float)[moving],
     )
 
 

@@ -6,13 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.dynamics.engine import Material
-from derender.scene.distributions import Distribution, distributions
+from derender.dynamics.prior import QUARTILE, Prior
 
-# Priors where a scene file says nothing: friction of dry household things (wood, card, plastic on table tops: .2-.8),
-# any restitution, and densities that differ by a factor of three either way (foam against filled cans is more).
-FRICTION = distributions["log-normal"](0.35, 0.8)
-RESTITUTION = distributions["uniform"](0.0, 0.95)
-MASS_RATIO = distributions["log-normal"](1.0, 1.1)
 # Friction and mass ratio are kept within exp(+-5), restitution within what the engine bounces, and climbing off its
 # edge.
 LOG_LIMIT, MOST_RESTITUTION, EDGE = 5.0, 0.98, 1e-3
@@ -25,15 +20,12 @@ class Parameters(NamedTuple):
     ----------
     names : N names of the moving bodies. The first is the one that mass ratios refer to.
     masses : (N,) float64, kg, that densities say; a mass ratio's prior is about their ratio.
-    friction, restitution : priors of the numbers themselves.
-    mass_ratio : prior of mass ratio divided by the ratio of `masses`.
+    prior : of the numbers; that of mass ratios is of them divided by the ratios of `masses`.
     """
 
     names: tuple[str, ...]
     masses: np.ndarray
-    friction: Distribution = FRICTION
-    restitution: Distribution = RESTITUTION
-    mass_ratio: Distribution = MASS_RATIO
+    prior: Prior
 
     @property
     def size(self) -> int:
@@ -48,13 +40,13 @@ class Parameters(NamedTuple):
     def material(self, coordinates: np.ndarray) -> Material:
         """Return what the engine is told."""
         ratios = np.exp(np.concatenate([[0.0], coordinates[2:]])) if len(self.names) else np.ones(0)
-        low, high = self.restitution.support
+        low, high = self.prior.restitution.support
         return Material(math.exp(coordinates[0]), float(np.clip(coordinates[1], low, high)), self.masses * ratios)
 
     def inside(self, coordinates: np.ndarray) -> np.ndarray:
         """Return coordinates (size,) moved to where the engine is defined."""
         result = np.clip(coordinates, -LOG_LIMIT, LOG_LIMIT)
-        low, high = self.restitution.support
+        low, high = self.prior.restitution.support
         result[1] = np.clip(result[1], max(low, 0.0) + EDGE, min(high, MOST_RESTITUTION) - EDGE)
         return result
 
@@ -67,30 +59,25 @@ class Parameters(NamedTuple):
 
     def log_prior(self, coordinates: np.ndarray) -> float:
         """Return the log density of coordinates (size,), the Jacobian of the logarithms included."""
-        total = self.friction.log_density(math.exp(coordinates[0])) + coordinates[0]
-        total += self.restitution.log_density(coordinates[1])
+        total = self.prior.friction.log_density(math.exp(coordinates[0])) + coordinates[0]
+        total += self.prior.restitution.log_density(coordinates[1])
         for ratio in coordinates[2:]:
-            total += self.mass_ratio.log_density(math.exp(ratio)) + ratio
+            total += self.prior.mass_ratio.log_density(math.exp(ratio)) + ratio
         return total
 
     def sample_prior(self, rng: np.random.Generator) -> np.ndarray:
         """Return coordinates (size,) drawn from the prior."""
-        ratios = [math.log(self.mass_ratio.sample(rng)) for _ in range(self.size - 2)]
-        return np.array([math.log(self.friction.sample(rng)), self.restitution.sample(rng), *ratios])
+        ratios = [math.log(self.prior.mass_ratio.sample(rng)) for _ in range(self.size - 2)]
+        return np.array([math.log(self.prior.friction.sample(rng)), self.prior.restitution.sample(rng), *ratios])
 
     def middle(self) -> np.ndarray:
         """Return the prior's medians (size,) in these coordinates."""
-        ratio = math.log(self.mass_ratio.quantile(0.5))
-        return np.array(
-            [math.log(self.friction.quantile(0.5)), self.restitution.quantile(0.5), *[ratio] * (self.size - 2)]
-        )
+        return self._quantiles(0.5)
 
     def spread(self) -> np.ndarray:
         """Return the prior's standard deviations (size,) in these coordinates, from its quartiles."""
+        return (self._quantiles(0.75) - self._quantiles(0.25)) / (2 * QUARTILE)
 
-        def width(distribution: Distribution, transform=float) -> float:
-            low, high = (transform(distribution.quantile(p)) for p in (0.25, 0.75))
-            return (high - low) / 1.349
-
-        ratio = width(self.mass_ratio, math.log)
-        return np.array([width(self.friction, math.log), width(self.restitution), *[ratio] * (self.size - 2)])
+    def _quantiles(self, share: float) -> np.ndarray:
+        friction, restitution, ratio = (prior.quantile(share) for prior in self.prior[:3])
+        return np.array([math.log(friction), restitution, *[math.log(ratio)] * (self.size - 2)])

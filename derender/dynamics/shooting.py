@@ -11,13 +11,14 @@ linear in the states, these integrate out: that is the marginal likelihood of th
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import Engine
 from derender.dynamics.errors import LATE, LEVER, STEADY, Scales, impulses, velocity_errors
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.states import CHANGE, difference, from_poses, moved, turned_by
+from derender.dynamics.support import FREE, flush, plane_under, ways_of
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
 # corners rattle. Metres, radians, m / s, rad / s; and of the material's coordinates.
@@ -38,6 +39,9 @@ LOST = 22.5
 JUMP = 4.0
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
+# Where nothing moved by more than this from one frame to the next, and nothing is faster, all stays as it is: metres
+# and m / s (turns by the size). What begins to slide at a hundredth of gravity is faster after one frame.
+STAYS, STAYS_SPEED = 1e-5, 1e-3
 # An impact that tells restitution changes a velocity by so much more than resting contacts do, m / s: less is a box
 # that tilts onto its other edge.
 BOUNCE = 0.3
@@ -81,17 +85,41 @@ class Shooting:
     def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
         self.motion, self.parameters, self.engine = motion, parameters, engine
         self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen = motion.seen
-        self.sizes = np.array([float(np.mean(motion.body(name).size)) for name in motion.names])
-        self.tracked = from_poses(np.where(self.seen[..., None, None], motion.poses, np.eye(4)))
-        self.spread = np.where(self.seen[..., None, None], motion.covariances, np.eye(6))
+        self.seen = motion.fresh
+        self.bodies = [motion.body(name) for name in motion.names]
+        self.sizes = np.array([float(np.mean(body.size)) for body in self.bodies])
+        known = motion.seen[..., None, None]
+        self.tracked = from_poses(np.where(known, motion.poses, np.eye(4)))
+        self.spread = np.where(known, motion.covariances, np.eye(6))
+        self.noise = [motion.noise(k) for k in range(self.count)]
         self.is_cut = self._cuts()
         self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
+        states, planes = self.filled(), [body.pose for body in motion.matter.bodies if body.kind == "plane"]
+        # what was struck may rock: only in the first frame is a body held to the plane on which it lies
+        self.planes = [
+            plane_under(self.bodies[k], planes, states[:, k]) if frame == 0 else None for frame, k in self.cuts
+        ]
+        self.ways = [
+            FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
+            for (frame, k), plane in zip(self.cuts, self.planes, strict=True)
+        ]
+        ends = np.cumsum([0, *(ways.shape[1] for ways in self.ways)])
+        self.parts = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
     @property
     def size(self) -> int:
         """Number of unknowns besides the material's: changes at the cuts, and offsets."""
-        return CHANGE * len(self.cuts) + 3 * self.count
+        return self.parts[-1].stop + 3 * self.count
+
+    @property
+    def struck(self) -> bool:
+        """Whether there may be an impact: tracking shows one, something is in the air, or may strike something."""
+        return self.count > 1 or len(self.cuts) > self.count or any(plane is None for plane in self.planes)
+
+    @property
+    def first(self) -> np.ndarray:
+        """(12 N, S), changes of the states in the first frame by the S unknowns of their cuts."""
+        return block_diag(*self.ways[: self.count])
 
     def _cuts(self) -> np.ndarray:
         """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
@@ -106,7 +134,8 @@ class Shooting:
         jumps = (linear > np.maximum(limit, JUMP * error[..., :3].max(axis=-1))) | (
             turning > np.maximum(LEVER * limit / self.sizes, JUMP * error[..., 3:].max(axis=-1))
         )
-        jumps &= self.seen[:-2] & self.seen[1:-1] & self.seen[2:]
+        seen = self.motion.seen
+        jumps &= seen[:-2] & seen[1:-1] & seen[2:]
         result = np.zeros((self.frames, self.count), bool)
         # A kink shows in the second differences about the frames before and after it, or, near a frame, in that about
         # it alone: the frame after the last of these is after the kink in any case.
@@ -136,13 +165,18 @@ class Shooting:
         ahead = difference(states[:-1], states[1:])[..., :6] / step
         offsets = np.zeros((self.count, 3))
         up = -self.engine.gravity / max(float(np.linalg.norm(self.engine.gravity)), 1e-9)
-        for frame, k in self.cuts:
+        for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
             later = min(frame + 1, len(ahead) - 1)
             if self.is_cut[later, k] or later + 1 < self.frames and self.is_cut[later + 1, k]:
                 later = frame
             states[frame, k, 7:] = 0.5 * (ahead[frame, k] + ahead[later, k])
             if later > frame:  # the mean is that of the middle of two frames, one frame later
                 states[frame, k, 7:10] -= self._free(states, frame, k) * self.engine.gravity * step
+            if plane is not None:
+                states[frame, k] = flush(self.bodies[k], plane, states[frame, k])[0]
+                if frame == 0:
+                    offsets[k] = self.tracked[0, k, :3] - states[0, k, :3]
+                continue
             raised = self.engine.overlaps(states[frame])[k]
             states[frame, k, :3] += raised * up
             if frame == 0:
@@ -162,10 +196,17 @@ class Shooting:
         bounces : a restitution that is told instead of the material's.
         """
         material = self.parameters.material(path.coordinates)
+        if not self.struck:  # restitution would only change how resting contacts rattle
+            bounces = 0.0
         self.engine.tell(material if bounces is None else material._replace(restitution=bounces))
         states, arrived = path.states.copy(), path.arrived.copy()
+        rests = False
         for frame in range(first + 1, self.frames):
-            arrived[frame] = self.engine.advance(states[frame - 1])
+            if rests and not self.is_cut[frame - 1].any():
+                arrived[frame] = states[frame - 1]
+            else:
+                arrived[frame] = self.engine.advance(states[frame - 1])
+                rests = self._stays(states[frame - 1], arrived[frame])
             after = np.where(self.is_cut[frame][:, None], path.states[frame], arrived[frame])
             same = first and np.array_equal(after, path.states[frame])
             states[frame] = after
@@ -173,13 +214,21 @@ class Shooting:
                 break
         return path._replace(states=states, arrived=arrived)
 
+    def _stays(self, before: np.ndarray, after: np.ndarray) -> bool:
+        """Return whether all bodies rest, by their states (N, 13) in two frames."""
+        change = difference(before, after)
+        size = self.sizes[:, None]
+        far = max(np.abs(change[:, :3]).max(), np.abs(size * change[:, 3:6]).max())
+        fast = max(np.abs(after[:, 7:10]).max(), np.abs(size * after[:, 10:]).max())
+        return bool(far < STAYS and fast < STAYS_SPEED)
+
     def impulses(self, path: Path) -> np.ndarray:
         """Return the contacts' changes of velocity (T - 1, N, 2) along a path."""
         return impulses(path.states[:-1], path.arrived[1:], self.engine.gravity, self.engine.interval)
 
     def bounces(self, path: Path) -> bool:
-        """Return whether there is an impact; without one, restitution only changes how resting contacts rattle."""
-        return bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
+        """Return whether an impact along a path tells restitution."""
+        return self.struck and bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
@@ -211,27 +260,26 @@ class Shooting:
             )
             by_defect[frame:, :, :, column] = (self.defects(up)[frame:] - self.defects(down)[frame:]) / width
 
-        for number, (frame, k) in enumerate(self.cuts):
-            for part in range(CHANGE):
+        for (frame, k), part, directions in zip(self.cuts, self.parts, self.ways, strict=True):
+            for column, direction in zip(range(part.start, part.stop), directions.T, strict=True):
+                width = float(np.abs(direction) @ STEPS / np.abs(direction).sum())
                 ways = [path] * (2 - sides)
                 for sign in (-1, 1)[2 - sides :]:
-                    change = np.zeros(CHANGE)
-                    change[part] = sign * STEPS[part]
                     states = path.states.copy()
-                    states[frame, k] = moved(states[frame, k], change)
+                    states[frame, k] = moved(states[frame, k], sign * width * direction)
                     ways.append(self.rolled(path._replace(states=states), frame))
-                fill(CHANGE * number + part, frame, ways, sides * STEPS[part])
+                fill(column, frame, ways, sides * width)
         for k in range(self.count):
             for axis in range(3):
-                by_pose[:, k, axis, CHANGE * len(self.cuts) + 3 * k + axis] = -1.0 * self.seen[:, k]
+                by_pose[:, k, axis, self.parts[-1].stop + 3 * k + axis] = -1.0 * self.seen[:, k]
         bounces = self.bounces(path)
-        for part in range(self.parameters.size):
-            if part == 1 and not bounces:
+        for number in range(self.parameters.size):
+            if number == 1 and not bounces:
                 continue
             step = np.zeros(self.parameters.size)
-            step[part] = COORDINATE_STEP
+            step[number] = COORDINATE_STEP
             ways = [self.rolled(path._replace(coordinates=path.coordinates + way)) for way in (-step, step)]
-            fill(self.size + part, 0, ways, 2 * COORDINATE_STEP)
+            fill(self.size + number, 0, ways, 2 * COORDINATE_STEP)
         return by_pose, by_defect
 
     def errors(self, path: Path, scales: Scales, robust: np.ndarray | None = None) -> Errors:
@@ -270,9 +318,8 @@ class Shooting:
             covariance = np.zeros((len(shown), 6, len(shown), 6))
             for axis in range(6):
                 covariance[:, axis, :, axis] = model * (1.0 if axis < 3 else lever**2)
-            weight = scales.tracking**2 / (1.0 if robust is None else robust[shown, k])
-            at = np.arange(len(shown))
-            covariance[at, :, at, :] += self.spread[shown, k] * np.reshape(weight, (-1, 1, 1))
+            weight = scales.tracking / np.sqrt(np.ones(len(shown)) if robust is None else robust[shown, k])
+            covariance += np.einsum("t,tisj,s->tisj", weight, self.noise[k], weight)
             factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
@@ -295,11 +342,10 @@ class Shooting:
         roots = np.zeros(self.size + self.parameters.size)
         residual = np.zeros(self.size + self.parameters.size)
         velocity = 1 / np.repeat([FIRST_SPEED, FIRST_SPIN], 3)
-        for number, (frame, k) in enumerate(self.cuts):
-            part = slice(CHANGE * number + 6, CHANGE * number + 12)
-            roots[part] = velocity
-            residual[part] = velocity * path.states[frame, k, 7:]
-        offsets = slice(CHANGE * len(self.cuts), self.size)
+        for (frame, k), part, ways in zip(self.cuts, self.parts, self.ways, strict=True):
+            roots[part] = np.linalg.norm(velocity[:, None] * ways[6:], axis=0)
+            residual[part] = roots[part] * (path.states[frame, k, 7:] @ ways[6:])
+        offsets = slice(self.parts[-1].stop, self.size)
         roots[offsets] = 1 / OFFSET
         residual[offsets] = path.offsets.ravel() / OFFSET
         roots[self.size :] = 1 / self.parameters.spread()
@@ -313,9 +359,9 @@ class Shooting:
     def stepped(self, path: Path, change: np.ndarray) -> Path:
         """Return the path after a change (Z,) of all unknowns."""
         states = path.states.copy()
-        for number, (frame, k) in enumerate(self.cuts):
-            states[frame, k] = moved(states[frame, k], change[CHANGE * number : CHANGE * (number + 1)])
-        offsets = path.offsets + change[CHANGE * len(self.cuts) : self.size].reshape(-1, 3)
+        for (frame, k), part, ways in zip(self.cuts, self.parts, self.ways, strict=True):
+            states[frame, k] = moved(states[frame, k], ways @ change[part])
+        offsets = path.offsets + change[self.parts[-1].stop : self.size].reshape(-1, 3)
         coordinates = self.parameters.inside(path.coordinates + change[self.size :])
         return self.rolled(Path(states, path.arrived, offsets, coordinates))
 
@@ -325,7 +371,9 @@ class Shooting:
         weights = np.ones((self.frames, self.count))
         for k, factor in enumerate(errors.factors):
             shown = np.flatnonzero(self.seen[:, k])
-            pulled = cho_solve((factor, True), residual[shown, k].ravel()).reshape(-1, 6) * scales.tracking**2
-            square = np.einsum("ti,tij,tj->t", pulled, self.spread[shown, k], pulled) / scales.tracking**2
+            pulled = cho_solve((factor, True), residual[shown, k].ravel()).reshape(-1, 6)
+            error = scales.tracking**2 * np.einsum("tisj,sj->ti", self.noise[k], pulled)
+            stated = scales.tracking**2 * self.spread[shown, k]
+            square = np.einsum("ti,ti->t", error, np.linalg.solve(stated, error[..., None])[..., 0])
             weights[shown, k] = LOST / np.maximum(square, LOST)
         return weights

@@ -8,6 +8,7 @@ import numpy as np
 from derender.atomic import write_text
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import Motion, motion_of
+from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.result import Answer
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -51,7 +52,8 @@ def motion_of_track(track: Track) -> Motion:
     turns[..., 3:, 3:] = np.swapaxes(track.poses[:, chosen, :3, :3], -1, -2)
     covariances = turns @ track.covariances[:, chosen] @ np.swapaxes(turns, -1, -2)
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
-    return motion_of(matter, tuple(names), track.times, poses, covariances)
+    pixels = track.pixel * np.nanmedian(np.abs(poses[..., 2, 3]), axis=0)
+    return motion_of(matter, tuple(names), track.times, poses, covariances, pixels)
 
 
 def _held(track: Track, back: np.ndarray) -> set[str]:
@@ -70,18 +72,23 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
     return held
 
 
-def materials_to_folder(track: Track, folder: Path, seed: int | None, command: str) -> list[str]:
+def materials_to_folder(
+    track: Track, folder: Path, seed: int | None, command: str, prior: str | None = None
+) -> list[str]:
     """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
+
+    prior : a YAML file, or None; see dynamics.prior.
 
     Raises
     ------
-    DerenderError : where nothing moved.
+    DerenderError : where nothing moved, and for what is wrong with the prior.
     """
+    believed = read_dynamics_prior(prior)
     motion = motion_of_track(track)
     if not motion.names:
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
-    answer = Answer(identify(motion, rng), rng)
+    answer = Answer(identify(motion, rng, believed), rng)
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
     write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json()}))

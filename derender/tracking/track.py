@@ -33,6 +33,7 @@ class Track:
     floor : (4, 4) to the first camera, or None. gravity : (3,) m/s^2, first camera's axes.
     rounds : (T,) sets of normal equations. pixels : (T, N, 4), see fit.pixels_of.
     notes : what was assumed, as sentences. cut : the first frame that is not tracked, or None.
+    pixel : radians between two pixels in the middle of the image; 0 where that is not known.
     """
 
     names: list[str]
@@ -52,6 +53,7 @@ class Track:
     pixels: np.ndarray
     notes: list[str] = field(default_factory=list)
     cut: int | None = None
+    pixel: float = 0.0
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
@@ -199,6 +201,7 @@ class Recorder:
             list(frames or [])[:length], extents, poses, covariances, states, np.zeros(0),
             np.array([row[0].view for row in rows]), tracker.floor, self.gravity,
             np.array([row[0].rounds for row in rows]), pixels, list(self.notes), self.cut,
+            1.0 / tracker.camera.fx,
         )  # fmt: skip
         resting = np.array([[state == STILL for state in row] for row in states]).reshape(length, count)
         track.parent_probability = parent_probabilities(poses, covariances, extents, kinds, track.floors(), resting)

@@ -6,6 +6,7 @@ import pytest
 from derender.dynamics.inference import identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters
+from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -117,7 +118,7 @@ def test_weighted_draws_have_the_targets_moments():
         away = (np.concatenate([coordinates, logarithms]) - centre) / spread
         return -0.5 * away @ away
 
-    parameters = Parameters(("box",), np.ones(1))
+    parameters = Parameters(("box",), np.ones(1), read_dynamics_prior())
     found = sample(density, parameters, [Mode([-1.2, 0.4], 0.1)], np.random.default_rng(0), draws=400)
     weights = np.exp(found.log_weights)
     points = np.hstack([found.coordinates, found.logarithms])
