@@ -8,6 +8,7 @@ import numpy as np
 
 from derender import __version__
 from derender.atomic import atomic_path
+from derender.dynamics.errors import ENGINE_FRICTION, ENGINE_RESTITUTION
 from derender.dynamics.inference import Identified
 from derender.dynamics.states import CHANGE, moved, to_poses
 
@@ -31,6 +32,8 @@ class Answer:
         self.parameters = found.parameters
         coordinates, logarithms = found.draws.resampled(rng)
         values = found.parameters.values(coordinates)
+        values[:, 0] *= np.exp(ENGINE_FRICTION * rng.standard_normal(len(values)))
+        values[:, 1] = np.clip(values[:, 1] + ENGINE_RESTITUTION * rng.standard_normal(len(values)), 0.0, 1.0)
         self.draws: dict[str, np.ndarray] = dict(zip(found.parameters.labels, values.T, strict=True))
         narrow = coordinates.std(axis=0) <= TOLD * found.parameters.spread()
         self.told = [name for name, yes in zip(found.parameters.labels, narrow, strict=True) if yes]

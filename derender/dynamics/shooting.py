@@ -37,6 +37,8 @@ LOST = 22.5
 # A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
 # shows an impact.
 JUMP = 4.0
+# What rested has been struck where its centre is further off than this, metres: tracking wanders by half as much.
+STRUCK = 0.004
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
 # Where nothing moved by more than this from one frame to the next, and nothing is faster, all stays as it is: metres
@@ -141,6 +143,12 @@ class Shooting:
         # it alone: the frame after the last of these is after the kink in any case.
         result[2:] = jumps
         result[2:-1] &= ~jumps[1:]
+        # What rested and is struck shows when: whatever else moves may be what struck it.
+        shift = np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK
+        for begun in np.argmax(shift, axis=0) if self.count > 1 else ():
+            if begun > 1:
+                result[begun - 1 : begun + 3] = False
+                result[begun] = True
         result[-2:] = False
         result[0] = True
         return result

@@ -17,6 +17,8 @@ from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 
 KINDS = {"cube": "box", "box": "box", "sphere": "sphere", "cylinder": "cylinder"}
+# No image tells how a sphere has turned: radians.
+SPUN = 10.0
 # A thing is in a hand where, in the air, its acceleration is typically off gravity by more than this share of it.
 HELD, HELD_FRAMES = 0.5, 3
 
@@ -51,6 +53,10 @@ def motion_of_track(track: Track) -> Motion:
     turns[..., :3, :3] = back[:, None, :3, :3]
     turns[..., 3:, 3:] = np.swapaxes(track.poses[:, chosen, :3, :3], -1, -2)
     covariances = turns @ track.covariances[:, chosen] @ np.swapaxes(turns, -1, -2)
+    for column, k in enumerate(chosen):
+        if track.types[k] == "sphere":
+            covariances[:, column, 3:, :3] = covariances[:, column, :3, 3:] = 0.0
+            covariances[:, column, 3:, 3:] = SPUN**2 * np.eye(3)
     matter = Matter(tuple(bodies), np.asarray(track.gravity, float), ())
     pixels = track.pixel * np.nanmedian(np.abs(poses[..., 2, 3]), axis=0)
     return motion_of(matter, tuple(names), track.times, poses, covariances, pixels)
