@@ -326,13 +326,22 @@ class Shooting:
             covariance = np.zeros((len(shown), 6, len(shown), 6))
             for axis in range(6):
                 covariance[:, axis, :, axis] = model * (1.0 if axis < 3 else lever**2)
-            weight = scales.tracking / np.sqrt(np.ones(len(shown)) if robust is None else robust[shown, k])
-            covariance += np.einsum("t,tisj,s->tisj", weight, self.noise[k], weight)
+            weight = self._weights(k, scales)
+            if robust is not None:
+                weight = weight / np.sqrt(robust[shown, k])[:, None]
+            covariance += np.einsum("ti,tisj,sj->tisj", weight, self.noise[k], weight)
             factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
         total += 0.5 * float(np.sum(np.log(defects)))
         return Errors(factors, defects, total)
+
+    def _weights(self, k: int, scales: Scales) -> np.ndarray:
+        """Return by what each error of body k's poses is multiplied (F, 6); how a sphere turns is not seen at all."""
+        weights = np.full((len(self.noise[k]), 6), scales.tracking)
+        if self.bodies[k].kind == "sphere":
+            weights[:, 3:] = 1.0
+        return weights
 
     def whitened(self, errors: Errors, pose: np.ndarray, defect: np.ndarray) -> np.ndarray:
         """Return residuals or their derivatives, (T, N, 6, Z) and (T, N, 12, Z), in standard errors, one row each."""
@@ -380,8 +389,9 @@ class Shooting:
         for k, factor in enumerate(errors.factors):
             shown = np.flatnonzero(self.seen[:, k])
             pulled = cho_solve((factor, True), residual[shown, k].ravel()).reshape(-1, 6)
-            error = scales.tracking**2 * np.einsum("tisj,sj->ti", self.noise[k], pulled)
-            stated = scales.tracking**2 * self.spread[shown, k]
+            weight = self._weights(k, scales)
+            error = weight * np.einsum("tisj,sj->ti", self.noise[k], weight * pulled)
+            stated = weight[:, :, None] * self.spread[shown, k] * weight[:, None]
             square = np.einsum("ti,ti->t", error, np.linalg.solve(stated, error[..., None])[..., 0])
             weights[shown, k] = LOST / np.maximum(square, LOST)
         return weights

@@ -1,0 +1,66 @@
+"""What will happen is held against a slide in closed form, and regions against how often they hold."""
+
+import numpy as np
+
+from derender.dynamics.engine import Engine, Material
+from derender.dynamics.errors import Scales
+from derender.dynamics.inference import identify
+from derender.dynamics.motion import motion_of
+from derender.dynamics.prediction import come_to_rest, in_region, predict
+from derender.dynamics.states import from_poses, moved, to_poses
+from derender.physics.bodies import Body, Matter
+
+GRAVITY, STEP = 9.81, 1 / 30
+BOX = Body("box", "box", np.array([0.08, 0.07, 0.05]), np.eye(4))
+MATTER = Matter((Body("floor", "plane", np.zeros(3), np.eye(4)), BOX), np.array([0.0, 0.0, -GRAVITY]), ())
+
+
+def start(speed):
+    """Return the state (1, 13) of a box that slides along x."""
+    state = from_poses(np.eye(4)[None])
+    state[0, 2], state[0, 7] = BOX.size[2] / 2, speed
+    return state
+
+
+def test_a_slide_ends_where_friction_has_used_up_its_energy():
+    engine, sizes = Engine(MATTER, ("box",), STEP), np.array([0.067])
+    for friction, speed in ((0.3, 0.6), (0.5, 1.0)):
+        rest = come_to_rest(engine, sizes, start(speed), Material(friction, 0.0, engine.masses), 60)
+        assert abs(rest[0, 0] / (speed**2 / (2 * friction * GRAVITY)) - 1) < 0.02
+        assert np.abs(rest[0, 7:]).max() < 0.05
+
+
+def test_errors_of_the_engine_spread_where_things_end():
+    engine, sizes, rng = Engine(MATTER, ("box",), STEP), np.array([0.067]), np.random.default_rng(0)
+    material = Material(0.3, 0.0, engine.masses)
+
+    def spread(steady):
+        scales = Scales(0.1, steady, 1.0)
+        return np.std([come_to_rest(engine, sizes, start(0.6), material, 30, scales, rng)[0, 0] for _ in range(20)])
+
+    assert spread(0.1) > 4 * spread(0.01) > 0
+
+
+def test_a_region_of_nine_tenths_holds_so_often():
+    rng, held = np.random.default_rng(1), []
+    lower = np.array([[1.0, 0.0], [0.8, 0.3]])
+    for _ in range(500):
+        held.append(in_region(rng.standard_normal((60, 2)) @ lower.T, lower @ rng.standard_normal(2)))
+    assert 0.83 < np.mean(held) < 0.94
+
+
+def test_the_first_half_of_a_slide_tells_where_it_ends():
+    friction, speed, frames = 0.25, 1.0, 7
+    rng = np.random.default_rng(2)
+    time = STEP * np.arange(frames)
+    states = np.tile(start(0.0), (frames, 1, 1))
+    states[:, 0, 0] = speed * time - friction * GRAVITY * time**2 / 2
+    errors = np.repeat([5e-4, 5e-3], 3)
+    changes = np.zeros((frames, 1, 12))
+    changes[..., :6] = errors * rng.standard_normal((frames, 1, 6))
+    covariances = np.tile(np.diag(errors**2), (frames, 1, 1, 1))
+    film = motion_of(MATTER, ("box",), time, to_poses(moved(states, changes)), covariances)
+    ends = predict(identify(film, rng, draws=30), film, rng, 30, 20)[:, 0, 0]
+    truth = speed**2 / (2 * friction * GRAVITY)  # .204 m, of which .154 are seen
+    assert abs(np.median(ends) - truth) < 0.01
+    assert np.quantile(ends, 0.02) < truth < np.quantile(ends, 0.98)
