@@ -32,6 +32,7 @@ DENSITY = 500.0  # kg / m^3
 CONTACT_TIME = 0.002  # seconds, of a contact's spring: an impact is over within a few
 TOUCH = 0.0005  # metres: nearer than that two things touch, also where a sliding one hops for a step
 IMPACT = 0.01  # seconds, within which an impact is over
+LEAD = 0.01  # seconds before the first frame, in which contacts come to bear: friction is less for the first 5 ms
 BEARS = 0.5  # share of the steps about a frame in which a pair must touch to count as a contact
 BELOW = 0.3  # of a contact's normal, how much of it must point up for one thing to stand on the other
 
@@ -118,21 +119,23 @@ class Film:
         steps = round(1.0 / fps / STEP)
         held, heights = None, []
         poses, velocities, touched, load = [], [], [], []
-        for step in range(FRAMES * steps):
-            if step % steps == 0:
+        for step in range(-round(LEAD / STEP), FRAMES * steps):
+            if step >= 0 and step % steps == 0:
                 poses.append(self.poses())
                 velocities.append(self.data.qvel[: 6 * len(self.items)].reshape(-1, 6).copy())
             if self.hand is not None:
-                held = self.hand(step * STEP)
+                held = self.hand(max(step, 0) * STEP)
                 if held is not None and self.pusher is not None:
                     self.data.mocap_pos[0] = held[1][:3, 3]
                 elif self.pusher is not None:
                     self.data.mocap_pos[0] = [0.0, 0.0, -5.0]
                 elif held is not None:
-                    ahead = self.hand((step + 1) * STEP)
+                    ahead = self.hand(max(step + 1, 0) * STEP)
                     speed = np.zeros(3) if ahead is None else (ahead[1][:3, 3] - held[1][:3, 3]) / STEP
                     self.put(held[0], held[1], speed, np.zeros(3))
             self.mujoco.mj_step(self.model, self.data)
+            if step < 0:
+                continue
             heights.append(self.data.qvel[2])
             touch, lift = self.support()
             if held is not None and self.pusher is None:

@@ -33,7 +33,7 @@ LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 # Importance sampling: the least and the most rounds, draws of each, how many equally weighted draws are enough, the
 # share of draws from the prior (where the motion tells nothing), and the proposal's degrees of freedom and widening.
 # Then how many draws the weights are made to be worth at least, and how many draws are kept.
-ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 100, 60.0, 0.15, 5.0, 1.2
+ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 3, 80, 50.0, 0.15, 5.0, 1.2
 FEWEST = 30.0
 KEPT = 1000
 
