@@ -16,9 +16,9 @@ from derender.dynamics.prior import Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 
-# Where Levenberg-Marquardt may start: friction and restitution; masses as densities say. Films from all of them are
-# held against the tracked poses, and it starts from the nearest few that are.
-FRICTIONS, RESTITUTIONS, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (0.1, 0.4, 0.7), 2
+# Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
+# from all of them are held against the tracked poses, and it starts from the nearest few that are.
+FRICTIONS, RESTITUTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (0.1, 0.4, 0.7), 3.0, 2
 # Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
 NEAR, NEAR_SPEED = 0.02, 0.2
 # A start's first steps, after which the worse ones are given up, and the best one's further steps.
@@ -179,21 +179,24 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
-    """Return coordinates to start from: of those whose films lie nearest to the tracked centres the nearest few, and
-    where something is struck the nearest one of each restitution."""
+    """Return coordinates to start from: those of the films that lie nearest to the tracked centres, and where something
+    may be struck the nearest of each of the nearest restitutions, over frictions and over mass ratios."""
     middle = shooting.parameters.middle()
+    ratios = [np.zeros(len(middle) - 2)]
+    ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(middle) - 2) for sign in (-1, 1)]
     found = []
     for restitution in RESTITUTIONS if shooting.struck else RESTITUTIONS[:1]:
         tried = []
         for friction in FRICTIONS:
-            coordinates = np.array([math.log(friction), restitution, *middle[2:]])
-            path = shooting.first_path(coordinates)
-            residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
-            far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
-            tried.append((float(np.sum(np.log1p(far))), coordinates))
+            for ratio in ratios:
+                coordinates = np.array([math.log(friction), restitution, *(middle[2:] + ratio)])
+                path = shooting.first_path(coordinates)
+                residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
+                far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
+                tried.append((float(np.sum(np.log1p(far))), coordinates))
         tried.sort(key=lambda pair: pair[0])
         found += tried[: 1 if shooting.struck else STARTS]
-    return [coordinates for _, coordinates in sorted(found, key=lambda pair: pair[0])]
+    return [coordinates for _, coordinates in sorted(found, key=lambda pair: pair[0])[:STARTS]]
 
 
 def find_modes(shooting: Shooting) -> list[Mode]:
