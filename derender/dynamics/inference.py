@@ -98,9 +98,11 @@ def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np
         hessian = jacobian.T @ jacobian + np.diag(roots**2)
         gradient = jacobian.T @ residual + roots * own
         before = 0.5 * float(residual @ residual + own @ own)
-        improved = 0.0
+        improved, bounces = 0.0, shooting.bounces(path)
         while damping < MOST_DAMPING:
             change = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+            if not bounces:  # the prior alone would move it, and the film with it
+                change[shooting.size + 1] = 0.0
             trial = shooting.stepped(path, change)
             found, prior = shooting.residuals(trial, errors), shooting.prior_rows(trial)[0]
             improved = before - 0.5 * float(found @ found + prior @ prior)

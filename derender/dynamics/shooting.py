@@ -235,7 +235,9 @@ class Shooting:
         return impulses(path.states[:-1], path.arrived[1:], self.engine.gravity, self.engine.interval)
 
     def bounces(self, path: Path) -> bool:
-        """Return whether an impact along a path tells restitution."""
+        """Return whether an impact along a path tells restitution: one that is fast, or that tracking shows of two."""
+        if self.count > 1 and len(self.cuts) > self.count:
+            return True
         return self.struck and bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
