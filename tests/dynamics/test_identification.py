@@ -7,6 +7,7 @@ from derender.dynamics.inference import identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.prior import read_dynamics_prior
+from derender.dynamics.result import Answer
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -51,8 +52,9 @@ def bounce(restitution, rng, radius=0.035, height=0.3):
 
 def told(found, rng):
     """Return the mean and the 90 % interval of each number."""
-    values = found.parameters.values(found.draws.resampled(rng)[0])
-    return values.mean(axis=0), np.quantile(values, [0.05, 0.95], axis=0).T
+    answer = Answer(found, rng)
+    values = np.array([answer.draws[name] for name in found.parameters.labels])
+    return values.mean(axis=1), np.quantile(values, [0.05, 0.95], axis=1).T
 
 
 def test_changes_of_states_go_there_and_back():
