@@ -19,8 +19,9 @@ from derender.tracking.track import Track
 KINDS = {"cube": "box", "box": "box", "sphere": "sphere", "cylinder": "cylinder"}
 # No image tells how a sphere has turned: radians.
 SPUN = 10.0
-# A thing is in a hand where, in the air, its acceleration is typically off gravity by more than this share of it.
-HELD, HELD_FRAMES = 0.5, 3
+# A thing is in a hand where, in the air, its acceleration is off gravity by more than this share of it, even in the
+# quarter of the frames where it is least: what bounces falls freely between its impacts.
+HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.25
 
 
 def motion_of_track(track: Track) -> Motion:
@@ -73,7 +74,7 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
         flying = [t for t in range(len(bend)) if all(parents[t + i][k] is None for i in range(3))]
         off = np.linalg.norm(bend[flying, k] - gravity, axis=-1)
         off = off[np.isfinite(off)]
-        if len(off) >= HELD_FRAMES and np.median(off) > HELD * np.linalg.norm(gravity):
+        if len(off) >= HELD_FRAMES and np.quantile(off, QUIETEST) > HELD * np.linalg.norm(gravity):
             held.add(name)
     return held
 

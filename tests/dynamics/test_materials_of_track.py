@@ -64,3 +64,11 @@ def test_what_a_hand_holds_is_left_out_and_nothing_else_is_an_error():
     lifted = np.column_stack([np.zeros((FRAMES, 2)), 0.05 + 0.3 * STEP * np.arange(FRAMES)])
     with pytest.raises(DerenderError, match="nothing moves by itself"):
         motion_of_track(track(lifted, parent=0))
+
+
+def test_what_bounces_often_is_in_no_hand():
+    time = STEP * np.arange(FRAMES)
+    since = np.mod(time, 2.9 * STEP)
+    heights = 0.5 * 9.81 * since * (2.9 * STEP - since)
+    bouncing = np.column_stack([0.3 * time, 0 * time, 0.025 + heights])
+    assert motion_of_track(track(bouncing, parent=0)).names == ("box_1",)
