@@ -187,7 +187,7 @@ def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
     ratios = [np.zeros(len(middle) - 2)]
     ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(middle) - 2) for sign in (-1, 1)]
     found = []
-    for restitution in RESTITUTIONS if shooting.struck else RESTITUTIONS[:1]:
+    for restitution in RESTITUTIONS if shooting.struck else middle[1:2]:
         tried = []
         for friction in FRICTIONS:
             for ratio in ratios:
