@@ -20,8 +20,11 @@ KINDS = {"cube": "box", "box": "box", "sphere": "sphere", "cylinder": "cylinder"
 # No image tells how a sphere has turned: radians.
 SPUN = 10.0
 # A thing is in a hand where, in the air, its acceleration is off gravity by more than this share of it, even in the
-# quarter of the frames where it is least: what bounces falls freely between its impacts.
-HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.25
+# tenth of the frames where it is least: what bounces falls freely between its impacts.
+HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.1
+# A thing is pushed by a hand where it rested for so many frames on a level floor (cosine to gravity) and then leaves
+# its place by so many metres, while nothing that moves by itself is within as many of it beyond what both are wide.
+RESTED_FRAMES, LEVEL, BEGUN, REACH = 2, 0.998, 0.004, 0.02
 
 
 def motion_of_track(track: Track) -> Motion:
@@ -32,6 +35,7 @@ def motion_of_track(track: Track) -> Motion:
     """
     back = inverse(track.views)  # each camera to the first
     handled = _held(track, back)
+    handled |= _pushed(track, back, handled)
     names: list[str] = []
     chosen: list[int] = []
     bodies: list[Body] = []
@@ -77,6 +81,30 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
         if len(off) >= HELD_FRAMES and np.quantile(off, QUIETEST) > HELD * np.linalg.norm(gravity):
             held.add(name)
     return held
+
+
+def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
+    """Return the names of the things that something unseen sets in motion, or what such a thing has struck."""
+    gravity = np.asarray(track.gravity, float)
+    if track.floor is None or -track.floor[:3, 2] @ gravity < LEVEL * np.linalg.norm(gravity):
+        return set()
+    centres = (back[:, None] @ track.poses)[..., :3, 3]
+    shift = np.linalg.norm(np.nan_to_num(centres - centres[0]), axis=-1)
+    first = [int(np.argmax(far > BEGUN)) for far in shift.T]  # 0: never
+    reach = 0.5 * np.linalg.norm(track.sizes[-1], axis=-1)
+    pushed: set[str] = set()
+    for k in sorted(range(len(first)), key=lambda k: first[k]):
+        if first[k] <= RESTED_FRAMES or track.names[k] in handled:
+            continue
+        apart = np.linalg.norm(centres[first[k] - 1] - centres[first[k] - 1, k], axis=-1)
+        if not any(
+            0 < first[j] < first[k]
+            and track.names[j] not in handled | pushed
+            and apart[j] < reach[j] + reach[k] + REACH
+            for j in range(len(first))
+        ):
+            pushed.add(track.names[k])
+    return pushed
 
 
 def materials_to_folder(

@@ -72,3 +72,11 @@ def test_what_bounces_often_is_in_no_hand():
     heights = 0.5 * 9.81 * since * (2.9 * STEP - since)
     bouncing = np.column_stack([0.3 * time, 0 * time, 0.025 + heights])
     assert motion_of_track(track(bouncing, parent=0)).names == ("box_1",)
+
+
+def test_what_rested_and_is_pushed_by_nothing_in_sight_is_left_out():
+    pushed = sliding()
+    pushed = np.concatenate([np.tile(pushed[:1], (4, 1)), pushed[:-4]])
+    with pytest.raises(DerenderError, match="nothing moves by itself"):
+        motion_of_track(track(pushed))
+    assert motion_of_track(track(sliding())).names == ("box_1",)
