@@ -108,3 +108,15 @@ def reduce(depth, camera, widest):
     if factor > 1:
         filled = sampled_blocks(filled, factor, max(2, factor * factor // 5))
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
+
+
+def single_pixels(depth, factor):
+    """Return (H / factor, W / factor) depths: of each block that of the pixel that stands for it, NaN = no return.
+
+    Where `reduce` makes use of all pixels of a block, these are as the sensor gave them: their noise is the image's,
+    and no edge that runs through a block bends them.
+    """
+    first = sampled(factor)
+    height, width = depth.shape[0] // factor, depth.shape[1] // factor
+    single = np.asarray(depth, float)[first::factor, first::factor][:height, :width]
+    return np.where(np.isfinite(single) & (single > 0), single, np.nan)

@@ -12,7 +12,7 @@ from derender.detection.local_planes import local_planes
 from derender.detection.noise import noise_of
 from derender.detection.outline import convex_outline, outline_planes
 from derender.detection.patches import Patches, find_patches
-from derender.detection.pyramid import reduce, sampled
+from derender.detection.pyramid import reduce, sampled, single_pixels
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.sharpness import estimate_blur
 from derender.detection.solids.image import FAR, Image, make_image
@@ -49,6 +49,7 @@ class Observation(NamedTuple):
     behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
+    single : (H, W) metres, NaN = no return: the pixels of the image as it came that those of `image` stand for.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     interrupted : whether the search that looked at it was, so that what it found is the best so far.
     agreed : whether two searches found the same.
@@ -65,6 +66,7 @@ class Observation(NamedTuple):
     correlation: float
     background: float
     behind: np.ndarray
+    single: np.ndarray
     backdrop: bool
     things: tuple = ()
     interrupted: bool = False
@@ -86,7 +88,8 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
     """
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
-    depth, camera, factor = reduce(depth, camera, widest)
+    whole = depth
+    depth, camera, factor = reduce(whole, camera, widest)
     floor = find_floor(depth, camera, gravity=gravity) if plane is None else given_floor(depth, camera, plane)
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
@@ -95,7 +98,7 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
         seen = tell_apart(
             depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding, floating
         )
-    return seen
+    return seen._replace(single=single_pixels(whole, factor))
 
 
 def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):
@@ -149,8 +152,9 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
         away = good & ~mask & ~near(mask, int(AWAY / np.median(footprint[good])) + 1)
         image.floor[away] = image.depth[away]
-    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation,
-                       float(background.sum() / max(good.sum(), 1)), background, backdrop is not None)  # fmt: skip
+    share = float(background.sum() / max(good.sum(), 1))
+    return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
+                       depth, backdrop is not None)  # fmt: skip
 
 
 def closer_look(seen, depth, camera):

@@ -114,7 +114,7 @@ class View(NamedTuple):
 def view_of(seen):
     """Return the View of an Observation."""
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
-    return View(camera, np.where(seen.image.depth > 0, seen.image.depth, np.nan))
+    return View(camera, seen.single)  # what all pixels of a block say is bent where an edge runs through it
 
 
 def refine(rng, views, floor_pose, state, rules, tries=THREADS):
