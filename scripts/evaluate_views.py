@@ -98,7 +98,7 @@ def evaluate_views(count, first=0, verbose=False):
                 ratio, _ = tower.ratios(chosen[:needed])
             rows[kind].append((median, halved, holds.mean(), needed + (not np.all(ratio <= 0.5))))
             if verbose:
-                print(k, kind, needed, np.round(ratio, 3), flush=True)
+                print(k, kind, needed, np.round(ratio, 3), round(holds.mean(), 3), flush=True)
     done = count - without
     print(f"{done} towers with hidden sizes, {without} without; {time.perf_counter() - start:.0f} s")
     print("| second view | hidden intervals, times as wide | all halved | 90 % intervals hold | views needed |")

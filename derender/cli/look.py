@@ -29,10 +29,11 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
 
     Candidates are cameras on rings about the scene, as far from it as the first. The draws of the posterior are
     rendered from each; by how much their images tell their sizes, structures and stability apart is how much the image
-    is expected to tell, in nats. The table shows the best: the turn about the scene (seen from above, anticlockwise)
-    and the elevation over the floor in degrees, how far the camera moves, and the 90 % range of the size that is known
-    least, as it is and as it is expected to be. The poses of all cameras, the best candidate's last, go to a file that
-    `derender infer --together --poses` takes, and a picture with a map of all views beside it.
+    is expected to tell, in nats. Of one number a factor of four is enough: the best views leave no size hidden. The
+    table shows them: the turn about the scene (seen from above, anticlockwise) and the elevation over the floor in
+    degrees, how far the camera moves, and the 90 % range of the size that is known least, as it is and as it is
+    expected to be. The poses of all cameras, the best candidate's last, go to a file that `derender infer --together
+    --poses` takes, and a picture with a map of all views beside it.
 
     \b
     Examples:

@@ -34,6 +34,9 @@ DRAWS = 120  # scenes drawn: several times the numbers that a few objects have
 TURNS = 12  # candidate cameras on each ring
 ELEVATIONS = tuple(np.radians([15.0, 35.0, 60.0]))  # of the rings, besides that of the camera itself
 KNOWN = 3e-4  # metres of standard deviation below which a size is known well enough
+# Nats of one number that count where views are compared: four times as sure is enough, and more of it does not make up
+# for another that stays hidden.
+ENOUGH = float(np.log(4.0))
 SURE = 0.02  # standard deviation of a probability below which there is nothing to learn of it
 LARGEST = 160  # columns of the images that candidates are rendered at
 
@@ -88,9 +91,10 @@ def next_views(
         images = images_from(scenes, pose, small, likelihood)
         left = dict(zip(targets, spreads_after(list(targets.values()), images), strict=True))
         nats = {name: information(*left[name], floors[name]) for name in ABOUT}
+        told = information(*left[about], floors[about], ENOUGH)
         spreads = {name: (float(a), float(b)) for name, a, b in zip(sizes_of(best), *left["sizes"], strict=True)}
-        found.append(NextView(pose, turn, elevation, moved, nats, spreads))
-    return sorted(found, key=lambda view: -view.nats[about])
+        found.append((told, NextView(pose, turn, elevation, moved, nats, spreads)))
+    return [view for _, view in sorted(found, key=lambda pair: (-pair[0], -pair[1].nats[about]))]
 
 
 def sizes_of(graph: SceneGraph) -> dict[str, float]:
@@ -183,6 +187,9 @@ def spreads_after(tables: Sequence[np.ndarray], images: np.ndarray) -> list[tupl
     return found
 
 
-def information(before: np.ndarray, after: np.ndarray, known: float) -> float:
-    """Return the nats by which numbers are expected to be surer; below the spread `known` there is nothing to learn."""
-    return float(np.sum(np.log(np.maximum(before, known) / np.maximum(after, known))))
+def information(before: np.ndarray, after: np.ndarray, known: float, most: float = np.inf) -> float:
+    """Return the nats by which numbers are expected to be surer; below the spread `known` there is nothing to learn.
+
+    most : nats of each that count.
+    """
+    return float(np.sum(np.minimum(np.log(np.maximum(before, known) / np.maximum(after, known)), most)))

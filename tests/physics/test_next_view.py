@@ -11,7 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.camera.poses import read_poses
 from derender.cli import group
 from derender.document import LikelihoodPrior
-from derender.physics.next_view import candidates, information, next_views, spreads_after
+from derender.physics.next_view import ENOUGH, candidates, information, next_views, spreads_after
 from derender.render.raycast.depth import render_depth
 from derender.report.result_folder import write_results
 from derender.results.posterior import Posterior, StructurePosterior
@@ -65,6 +65,12 @@ def test_expected_spreads_are_those_of_a_kalman_update():
 
 def test_what_is_known_already_tells_nothing():
     assert information(np.array([1e-4, 0.01]), np.array([1e-6, 0.001]), 3e-4) == pytest.approx(np.log(10.0))
+
+
+def test_two_sizes_half_told_count_for_more_than_one_told_twice():
+    before = np.full(2, 0.02)
+    both, one = (information(before, np.array(after), 3e-4, ENOUGH) for after in ([0.004, 0.004], [4e-4, 0.02]))
+    assert both > one and information(before, np.array([4e-4, 0.02]), 3e-4) > information(before, before / 5.0, 3e-4)
 
 
 def test_all_candidates_look_at_the_scene_from_above_the_floor():
