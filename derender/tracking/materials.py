@@ -96,7 +96,8 @@ def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
     for k in sorted(range(len(first)), key=lambda k: first[k]):
         if first[k] <= RESTED_FRAMES or track.names[k] in handled:
             continue
-        apart = np.linalg.norm(centres[first[k] - 1] - centres[first[k] - 1, k], axis=-1)
+        near = centres[first[k] - 1 : first[k] + 1]  # it was struck between these two frames
+        apart = np.linalg.norm(near - near[:, k : k + 1], axis=-1).min(axis=0)
         if not any(
             0 < first[j] < first[k]
             and track.names[j] not in handled | pushed

@@ -1,6 +1,7 @@
 """What `infer --track --dynamics` writes, from a track that is made up."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,3 +81,25 @@ def test_what_rested_and_is_pushed_by_nothing_in_sight_is_left_out():
     with pytest.raises(DerenderError, match="nothing moves by itself"):
         motion_of_track(track(pushed))
     assert motion_of_track(track(sliding())).names == ("box_1",)
+
+
+def test_what_rested_and_is_struck_by_what_moves_is_kept():
+    mover = np.column_stack([0.9 * STEP * np.minimum(np.arange(FRAMES), 5), np.zeros(FRAMES), np.full(FRAMES, 0.025)])
+    struck = mover.copy()
+    struck[:, 0] = 0.23 + 0.9 * STEP * np.maximum(np.arange(FRAMES) - 5, 0)
+
+    def both(distance):
+        one, other = track(mover), track(struck + [distance, 0, 0])
+        joined = {
+            name: np.concatenate([getattr(one, name), getattr(other, name)], axis=1)
+            for name in ("sizes", "poses", "covariances", "pixels")
+        }
+        chances = np.zeros((FRAMES, 2, 4))
+        chances[..., 1] = 1.0
+        return replace(
+            one, names=["box_1", "box_2"], types=["box"] * 2, kinds=np.ones(2), states=[["moving"] * 2] * FRAMES,
+            parent_probability=chances, **joined,
+        )  # fmt: skip
+
+    assert motion_of_track(both(0.0)).names == ("box_1", "box_2")
+    assert motion_of_track(both(0.1)).names == ("box_1",)
