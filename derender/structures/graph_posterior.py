@@ -38,7 +38,7 @@ from derender.structures.draws.refined import (
 from derender.structures.draws.sensor import too_far
 from derender.structures.hidden import hidden_expected
 from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
-from derender.structures.unexplained import additions, nearer_than_explained, spots
+from derender.structures.unexplained import SURELY, additions, nearer_than_explained, spots
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
 
@@ -102,7 +102,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         if place == 0:
             hidden = hidden_expected(rng, trial, settings.beliefs)
             # the robust likelihood explains what is left as outliers: edges that lie a pixel beside
-            left = len(spots(nearer_than_explained(trial))) if trial.sensor.likelihood.name == "gaussian" else 0
+            outliers = trial.sensor.likelihood.name != "gaussian"
+            left = 0 if outliers else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
             part = replace(part, extras={**part.extras, "hidden_expected": hidden, "unexplained": left})
         parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
     return parts

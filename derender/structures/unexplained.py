@@ -31,6 +31,7 @@ from derender.structures.draws.sensor import model_depth
 
 SIDES = (2, 3, 5, 8)  # pixels of the windows
 FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand
+SURELY = 6.0  # standard deviations from which on what is left after all is surely not noise: 1e-9, in any image
 MOST_OF_ONE = 4.0  # standard deviations that one pixel counts for: a single outlier is no solid
 SPOTS = 2  # windows looked at, those that tell most
 SHOWS = 1.0  # standard deviations off what is explained from which on a pixel about a window shows the solid
