@@ -11,8 +11,9 @@ from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
-from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z, translation
+from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z, translation, twist_exp
 from derender.scene.solids import BOX
+from derender.structures.alignment import view_moved
 from derender.structures.draws.chart import SIZE, make_chart
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import engine_of, evaluate, load, sample
@@ -142,6 +143,24 @@ def test_errors_that_images_share_count_once():
     bias = 0.002 * rng.standard_normal(first.observed.shape)
     one, two = (view._replace(observed=view.observed + bias) for view in (first, again))
     assert 0.35 < shared(refined_at(state, chart, values, one._replace(others=(two,)), 0.0, 0.0))[0, 1] < 0.65
+
+
+def test_shared_errors_are_those_at_the_same_places():
+    """A camera on its head sees the same noise elsewhere in its image."""
+    chart, values, sensor = looks(np.random.default_rng(9), (0.0,), ("gaussian",))
+    turned = sensor._replace(observed=sensor.observed[::-1, ::-1], into=rotation_z(np.pi))
+    found = shared(refined_at(tower(), chart, values, sensor._replace(others=(turned,)), 0.0, 0.0))
+    assert found[0, 1] > 0.98
+
+
+def test_a_pose_that_is_a_little_off_is_told_by_the_depths():
+    chart, values, sensor = looks(np.random.default_rng(10), (0.0, 1.4), ("gaussian",), ((96, 72),))
+    view = sensor.others[0]
+    shifted = view._replace(into=twist_exp([0.002, -0.001, 0.002], [0.003, 0.004, -0.003]) @ view.into)
+    moved = view_moved(refined_at(tower(), chart, values, sensor, 0.0, 0.0), shifted, 0.0)
+    middle = np.array([0.0, 0.0, 0.7, 1.0])
+    before, after = (np.linalg.norm((each.into @ middle - view.into @ middle)[:3]) for each in (shifted, moved))
+    assert before > 0.002 and after < 0.0005
 
 
 def frame(depth, into, name):
