@@ -46,6 +46,8 @@ function showScene(canvas, scene, switches) {
   const points = scene.points ? upload(floats(scene.points.positions), null, bytes(scene.points.colours), null) : null;
   const ghosts = scene.ghosts ? upload(floats(scene.ghosts.positions), null, bytes(scene.ghosts.colours), null) : null;
 
+  const forces = scene.forces ? upload(floats(scene.forces.positions), null, bytes(scene.forces.colours), null) : null;
+
   const add = (a, b, s) => a.map((x, i) => x + s * b[i]);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -91,6 +93,9 @@ function showScene(canvas, scene, switches) {
     if (ghosts && switches.ghosts.checked) paint(ghosts, gl.LINES, false);
     gl.uniform1f(where.lit, 1); gl.uniform1f(where.alpha, 1);
     if (switches.solids.checked) for (const solid of solids) paint(solid, gl.TRIANGLES, true);
+    // forces act between solids: they are seen through them
+    gl.disable(gl.DEPTH_TEST); gl.uniform1f(where.alpha, 0.8);
+    if (forces && switches.forces.checked) paint(forces, gl.TRIANGLES, false);
   }
   let queued = false;
   const redraw = () => { if (!queued) { queued = true; requestAnimationFrame(() => { queued = false; draw(); }); } };
@@ -130,7 +135,7 @@ function showScene(canvas, scene, switches) {
     event.preventDefault(); redraw();
   });
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  for (const name of ["points", "ghosts", "solids"]) switches[name].addEventListener("change", redraw);
+  for (const name of ["points", "ghosts", "solids", "forces"]) switches[name].addEventListener("change", redraw);
   if (window.ResizeObserver) new ResizeObserver(redraw).observe(canvas);
   draw();
   return true;

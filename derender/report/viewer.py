@@ -16,6 +16,9 @@ from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent
 SHOWN_POINTS = 12_000
+# The greatest contact force is half as long as the greatest extent of a solid, and a tenth of that wide at its tail.
+FORCE_LENGTH, FORCE_WIDTH = 0.5, 0.1
+FORCE_COLOUR = (200, 30, 60)
 
 
 def viewer_html(report: Report, colours: np.ndarray) -> str:
@@ -54,6 +57,10 @@ def viewer_html(report: Report, colours: np.ndarray) -> str:
             "positions": _base64(lines.astype("<f4")),
             "colours": _base64(np.full(lines.shape, 40, dtype=np.uint8)),
         }
+    needles = _needles(report)
+    if len(needles):
+        colour = np.tile(np.array(FORCE_COLOUR, np.uint8), (len(needles), 1))
+        data["forces"] = {"positions": _base64(needles.astype("<f4")), "colours": _base64(colour)}
     text = json.dumps(data).replace("</", "<\\/")
     still = (
         pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names, samples=1))  # seldom seen
@@ -65,6 +72,7 @@ def viewer_html(report: Report, colours: np.ndarray) -> str:
 <p><label><input type="checkbox" id="show-solids" checked> solids</label>
 <label {"" if len(points) else "hidden"}><input type="checkbox" id="show-points" checked> observed points</label>
 <label {"" if len(lines) else "hidden"}><input type="checkbox" id="show-ghosts"> posterior draws</label>
+<label {"" if len(needles) else "hidden"}><input type="checkbox" id="show-forces" checked> contact forces</label>
 <span class="soft">drag or arrow keys to turn, wheel or + and − to zoom, shift-drag to move, double click or 0 to go
 back</span></p>
 <script type="application/json" id="scene-data">{text}</script>
@@ -72,7 +80,7 @@ back</span></p>
 (() => {{
   const get = name => document.getElementById(name);
   const works = showScene(get("scene"), JSON.parse(get("scene-data").textContent),
-    {{solids: get("show-solids"), points: get("show-points"), ghosts: get("show-ghosts")}});
+    {{solids: get("show-solids"), points: get("show-points"), ghosts: get("show-ghosts"), forces: get("show-forces")}});
   if (!works) {{ get("scene").style.display = "none"; get("still").style.display = "block"; }}
 }})();</script>"""
 
@@ -100,6 +108,25 @@ def _without_far_points(points: np.ndarray) -> np.ndarray:
         return points
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     return points[distance <= np.percentile(distance, 95)]
+
+
+def _needles(report: Report) -> np.ndarray:
+    """Return the contact forces that a simulation tells as needles, whose tips are where they act: (12 F, 3) corners
+    of their triangles, in the camera's frame."""
+    told = [(each["point"], each["force"]) for each in report.simulated.get("forces") or ()]
+    tips, forces = np.array(told, dtype=float).reshape(-1, 2, 3).transpose(1, 0, 2)
+    strength = np.linalg.norm(forces, axis=1, keepdims=True)
+    longest = FORCE_LENGTH * float(np.max(report.solids.size, initial=0.0))
+    if not strength.any():
+        return np.zeros((0, 3))
+    tails = tips - forces * (longest / strength.max())
+    way = forces / np.maximum(strength, 1e-12)
+    across = np.cross(way, np.where(np.abs(way[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    across *= 0.5 * FORCE_WIDTH * longest / np.linalg.norm(across, axis=1, keepdims=True)
+    other = np.cross(way, across)
+    ring = [tails + across, tails + other, tails - across, tails - other]
+    sides = [(tips, ring[k], ring[(k + 1) % 4]) for k in range(4)]
+    return np.array(sides).transpose(2, 0, 1, 3).reshape(-1, 3)
 
 
 def _outline(solids: Solids, index: int) -> np.ndarray:
