@@ -117,13 +117,17 @@ def main():
 
         evaluate_views(arguments.n, arguments.first, arguments.verbose)
         return
-    if "physics" in arguments.sets:
+    if arguments.sets == ["physics"]:
         from evaluate_physics import evaluate_physics
 
         evaluate_physics(arguments.n)
-        if len(arguments.sets) == 1:
-            return
-        arguments.sets.remove("physics")
+        return
+    if arguments.sets in (["verdicts"], ["stands"]):
+        from evaluate_stability import evaluate_stands, evaluate_verdicts
+
+        evaluate = evaluate_verdicts if arguments.sets == ["verdicts"] else evaluate_stands
+        evaluate(arguments.n, arguments.first, Options(method=arguments.method))
+        return
     unknown = set(arguments.sets) - set(SETS + REAL_SETS)
     if unknown:
         parser.error(f"no such set: {', '.join(sorted(unknown))}")
