@@ -10,7 +10,8 @@ from figure_scenes import Rows, picture, save, show
 from derender import data_path
 from derender.document import read_document
 from derender.physics.bodies import matter_of_graph
-from derender.physics.simulate import judge, simulate, verdicts
+from derender.physics.outcome import probability
+from derender.physics.simulate import judge, simulate
 from derender.posterior.forward import draw_documents, observe
 from derender.posterior.map import MapProblem
 from derender.posterior.settings import read_settings
@@ -42,7 +43,7 @@ def figure_4(path: Path, seed: int) -> Rows:
     best = posterior.best_graph()
     true_verdict, verdict = (judge(simulate(matter_of_graph(graph))) for graph in (truth.graph, best))
     drawn = posterior.graphs(np.random.default_rng(seed), 60)
-    share = float(np.mean([each.stable for each in verdicts(map(matter_of_graph, drawn), jobs=JOBS)]))
+    share = probability(drawn, "stands", jobs=JOBS).probability
     errors = [
         1000 * np.linalg.norm(graph.poses()[name][:3, 3] - truth.graph.poses()[name][:3, 3])
         for graph in drawn

@@ -146,7 +146,7 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
 
     from derender.cli.reading import read_source
     from derender.physics.assumptions import assumptions
-    from derender.physics.outcome import chance_of, outcomes, simulate_scene
+    from derender.physics.outcome import outcomes, simulate_scene
     from derender.physics.summary import summary_of
 
     source = read_source(path, ask["seed"])
@@ -159,12 +159,8 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     if (source.uncertain or what.jitter) and ask["draws"]:
         limit = MOST_DRAWS if ask["until"] else ask["draws"]
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
-        drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], 1 if ask["until"] else ask["jobs"])
-        runs = []
-        for run in talk.counted(drawn, limit, "simulating draw"):
-            runs.append(run._replace(trajectory=None))
-            if ask["until"] and len(runs) >= 10 and chance_of([r.stable for r in runs]).error <= ask["until"]:
-                break
+        drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
+        runs = [run._replace(trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
     return summary_of(best, runs, assumed), best, source
 
 

@@ -10,7 +10,6 @@ sqrt(s / g), that of mass the heaviest body's. A tower of 0.1 mm blocks gets the
 """
 
 from collections.abc import Mapping
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import mujoco
@@ -27,18 +26,19 @@ from derender.scene.pose import quaternion, rotation_x
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
 # at this one (200 of 200); half of it changes no verdict.
 TIMESTEP = 0.01
-# Where something moves from the start: a box that slides is then lifted six times less.
-MOVING_TIMESTEP = 0.004
+# Where something moves from the start: contacts then lift a sliding box by .003 of its side at most.
+MOVING_TIMESTEP = 0.003
 # Where something bounces: the speed after a fall from half the smallest extent or more is then right to .03.
 BOUNCING_TIMESTEP = 0.0025
 # A contact is a spring whose frequency times the step is this. One that bounces is softer: a bounce then takes 20
 # steps, and the speed after it depends on when within a step it began by .015 of the speed before, not by .02.
 STIFFNESS, BOUNCING_STIFFNESS = 0.2, 0.15
 # How much of the demanded acceleration a contact enforces, and how many times more so across than along its normal.
-# Where things rest on the level, contacts are nearly rigid: a tower of 30 blocks then sleeps after 120 steps, and not
-# after 2220. Where they move or lean, softer ones let a box slide at .98 to 1.02 of friction times weight (friction .3
-# to .8); with a ratio of 1, or at .99, some slide at .98.
-RESTING = 0.9995, 1.0
+# Where things rest on the level, contacts are nearly rigid: a tower of 30 blocks then sleeps after 120 steps, and at
+# .9985 not after 400; at .9995 blocks that settle chatter and cost twice as much. Where they move or lean, softer ones
+# let a box slide at .98 to 1.02 of friction times weight (friction .3 to .8); with a ratio of 1, or at .99, some slide
+# at .98.
+RESTING = 0.999, 1.0
 MOVING = 0.98, 10.0
 # A contact of a light body that bears a heavy one would give way in proportion to what it bears over what it weighs:
 # beyond this ratio it enforces more, as far as MuJoCo goes.
@@ -46,9 +46,10 @@ MOST_BORNE, LEAST_SOFTNESS = 10.0, 1e-4
 # Contacts that are harder than this throw bodies about where they are ten times harder still across their normal.
 SOFT_ENOUGH = 0.005
 # Rate at which a contact stops sliding where friction could hold it, in units of sqrt(g / s). Greater rates lift a
-# sliding box (by friction times rate times speed over the stiffness), smaller ones let it slip on before it stops (by
-# friction times g over twice the rate's square): at 10 some stop 8 % too late, at 20 all within 2 %.
-GRIP = 20.0
+# sliding box (by friction times rate times speed over the stiffness: a 10 cm cube at 2 m/s by .5 mm at 20, .23 mm at
+# 15), smaller ones let it slip on before it stops (by .7 mm at 15, .9 mm at 12). Bodies that only settle stop at the
+# rate of their springs instead: at this one they would creep by .3 mm a second and never rest.
+GRIP = 15.0
 # Contacts of the graph start engaged by this much (in units of s), about what the weight of two or three bodies presses
 # them in, so that they bear from the first step.
 ENGAGED = 2e-5
@@ -134,8 +135,8 @@ class World:
         bouncy = any(body.elasticity > 0 for body in matter.bodies)
         usual = BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP if started else TIMESTEP
         self._step = (timestep or usual) * self._slow
-        slides = moving if moving is not None else started or bouncy or leans(matter)
-        self._hardness, self._across = MOVING if slides else RESTING
+        self._slides = moving if moving is not None else started or bouncy or leans(matter)
+        self._hardness, self._across = MOVING if self._slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
         self._bouncy = [body.elasticity for body in matter.bodies]
         self.spec = self._spec(masses, sleeping)
@@ -170,9 +171,8 @@ class World:
         first, second = (self.names.index(name) for name in (a, b))
         if self.matter.bodies[first].kind == self.matter.bodies[second].kind == "plane":
             return limit
-        return self._distance(self._geom_of[first], self._geom_of[second], limit / self.units.length) * (
-            self.units.length
-        )
+        length = self.units.length
+        return length * self._distance(self._geom_of[first], self._geom_of[second], limit / length)
 
     def poses(self) -> np.ndarray:
         """Return where the bodies are now, (N, 4, 4) float64, body to the frame of the scene."""
@@ -195,13 +195,6 @@ class World:
         if any(self.data.warning[kind].number for kind in BROKEN) or not np.isfinite(self.data.qpos).all():
             raise Diverged
 
-    def speed(self) -> float:
-        """Return the greatest speed of a body, m / s: of its centre, or of its turning times the smallest extent."""
-        moving = self.data.qvel.reshape(-1, 6)
-        straight = np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0)
-        turning = np.linalg.norm(moving[:, 3:], axis=1).max(initial=0.0) * self._long
-        return float(max(straight, turning)) * self.units.length / self.units.time
-
     def acceleration(self) -> float:
         """Return the greatest acceleration of a body's centre, m / s^2."""
         moving = self.data.qacc.reshape(-1, 6)
@@ -216,9 +209,8 @@ class World:
         self.data.xfrc_applied[:] = 0.0
         newton = self.units.time**2 / (self.units.mass * self.units.length)
         for name, force in forces.items():
-            self.data.xfrc_applied[self._body_id[self._geom_of[self.names.index(name)]], :3] = (
-                np.asarray(force) * newton
-            )
+            number = self._body_id[self._geom_of[self.names.index(name)]]
+            self.data.xfrc_applied[number, :3] = np.asarray(force) * newton
 
     def reset(
         self,
@@ -323,24 +315,24 @@ class World:
         """Give pairs of bodies contacts of their own: all of them, or those that are within reach of each other."""
         bodies = self.matter.bodies
         alike = len({body.friction for body in bodies}) == 1 and not any(body.elasticity for body in bodies)
-        joined = {frozenset(pair) for pair in self.matter.supports}
-        reach = np.array([0.5 * np.linalg.norm(body.size) for body in bodies])
-        for k, body in enumerate(bodies):
-            if body.kind == "mesh" and body.vertices is not None:
-                reach[k] = np.linalg.norm(body.vertices, axis=1).max()
-        centre = np.array([body.pose[:3, 3] for body in bodies]).reshape(-1, 3)
-        for i, j in combinations(range(len(bodies)), 2):
-            a, b = bodies[i], bodies[j]
-            if not (a.moves or b.moves):
-                continue
-            if len(bodies) > MOST_PAIRED and alike and "plane" not in (a.kind, b.kind):
-                apart = float(np.linalg.norm(centre[i] - centre[j])) - reach[i] - reach[j]
-                if apart > WITHIN_REACH * self.length and frozenset((a.name, b.name)) not in joined:
-                    continue
-            pair = spec.add_pair(geomname1=a.name, geomname2=b.name)
+        flat = np.array([body.kind == "plane" for body in bodies], dtype=bool)
+        moves = np.array([body.moves for body in bodies], dtype=bool)
+        first, second = np.triu_indices(len(bodies), 1)
+        wanted = moves[first] | moves[second]
+        if len(bodies) > MOST_PAIRED and alike:
+            reach = np.array([_radius(body) for body in bodies])
+            centre = np.array([body.pose[:3, 3] for body in bodies])
+            apart = np.linalg.norm(centre[first] - centre[second], axis=1) - reach[first] - reach[second]
+            joined = {tuple(sorted(map(self.names.index, pair))) for pair in self.matter.supports}
+            known = np.array([pair in joined for pair in zip(first.tolist(), second.tolist(), strict=True)], dtype=bool)
+            wanted &= (apart <= WITHIN_REACH * self.length) | known | flat[first] | flat[second]
+        rolls = [self._rolls(body) for body in bodies]
+        for i, j in zip(first[wanted], second[wanted], strict=True):
+            pair = spec.add_pair(geomname1=self.names[i], geomname2=self.names[j])
             # resistance to rolling shares the friction cone with that to sliding: what does not roll is without it
-            pair.condim = 6 if self._rolls(a) or self._rolls(b) else 3
-            pair.solreffriction = [-1.0, -GRIP / self._slow]
+            pair.condim = 6 if rolls[i] or rolls[j] else 3
+            if self._slides:
+                pair.solreffriction = [-1.0, -GRIP / self._slow]
 
     def _set_materials(self) -> None:
         """Write friction and elasticity of the bodies into the contacts of all pairs."""
@@ -398,3 +390,10 @@ class World:
             self.data.qvel[6 * k : 6 * k + 3] = straight[k] * self.units.time / self.units.length + np.cross(turn, arm)
             self.data.qvel[6 * k + 3 : 6 * k + 6] = self.data.xmat[number].reshape(3, 3).T @ turn
         mujoco.mj_forward(self.model, self.data)
+
+
+def _radius(body: Body) -> float:
+    """Return the radius in metres of a ball around a body's centre that holds it."""
+    if body.kind == "mesh" and body.vertices is not None:
+        return float(np.linalg.norm(body.vertices, axis=1).max())
+    return 0.5 * float(np.linalg.norm(body.size))

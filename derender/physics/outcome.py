@@ -16,7 +16,7 @@ from derender.physics.bodies import Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium
 from derender.physics.trajectory import Trajectory
-from derender.physics.verdict import FALLS, STANDS
+from derender.physics.verdict import FALLS, SETTLES, STANDS
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -26,6 +26,8 @@ ENGINES = ("mujoco", "statics", "both")
 PATIENCE = 3.0
 # One that has gone further than this share of its mean extent is not waited for.
 FAR = 0.4
+# Draws before their spread is taken for what the next ones will do.
+LEAST_DRAWS = 10
 
 
 class Outcome(NamedTuple):
@@ -62,7 +64,7 @@ class Chance(NamedTuple):
 
     Attributes
     ----------
-    probability : share of the draws. error : its Monte Carlo standard error. draws : how many.
+    probability : see `chance_of`. error : its Monte Carlo standard error. draws : how many.
     """
 
     probability: float
@@ -145,10 +147,13 @@ def outcomes(
     engine: str = "mujoco",
     duration: float = 2.0,
     jobs: int = 1,
+    until: float | None = None,
+    event: Callable[[Outcome], bool] = lambda outcome: outcome.stable,
 ) -> Iterator[Outcome]:
     """Yield what happens to each of many scenes; scene k depends on the seed and on k alone.
 
     jobs : threads; the result does not depend on it.
+    until : stop as soon as the standard error of the event's probability is no greater, after 10 scenes at least.
     """
     from concurrent.futures import ThreadPoolExecutor
 
@@ -156,23 +161,30 @@ def outcomes(
         rng = np.random.default_rng([seed, item[0]])
         return simulate_scene(item[1], engine=engine, duration=duration, what=what, rng=rng)
 
-    if jobs == 1:
+    if until is not None:
+        happened: list[bool] = []
+        for outcome in map(run, enumerate(scenes)):
+            happened.append(bool(event(outcome)))
+            yield outcome
+            if len(happened) >= LEAST_DRAWS and chance_of(happened).error <= until:
+                return
+    elif jobs == 1:
         yield from map(run, enumerate(scenes))
-        return
-    with ThreadPoolExecutor(jobs) as pool:
-        yield from pool.map(run, enumerate(scenes))
+    else:
+        with ThreadPoolExecutor(jobs) as pool:
+            yield from pool.map(run, enumerate(scenes))
 
 
 def chance_of(happened: Sequence[bool]) -> Chance:
-    """Return the share of draws in which something happened and its standard error.
+    """Return how probable something is that happened in some of the draws, by Jeffreys' estimate, and its error.
 
-    The error is that of Jeffreys' estimate, so that it is not zero where all draws agree.
+    The estimate (k + 1/2) / (n + 1) is never surer than n draws can make it: a thousand that agree leave .0005.
     """
     count = len(happened)
     if count == 0:
         return Chance(float("nan"), float("nan"), 0)
     centred = (sum(happened) + 0.5) / (count + 1)
-    return Chance(sum(happened) / count, float(np.sqrt(centred * (1 - centred) / (count + 2))), count)
+    return Chance(centred, float(np.sqrt(centred * (1 - centred) / (count + 2))), count)
 
 
 def probability(
@@ -200,14 +212,9 @@ def probability(
         word = event
 
         def event(outcome: Outcome) -> bool:
-            return outcome.verdict == word if word in ("stands", "settles", "falls") else word in outcome.fallen
+            return outcome.verdict == word if word in (STANDS, SETTLES, FALLS) else word in outcome.fallen
 
-    happened: list[bool] = []
-    for outcome in outcomes(scenes, what, seed, engine, duration, jobs):
-        happened.append(bool(event(outcome)))
-        if until is not None and len(happened) >= 10 and chance_of(happened).error <= until:
-            break
-    return chance_of(happened)
+    return chance_of([bool(event(run)) for run in outcomes(scenes, what, seed, engine, duration, jobs, until, event)])
 
 
 def upright_axes(matter: Matter) -> np.ndarray:

@@ -25,8 +25,8 @@ class Rollout:
     Parameters
     ----------
     matter : the scene; what a call does not say is as it says.
-    timestep : seconds; None: sqrt(s / g) / 200, s the smallest extent (.5 ms for 10 cm), half of it where something is
-        elastic. Restitution is calibrated for every step; a box that slides is lifted by some .1 mm at .5 ms.
+    timestep : seconds; None: .003 sqrt(s / g), s the smallest extent (.3 ms for 10 cm), less where something is
+        elastic. Restitution is calibrated for every step; longer steps lift a box that slides.
     keep_contacts : whether pairs that the scene's graph joins rest at the distance at which they start, gap or overlap
         (see `mujoco_model`). Switch it off for bodies in flight or where poses are exact.
 

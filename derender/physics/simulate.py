@@ -1,20 +1,17 @@
 """What happens next: the trajectory of a scene's bodies under gravity and what is done to them."""
 
-from collections.abc import Iterable, Iterator
-
 import numpy as np
 
 from derender.physics.bodies import Matter
 from derender.physics.disturbance import Disturbance
+from derender.physics.fate import Fate
 from derender.physics.trajectory import DISPLACEMENT_TOLERANCE, Trajectory, save_trajectory
 from derender.physics.verdict import Verdict, judge
 
-__all__ = ["DURATION", "Trajectory", "Verdict", "judge", "save_trajectory", "simulate", "verdicts"]
+__all__ = ["DURATION", "Trajectory", "Verdict", "judge", "save_trajectory", "simulate"]
 
 DURATION = 2.0
 FRAMES_PER_SECOND = 50
-# At rest: a thousandth of the speed of a fall by one's own size, and of gravity, for so many seconds.
-CALM, CALM_SECONDS = 1e-3, 0.5
 # One whose fate is known has moved by so many times the tolerance.
 GONE = 5.0
 
@@ -33,7 +30,8 @@ def simulate(
     ----------
     duration : seconds.
     frames_per_second : poses that are kept.
-    early : stop as soon as every body's fate is known: all have moved by five times the tolerance, or all are at rest.
+    early : stop as soon as the verdict is known: all are at rest, or all have moved by five times the tolerance, or
+        some body has lost what bore it and all that this brings down has had time to fall (see `Fate`).
     disturbance : what is done to the scene meanwhile.
     timestep : in units of sqrt(s / g), s the smallest extent; None: as `World` chooses.
 
@@ -67,17 +65,16 @@ def _run(
     place = np.array([k for k, i in enumerate(shown) if matter.bodies[i].moves], dtype=int)
     sizes = np.array([matter.bodies[i].size for i in shown], float).reshape(-1, 3)
     frames = max(1, round(duration * frames_per_second))
-    steps_done, calm = 0, 0.0
+    steps_done = 0
     # what is pushed or thrown may go far and yet come to rest as it was
     left_alone = disturbance is None and not any(np.any(body.velocity) for body in matter.bodies)
     poses = np.tile(np.array([matter.bodies[i].pose for i in shown], float).reshape(-1, 4, 4), (frames + 1, 1, 1, 1))
     times = np.zeros(frames + 1)
-    gravity = float(np.linalg.norm(matter.gravity))
     limits = GONE * DISPLACEMENT_TOLERANCE * np.cbrt(np.prod(sizes[place], axis=1))
-    last = frames
+    fate = Fate(matter, world.length)
+    last, resting = frames, False
     for frame in range(1, frames + 1):
         wanted = round(frame * duration / frames / world.timestep)
-        elapsed = (wanted - steps_done) * world.timestep
         advance(world, done, matter.gravity, steps_done, wanted)
         steps_done = wanted
         times[frame] = steps_done * world.timestep
@@ -85,20 +82,17 @@ def _run(
         if world.asleep:
             # nothing moves any more: the rest of the trajectory is known
             poses[frame + 1 :], times[frame + 1 :] = poses[frame], np.arange(frame + 1, frames + 1) * duration / frames
-            if early:
-                last = frame
+            last, resting = frame if early else frames, True
             break
-        if early and times[frame] > done.ends:
-            resting = world.speed() < CALM * np.sqrt(gravity * world.length) and world.acceleration() < CALM * gravity
-            calm = calm + elapsed if resting else 0.0
+        if frame == frames or (early and times[frame] > done.ends):
+            resting = fate.at_rest(times[: frame + 1], poses[: frame + 1, place])
             moved = np.linalg.norm(poses[frame, place, :3, 3] - poses[0, place, :3, 3], axis=1)
-            if calm >= CALM_SECONDS or (left_alone and np.all(moved > limits)):
+            gone = left_alone and (np.all(moved > limits) or fate.sealed(times[frame], poses[frame, place]))
+            if early and (resting or gone):
                 last = frame
                 break
-    speed = world.speed()
-    resting = world.asleep or speed < CALM * np.sqrt(gravity * world.length)
     names = tuple(world.names[i] for i in shown)
-    return Trajectory(names, sizes, times[: last + 1], poses[: last + 1], speed, bool(resting))
+    return Trajectory(names, sizes, times[: last + 1], poses[: last + 1], resting)
 
 
 def advance(world, done: Disturbance, gravity: np.ndarray, first: int, last: int) -> None:
@@ -116,28 +110,3 @@ def advance(world, done: Disturbance, gravity: np.ndarray, first: int, last: int
             world.set_forces(done.forces((start + 0.5) * world.timestep))
         if end > start:
             world.step(end - start)
-
-
-def verdicts(
-    matters: Iterable[Matter],
-    duration: float = DURATION,
-    jobs: int = 1,
-    disturbance: Disturbance | None = None,
-) -> Iterator[Verdict]:
-    """Yield the verdict on each scene, such as the draws of a posterior; each run stops when its verdict is known.
-
-    Parameters
-    ----------
-    jobs : threads; MuJoCo leaves Python's lock while it steps. The result does not depend on it.
-    disturbance : what is done to each scene meanwhile.
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    def run(matter: Matter) -> Verdict:
-        return judge(simulate(matter, duration, early=True, disturbance=disturbance), matter)
-
-    if jobs == 1:
-        yield from map(run, matters)
-        return
-    with ThreadPoolExecutor(jobs) as pool:
-        yield from pool.map(run, matters)

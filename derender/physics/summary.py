@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from derender.physics.outcome import Outcome, chance_of
+from derender.physics.outcome import Chance, Outcome, chance_of
 from derender.physics.verdict import FALLS, SETTLES, STANDS
 
-WORDS = (STANDS, SETTLES, FALLS)
+# Draws that each verdict is worth beforehand, one in all, so that no verdict is surer than the draws can make it.
+BEFORE = {STANDS: 0.5, SETTLES: 0.25, FALLS: 0.25}
 COLUMNS = (
     "scene", "verdict", "stable", "p_stable", "p_stable_error", "margin", "fallen", "mujoco", "statics", "fault",
 )  # fmt: skip
@@ -22,14 +23,18 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -
     best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
     assumed : sentences.
     """
-    stable = chance_of([run.stable for run in runs])
+    drawn = len(runs) > 1
+    stable = chance_of([run.stable for run in runs]) if drawn else Chance(float(best.stable), 0.0, 1)
     found: dict[str, Any] = {
         "verdict": best.verdict,
         "margin": best.margin,
         "stable": best.stable,
         "p_stable": stable.probability,
-        "p_stable_error": stable.error if len(runs) > 1 else 0.0,
-        "p_verdict": {word: sum(run.verdict == word for run in runs) / len(runs) for word in WORDS},
+        "p_stable_error": stable.error,
+        "p_verdict": {
+            word: (sum(run.verdict == word for run in runs) + drawn * share) / (len(runs) + drawn)
+            for word, share in BEFORE.items()
+        },
         "p_falls": {},
         "p_falls_error": {},
         "engines": best.by_engine,
@@ -44,9 +49,10 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -
         if body.kind == "plane":
             continue
         there = [run for run in runs if any(other.name == body.name for other in run.matter.bodies)]
-        chance = chance_of([run.verdict == FALLS and body.name in run.fallen for run in there])
+        falls = [run.verdict == FALLS and body.name in run.fallen for run in there]
+        chance = chance_of(falls) if drawn else Chance(float(any(falls)), 0.0, 1)
         found["p_falls"][body.name] = chance.probability if there else None
-        found["p_falls_error"][body.name] = (chance.error if len(runs) > 1 else 0.0) if there else None
+        found["p_falls_error"][body.name] = chance.error if there else None
     if all(len(run.by_engine) > 1 for run in runs):
         found["p_engines_agree"] = float(np.mean([_agree(run) for run in runs]))
     if best.trajectory is not None:

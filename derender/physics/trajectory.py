@@ -21,7 +21,6 @@ class Trajectory(NamedTuple):
     sizes : (N, 3) float64, full extents in metres.
     times : (T,) float64, seconds, from 0.
     poses : (T, N, 4, 4) float64, body to the frame of the scene.
-    speed : float, of the fastest body at the end, m / s.
     resting : whether everything was at rest at the end.
     """
 
@@ -29,7 +28,6 @@ class Trajectory(NamedTuple):
     sizes: np.ndarray
     times: np.ndarray
     poses: np.ndarray
-    speed: float
     resting: bool = False
 
     def displacement(self) -> dict[str, float]:

@@ -16,7 +16,7 @@ from derender.scene.pose import rotation_x, translation
 def test_a_body_has_moved_by_a_tenth_of_its_extent_or_ten_degrees(moved, degrees, gone):
     pose = translation(moved * 0.2, 0, 0) @ rotation_x(np.deg2rad(degrees))
     poses = np.stack([np.eye(4), pose])[:, None]
-    trajectory = Trajectory(("a",), np.full((1, 3), 0.2), np.array([0.0, 1.0]), poses, 0.0)
+    trajectory = Trajectory(("a",), np.full((1, 3), 0.2), np.array([0.0, 1.0]), poses)
     assert bool(trajectory.first_moved()) == gone
 
 
