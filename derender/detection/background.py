@@ -26,6 +26,7 @@ JOINED = 0.25  # of the outline of such a piece, along which it may be joined to
 PIECE = 60  # pixels of such a piece, at least
 LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
+GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
 
 
 def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held, floating=False, real=True):
@@ -125,6 +126,25 @@ def shows_top(points, normal):
     """
     top = np.quantile(points[:, 2], 1.0 - 0.5 * TOP_SHARE) - TOP
     return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
+
+
+def is_background(points, mask, normal, behind, beyond, frame):
+    """Return whether what shows as one solid is a piece of the background: cut off by the image's border as a wall or a
+    hand is, grown together with what is background, or on the very edge of the support, where a bin's wall begins.
+
+    mask : (H, W) bool, the pixels that show it. normal : (H, W, 3) of the surface. behind : (H, W) bool, those of the
+    background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
+    """
+    cut = cut_off(points, mask, frame) and not shows_top(points[mask], normal[mask])
+    if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY:
+        return True
+    outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        outline |= mask & ~np.roll(mask, way, axis)
+        for step in range(1, NEXT + 1):
+            near = np.linalg.norm(np.roll(points, step * way, axis) - points, axis=2) < BESIDE
+            joined |= mask & np.roll(behind, step * way, axis) & near
+    return bool((joined & outline).sum() > GROWN * max(outline.sum(), 1))
 
 
 def length(points):

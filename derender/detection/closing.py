@@ -20,21 +20,15 @@ def closed_surface(image, mask, row, jump):
     image : Image. mask : (H, W) bool. row : (ROW,) the bounding box, floor frame. jump : (H, W) metres between
     neighbouring points of one surface, at most.
     """
-    step = max(1, int(np.ceil(np.sqrt(mask.sum() / MOST_VERTICES))))
-    seen = np.zeros(mask.shape, bool)
-    seen[::step, ::step] = mask[::step, ::step]
-    number = np.full(mask.shape, -1)
-    number[seen] = np.arange(seen.sum())
+    near, place, triangles = visible_surface(image, mask, jump)
     turn, centre, half = rotation_of(row), row[CENTRE:SIZE], 0.5 * row[SIZE:]
     origin = (image.origin - centre) @ turn
-    direction = image.direction[seen] @ turn
-    near = image.depth[seen]
+    direction = direction_at(image, place) @ turn
     with np.errstate(divide="ignore", invalid="ignore"):
         ways = np.where(direction > 0.0, (half - origin) / direction, (-half - origin) / direction)
     far = np.maximum(np.nanmin(np.where(np.abs(direction) > 1e-9, ways, np.inf), axis=1), near + DEEP)
     front = origin + near[:, None] * direction
     back = origin + far[:, None] * direction
-    triangles = front_triangles(front, number[::step, ::step], step * jump[seen])
     if len(triangles) < 2:
         return None
     count = len(front)
@@ -66,17 +60,68 @@ def hidden_foot(vertices, bottom):
     return np.vstack([lower, upper]), np.concatenate([fan[:, ::-1], fan + count, *sides])
 
 
-def front_triangles(points, number, jump):
-    """Return (T, 3) int: two triangles for each square of four neighbours without a jump, wound towards the camera.
+def visible_surface(image, mask, jump):
+    """Return (depth (V,), place (V, 2) in rows and columns, triangles (T, 3)) of what is seen of a thing.
 
-    points (V, 3), jump (V,), and number (H, W): the vertex of each pixel, or -1.
+    Each pixel is a square of its own size, so that silhouettes lie where they are seen and not half a pixel within; of
+    more than MOST_VERTICES pixels those are joined to larger squares of which half or more is the thing's. Neighbours
+    without a jump share corners, whose depth is the mean of what the squares that meet there say, along their slopes.
+    Triangles are wound towards the camera.
     """
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-    triples = np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, c, b), (b, c, d))])
-    triples = triples[(triples >= 0).all(axis=1)]
-    ends = points[triples]
-    longest = np.max(np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2), axis=1)
-    return triples[longest < jump[triples].min(axis=1)]
+    step = max(1, int(np.ceil(np.sqrt(mask.sum() / MOST_VERTICES))))
+    height, width = (-(-count // step) for count in mask.shape)
+
+    def squares(values):
+        padded = np.pad(values, [(0, n * step - k) for n, k in zip((height, width), values.shape, strict=True)])
+        return padded.reshape(height, step, width, step).sum(axis=(1, 3))
+
+    count = squares(mask)
+    there = np.pad(count >= 0.5 * step**2, 1)
+    many = np.maximum(count, 1)
+    depth, limit = (np.pad(squares(np.where(mask, values, 0.0)) / many, 1) for values in (image.depth, step * jump))
+    middle = np.moveaxis(np.indices(there.shape), 0, -1) * step - 0.5 * (step + 1)  # rows and columns, padding included
+    points = depth[..., None] * direction_at(image, middle)
+    slopes, links = np.zeros((2, *there.shape)), []
+    for axis in (0, 1):
+        after, before = (slice(1, None), slice(None, -1)) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
+        apart = np.linalg.norm(points[after] - points[before], axis=-1)
+        link = there[after] & there[before] & (apart < np.minimum(limit[after], limit[before]))
+        rise, sides = np.where(link, depth[after] - depth[before], 0.0), np.zeros(there.shape)
+        for way in (after, before):
+            slopes[axis][way] += rise
+            sides[way] += link
+        slopes[axis] /= np.maximum(sides, 1.0)
+        links.append(link)
+    # about each corner four squares: above left, above right, below left, below right
+    about = (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:])
+    pairs = ((0, 1, links[1][:-1]), (2, 3, links[1][1:]), (0, 2, links[0][:, :-1]), (1, 3, links[0][:, 1:]))
+    group = np.broadcast_to(np.arange(4)[:, None, None], (4, height + 1, width + 1)).copy()
+    for _ in range(3):  # until the squares that are linked around a corner have one number
+        for one, other, link in pairs:
+            least = np.minimum(group[one], group[other])
+            group[one], group[other] = (np.where(link, least, group[k]) for k in (one, other))
+    corner = np.arange((height + 1) * (width + 1)).reshape(height + 1, width + 1)
+    key = 4 * corner + group
+    shown = np.stack([there[part] for part in about])
+    ways = ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
+    said = np.stack([depth[part] + down * slopes[0][part] + across * slopes[1][part]
+                     for part, (down, across) in zip(about, ways, strict=True)])  # fmt: skip
+    used, number = np.unique(key[shown], return_inverse=True)
+    found = np.bincount(number, said[shown], len(used)) / np.bincount(number, minlength=len(used))
+    place = np.column_stack(np.divmod(used // 4, width + 1)) * step - 0.5
+    numbers = np.zeros(key.shape, int)
+    numbers[shown] = number
+    inner = there[1:-1, 1:-1]
+    a, b, c, d = (each[inner] for each in (numbers[3][:-1, :-1], numbers[2][:-1, 1:], numbers[1][1:, :-1],
+                                           numbers[0][1:, 1:]))  # fmt: skip
+    return found, place, np.concatenate([np.column_stack([a, c, b]), np.column_stack([b, c, d])])
+
+
+def direction_at(image, place):
+    """Return the directions (..., 3) of an Image's rays at places (..., 2) in rows and columns, between pixels too."""
+    first = image.direction[0, 0]
+    ways = np.stack([image.direction[1, 0] - first, image.direction[0, 1] - first])
+    return first + place @ ways
 
 
 def surface_of(image, mask, row, jump):

@@ -13,6 +13,8 @@ from derender.errors import DerenderError
 
 BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
 FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
+SMALL_FLOOR = 0.06  # of the pixels: the least of a floor before a wall that has next to nothing under it
+WALL = 0.25  # sine of the angle by which a wall faces up at most, as a level camera sees it
 ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
 LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
 SAMPLE, TRIPLES, STREAM = 1500, 300, 2026  # points looked at, planes tried through three of them, seed of both
@@ -62,31 +64,50 @@ def find_floor(depth, camera, tolerance=0.008, gravity=None):
     flat = points.reshape(-1, 3)
     rng = np.random.default_rng(STREAM)
     sample = flat[good[rng.permutation(len(good))[:SAMPLE]]]
-    triples = sample[rng.integers(len(sample), size=(TRIPLES, 3))]
-    normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    if not np.any(length > 1e-8):
+    normal, offset = planes_through(sample[rng.integers(len(sample), size=(TRIPLES, 3))])
+    if len(normal) == 0:
         raise DerenderError("all pixels with depth lie on one line", remedy="give a whole image")
-    normal = normal[length > 1e-8] / length[length > 1e-8, None]
-    offset = np.einsum("ij,ij->i", normal, triples[length > 1e-8, 0])
-    distance = sample @ normal.T - offset  # (S, R); the camera is at -offset
-    side = np.where(offset > 0, -1.0, 1.0)  # turn normals towards the camera
-    distance, normal, offset = distance * side, normal * side[:, None], offset * side
-    near = np.abs(distance) < tolerance * np.maximum(1.0, sample[:, 2] ** 2)[:, None]
-    # Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have
-    # some, the side of a box has many.
-    under = distance < -3 * tolerance
-    score = near.mean(axis=0) - 0.3 * under.mean(axis=0)
-    if gravity is not None:
-        level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
-        score = np.where(level, score, -1.0) if level.any() else score
-    best = np.argmax(score)
-    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
+    best = np.argmax(scores(sample, normal, offset, tolerance, gravity)[0])
+    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge. It may
+    # be so small a part that planes are looked for once more among what does not lie on the wall.
+    off = sample[np.abs(sample @ normal[best] - offset[best]) > 3 * tolerance]
+    if len(off) >= 3:
+        more = planes_through(off[rng.integers(len(off), size=(2 * TRIPLES, 3))])
+        normal, offset = np.vstack([normal, more[0]]), np.append(offset, more[1])
+    score, share, under = scores(sample, normal, offset, tolerance, gravity)
     upward = -normal[:, 1]
-    floors = (score > FLOOR_SHARE) & (np.abs(normal @ normal[best]) < ACROSS) & (upward > upward[best] + UPWARD)
+    small = (share > SMALL_FLOOR) & (under < SMALL_FLOOR / 2) & (score > 0.0) & (upward[best] < WALL)
+    floors = (score > FLOOR_SHARE) | small
+    floors &= (np.abs(normal @ normal[best]) < ACROSS) & (upward > upward[best] + UPWARD)
     if floors.any():
         best = np.argmax(np.where(floors, score, -np.inf))
     return plane_through(depth, points, normal[best], offset[best], tolerance)
+
+
+def planes_through(triples):
+    """Return (normals (N, 3) towards the camera, offsets (N,)) of the planes through triples of points (N', 3, 3)."""
+    normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    normal = normal[length > 1e-8] / length[length > 1e-8, None]
+    offset = np.einsum("ij,ij->i", normal, triples[length > 1e-8, 0])
+    side = np.where(offset > 0, -1.0, 1.0)  # the camera is at -offset
+    return normal * side[:, None], offset * side
+
+
+def scores(sample, normal, offset, tolerance, gravity):
+    """Return (score, share of a sample of points (S, 3) on it, share far under it), each (N,), of planes as floors.
+
+    Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have some,
+    the side of a box has many. Where gravity is known only level planes have a score, if there is one.
+    """
+    distance = sample @ normal.T - offset  # (S, N)
+    share = (np.abs(distance) < tolerance * np.maximum(1.0, sample[:, 2] ** 2)[:, None]).mean(axis=0)
+    under = (distance < -3 * tolerance).mean(axis=0)
+    score = share - 0.3 * under
+    if gravity is not None:
+        level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
+        score = np.where(level, score, -1.0) if level.any() else score
+    return score, share, under
 
 
 def floor_beside(floor, depth, camera, standing):

@@ -15,13 +15,16 @@ from derender.detection.search.bodies import label_bodies
 REACH = 2  # pixels on either side over which the normals are compared
 CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
 TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
+NECK = 0.25  # of the side of the square as large as the smaller piece, that a common edge has at least
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece
 RIM = 40  # pixels of a piece that may be the inside or the outside of another
 CLOSE = 0.03  # metres between pieces of one thing, with nothing between but what returned nothing
 SAME_TOP = 0.02  # metres between their highest points
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
-FILLED = 1.2  # most times the pieces' outlines, seen from above, that their common outline may hold
+FILLED = (
+    1.3  # most times the pieces' outlines, seen from above, that their common outline may hold: a handle sticks out
+)
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -112,19 +115,23 @@ def segments(points, mask, normal, jump, footprint):
     return label, count, common_edges(points, label, count, jump, footprint)
 
 
-def joined(points, label, count, edges, price, nats, origin):
+def joined(points, label, count, edges, price, nats, origin, area):
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
     price : nats of one more thing. nats : of each metre of edge within a thing. origin : (3,) the camera's centre.
+    area : (N,) square metres of each piece. A handle or a cap is joined along much of its width: two pieces whose
+        common edge is short beside the smaller one are two objects that touch.
     """
     owner = np.arange(count)
-    edges = edges.copy()
+    edges, area = edges.copy(), np.array(area, float)
     while count > 1:
-        gains = np.where(edges > 0.0, price - nats * edges, -np.inf)
+        neck = NECK * np.sqrt(np.minimum(area[:, None], area))
+        gains = np.where(edges > neck, price - nats * edges, -np.inf)
         a, b = np.unravel_index(np.argmax(gains), gains.shape)
         if gains[a, b] <= 0.0:
             break
         owner[owner == b] = a
+        area[a] += area[b]
         edges[a] += edges[b]
         edges[:, a] += edges[:, b]
         edges[b], edges[:, b], edges[a, a] = 0.0, 0.0, 0.0

@@ -26,6 +26,8 @@ MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
 MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
 SOME_BACKGROUND, MOST_BACKGROUND = 0.05, 0.6  # shares of the valid pixels: it counts, and is too much
+# A floor that is none: the least share of what shows no solid; the sine of its normal's turn about the optical axis.
+LEAST_FLOOR, SIDEWAYS = 0.4, 0.6
 # Solids that the image does not bear out.
 MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
@@ -53,6 +55,7 @@ def check_fit(
     doubts = [
         *unexplained(fit, valid),
         *too_much_background(fit, valid),
+        *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
         *unborne_solids(graph, fit, valid),
@@ -87,6 +90,21 @@ def too_much_background(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     if share <= MOST_BACKGROUND:
         return []
     return [Doubt(f"{percent(share)} of the image is taken as background, which says nothing of what it is")]
+
+
+def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+    """Return doubts about whether the floor is one: it explains little beside the background, or faces sideways."""
+    poses = graph.poses()
+    normals = [poses[vertex.name][:3, 2] for vertex in graph.vertices if vertex.body.size() is None]
+    floor = float((valid & fit.explained & (fit.label == 0)).sum())
+    background = float(fit.background.sum())
+    doubts = []
+    if 0.0 < background <= MOST_BACKGROUND * valid.sum() and floor < LEAST_FLOOR * (floor + background):
+        words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
+        doubts.append(Doubt(words))
+    if any(abs(normal[0]) > SIDEWAYS for normal in normals):
+        doubts.append(Doubt("what was taken as the floor faces sideways in the image: it may be a wall, see --up"))
+    return doubts
 
 
 def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> list[Doubt]:

@@ -12,6 +12,7 @@ from derender.scene.graph import SceneGraph
 FLOOR, BACKGROUND, UNEXPLAINED = -1, -2, -3
 NEAR, NEAR_SHARE = 0.01, 0.01  # metres, and share of the depth: what is seen so near the floor shows the floor
 NOISES = 4.0  # standard deviations of the noise within which a pixel shows the floor
+MOST_BENT = 0.05  # share of the depth: whatever the sensor, what is farther off its plane is no floor
 WINDOW = 2  # pixels on either side over which the background's surface is smoothed
 STEP = 0.02  # share of the depth: what differs more from the middle of the window lies on another surface
 
@@ -40,7 +41,12 @@ class Explanation(NamedTuple):
 
 
 def explain(
-    graph: SceneGraph, seen: np.ndarray, camera: Camera, noise: float = 0.0, background: np.ndarray | None = None
+    graph: SceneGraph,
+    seen: np.ndarray,
+    camera: Camera,
+    noise: float = 0.0,
+    background: np.ndarray | None = None,
+    bent: np.ndarray | None = None,
 ) -> Explanation:
     """Return the Explanation of an image by a scene.
 
@@ -50,6 +56,8 @@ def explain(
     camera : of this image. noise : standard deviation in metres of what is seen of the floor.
     background : (H, W) bool, pixels that show neither floor nor solid; each is explained by the mean of the surface
         about it (a plane is its own), so that single outliers are not.
+    bent : (H, W) bool, pixels of the floor that the model takes as the sensor bends them: they show the floor
+        where they are off its plane by no more than MOST_BENT of the depth.
     """
     solids = graph.solids()
     depth, index = render_depth(solids, camera)
@@ -68,6 +76,11 @@ def explain(
     with np.errstate(invalid="ignore"):
         off = np.abs(depth - filled) > np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
     missed = (label == FLOOR) & valid & off
+    if bent is not None:
+        with np.errstate(invalid="ignore"):
+            floor = bent & missed & (np.abs(depth - filled) < MOST_BENT * filled)
+        depth[floor] = smooth_surface(filled, floor)[floor]
+        missed &= ~floor
     label[missed], depth[missed] = UNEXPLAINED, np.nan
     return Explanation(label, depth.astype(np.float32), tuple(names))
 

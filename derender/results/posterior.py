@@ -147,13 +147,19 @@ class Posterior:
     def object_probability(self, name: str) -> float:
         """Return the probability that an object of this name is there; a structure that was missed may well have it,
         so that it is taken to have it as often as those that were found."""
-        return self._probability(lambda graph: name in graph.names)
+        return self._probability(lambda graph: name in graph.names) * self._existence(name)[0]
+
+    def _existence(self, name: str) -> tuple[float, float]:
+        """Return the probability that a free-form thing of the structures is an object at all, and its error."""
+        known, error = self.meta.get("existence", {}).get(name, (1.0, 0.0))
+        return float(known), float(error)
 
     def object_probability_error(self, name: str) -> float:
         """Return the standard error of that probability, from those of the weights."""
         there = [part.weight_error for part in self.parts if name in part.graph.names]
         gone = [part.weight_error for part in self.parts if name not in part.graph.names]
-        return min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
+        known = min(float(np.linalg.norm(there)), float(np.linalg.norm(gone)))
+        return float(np.hypot(known, self._existence(name)[1]))
 
     def parent_probability(self, name: str) -> dict[str, float]:
         """Return the probability of each parent of an object, given that it is there; the likeliest first."""

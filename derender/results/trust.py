@@ -19,6 +19,7 @@ MARGIN = 2.5  # times the draws that seem enough
 # Of images whose neighbouring pixels share noise, where structures are not weighed by the integral of a density.
 TEMPERED = "probabilities of structures are those of a tempered score, whose error is not known"
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
+LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answer is an object
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
@@ -76,6 +77,13 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     """
     notes = (Doubt(TEMPERED, serious=False),) if posterior.meta.get("tempered") else ()
     doubts = [f"{lost} of the chains died"] if lost else []
+    if posterior.meta.get("no_floor"):
+        doubts.append("no surface was found that things could stand on: all is taken as background")
+    doubts += [
+        f"{name} is an object with a probability of {known:.2f} only: it may be clutter or a piece of one"
+        for name, (known, _) in posterior.meta.get("existence", {}).items()
+        if known < LEAST_EXISTENCE and name in posterior.best_part.graph.names
+    ]
     if posterior.meta.get("interrupted"):
         doubts.append("it was interrupted: this is the best so far")
     for view in posterior.meta.get("views", ()):

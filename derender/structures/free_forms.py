@@ -14,6 +14,11 @@ SLACK = ("gap", "tilt_x", "tilt_y")
 HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
 
 
+def thing_name(number):
+    """Return the name of an Observation's thing of this number."""
+    return f"thing_{number + 1}"
+
+
 def with_things(rng, parts, seen, state):
     """Return StructurePosteriors with free-form things among their objects.
 
@@ -32,7 +37,7 @@ def _with_all(rng, part, state, names, made, noise):
     chains, draws, _ = part.values.shape
     best = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
     for number, (thing, surface, size, centre) in enumerate(made):
-        name = f"thing_{number + 1}"
+        name = thing_name(number)
         row = thing.row.copy()
         row[CENTRE:SIZE], row[SIZE:] = centre, size
         vertex = vertex_of(row, False, name)

@@ -14,8 +14,9 @@ from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
+from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.support import final_parents
-from derender.detection.things import leftovers, made_thing, take_things
+from derender.detection.things import compounds, existence, leftovers, made_thing, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.pose import inverse
@@ -37,7 +38,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
 
     plane : the floor as it is given, see bottom_up.given_floor; None: find it.
     """
-    settings = Settings() if settings is None else settings
+    settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     seen = observe(depth, camera, widest, plane, settings.may_float)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
@@ -69,9 +70,15 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
         if more and len(state):
             state = settle(rng, image, state, settings)
         masks += leftovers(seen, state, settings)
+        if seen.correlation > CORRELATED:
+            seen, state, masks = without_background(seen, state, masks)
+            state.parents = final_parents(state)
+            state, more = compounds(seen, state)
+            masks += more
     state.parents = final_parents(state)
     state = state.ordered()
-    return state, seen._replace(things=tuple(made_thing(seen, state, *each) for each in masks))
+    return state, seen._replace(things=tuple(made_thing(seen, state, mask, gain / settings.temper)
+                                            for mask, gain in masks))  # fmt: skip
 
 
 def searched_well(rng, seen, hypotheses, settings, pool):
@@ -161,7 +168,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.detection.solids.graph import without_floor
     from derender.results.posterior import Posterior
     from derender.structures.bridges import with_bridges
-    from derender.structures.free_forms import with_things
+    from derender.structures.free_forms import thing_name, with_things
     from derender.structures.graph_posterior import parts_of
     from derender.structures.known.library import chosen_library
     from derender.structures.stills import averaged
@@ -228,7 +235,9 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
-            "interrupted": interrupted, "tempered": len(state) > 0 and "likelihood" not in parts[0].extras,
+            "no_floor": seen.no_floor, "interrupted": interrupted,
+            "tempered": len(state) > 0 and "likelihood" not in parts[0].extras,
+            "existence": {thing_name(k): existence(thing.gain) for k, thing in enumerate(seen.things)},
             "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
@@ -265,7 +274,11 @@ def explanation_of(graph, seen, depth, camera):
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
     camera = whole_camera(camera, depth.shape)
-    return explain(graph, depth, camera, seen.floor.sigma, seen.behind[rows[:, None], columns])
+    bent = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
+    for thing in seen.things:
+        bent &= ~thing.mask
+    behind, bent = (mask[rows[:, None], columns] for mask in (seen.behind, bent))
+    return explain(graph, depth, camera, seen.floor.sigma, behind, bent)
 
 
 def whole_camera(camera, shape):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, length
+from derender.detection.background import along_edge, is_background, length
 from derender.detection.search.observation import local_noise, observe
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
@@ -68,3 +68,31 @@ def test_a_carton_whose_top_shows_stands_there_though_the_border_cuts_it_and_a_w
     carton = scene.label[::2, ::2] == 0
     assert carton.mean() > 0.4 and carton[0].any()  # the border cuts it
     assert seen.mask[carton].mean() > 0.9 and seen.background < 0.1
+
+
+def flat_points(height, width, across=0.005):
+    """Return points (H, W, 3) of a level surface, so many metres from pixel to pixel."""
+    row, column = np.indices((height, width))
+    return np.stack([across * column, across * row, np.zeros((height, width))], axis=-1)
+
+
+def test_what_has_grown_together_with_the_background_belongs_to_it():
+    points, mask, behind = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    mask[20:40, 30:40], behind[:, 40:60] = True, True
+    upright = np.zeros_like(points)
+    frame, inside, edge = (0, 59, 0, 79), np.full((60, 80), -1.0), np.zeros((60, 80))
+    assert is_background(points, mask, upright, behind, inside, frame)  # a third of its outline goes on in the wall
+    behind[27:] = False
+    assert not is_background(points, mask, upright, behind, inside, frame)
+    assert is_background(points, mask, upright, behind, edge, frame)  # it stands where the floor ends
+    behind[27:40, 40:60] = True
+    points[:, 40:, 2] = 0.1
+    assert not is_background(points, mask, upright, behind, inside, frame)  # the wall is ten centimetres behind it
+
+
+def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
+    points, mask, nothing = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    mask[20:40, 70:80] = True
+    inside, upright = np.full((60, 80), -1.0), np.zeros_like(points)
+    assert is_background(points, mask, upright, nothing, inside, (0, 59, 0, 79))
+    assert not is_background(points, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))

@@ -9,7 +9,7 @@ from derender.detection.search.observation import observe
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)
 TILT = np.radians(20.0)
-# The camera looks down by 20 degrees on a floor .3 m below it; a ramp of 45 degrees fills most of the image.
+# The camera looks down by 20 degrees on a floor .3 m below it; a ramp of 25 degrees fills most of the image.
 FALL = np.array([0.0, np.cos(TILT), np.sin(TILT)])
 
 
@@ -24,7 +24,7 @@ def plane_depth(normal, offset):
 @pytest.fixture
 def depth():
     """A ramp whose lower end stands on a floor that shows in a fifth of the image."""
-    turn = np.radians(45.0)
+    turn = np.radians(25.0)
     ramp = np.array([0.0, np.cos(TILT + turn), np.sin(TILT + turn)])
     floor, sloped = plane_depth(FALL, 0.3), plane_depth(ramp, 0.55)
     both = np.fmin(floor, sloped)
@@ -34,7 +34,7 @@ def depth():
 
 def test_the_level_plane_is_the_floor(depth):
     without = find_floor(depth, CAMERA)
-    assert without.pose[:3, 2] @ -FALL < 0.9  # the ramp: what the image alone would have
+    assert without.pose[:3, 2] @ -FALL < 0.95  # the ramp: what the image alone would have
     known = find_floor(depth, CAMERA, gravity=FALL)
     assert known.pose[:3, 2] @ -FALL > 0.9999
 
@@ -50,3 +50,12 @@ def test_gravity_that_fits_no_plane_is_set_aside(depth):
     sideways = find_floor(depth, CAMERA, gravity=(1.0, 0.0, 0.0))
     plain = find_floor(depth, CAMERA)
     np.testing.assert_array_equal(sideways.pose, plain.pose)
+
+
+def test_a_small_floor_before_a_wall_is_the_floor():
+    """A wall fills nine tenths of the image; nothing lies under the strip of floor before it, which faces upwards."""
+    wall = plane_depth(np.array([0.0, -np.sin(TILT), np.cos(TILT)]), 1.0)
+    floor = plane_depth(FALL, 0.74)
+    both = np.fmin(floor, wall) + 0.001 * np.random.default_rng(0).standard_normal(wall.shape)
+    assert 0.06 < np.mean(floor < wall) < 0.15
+    assert find_floor(both, CAMERA).pose[:3, 2] @ -FALL > 0.99

@@ -5,10 +5,15 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, seen_on_the_table
 
-from derender.detection.closing import closed_surface, surface_of
+from derender.detection.closing import closed_surface, surface_of, visible_surface
 from derender.detection.search.bodies import APART
 from derender.detection.segments import joined, one_rim
-from derender.scene.solids import BOX, MESH
+from derender.detection.solids.image import make_image, make_row
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR, State
+from derender.detection.things import existence, held_by_another
+from derender.scene.pose import rotation_x, translation
+from derender.scene.solids import BOX, CYLINDER, MESH
 from derender.structures.infer import infer_structure, point_estimate
 from derender.structures.options import Options
 
@@ -68,7 +73,55 @@ def test_pieces_are_joined_where_their_edge_is_short():
     points[:, 2:, 2] = 0.5  # far apart in height: not the two sides of one rim
     for metres, things in ((0.04, 1), (0.2, 2)):
         edges = np.array([[0.0, metres], [metres, 0.0]])
-        assert len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3)))) == things
+        assert (
+            len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.full(2, 0.01)))) == things
+        )
+
+
+def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
+    points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
+    points[:, 2:, 2] = 0.5
+    edges = np.array([[0.0, 0.012], [0.012, 0.0]])
+    for area, things in (([0.007, 0.006], 2), ([0.007, 0.0006], 1)):
+        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.array(area))
+        assert len(np.unique(owner)) == things
+
+
+def test_a_silhouette_lies_where_its_pixels_end():
+    """Each pixel is a square: the surface reaches half a pixel beyond their middles, a plane stays one."""
+    column = np.arange(40.0)
+    depth = np.tile(1.0 + 0.002 * column, (30, 1))
+    depth[10:15, 20:25] += 0.2
+    image = make_image(depth, 0.002, {"fx": 100.0, "fy": 100.0, "cx": 19.5, "cy": 14.5}, translation(0.0, 0.0, 1.0))
+    mask = np.zeros((30, 40), bool)
+    mask[5:15, 10:20] = mask[10:15, 20:25] = True
+    found, place, triangles = visible_surface(image, mask, np.full((30, 40), 0.03))
+    assert place.min(axis=0).tolist() == [4.5, 9.5] and place.max(axis=0).tolist() == [14.5, 24.5]
+    assert len(triangles) == 2 * mask.sum()
+    plane = 1.0 + 0.002 * place[:, 1]
+    off = found - plane
+    assert np.allclose(np.minimum(np.abs(off), np.abs(off - 0.2)), 0.0)
+    assert (np.abs(off[place[:, 1] < 19]) < 1e-9).all() and (off[place[:, 1] > 20] > 0.19).all()
+
+
+def test_what_is_held_by_a_round_side_is_part_of_it():
+    """A mallet that stands on its head: nothing else could hold its handle up."""
+    turned = rotation_x(np.pi / 2)[:3, :3]
+    head = make_row(CYLINDER, turned, np.array([0.0, 0.0, 0.03]), np.array([0.06, 0.06, 0.12]))
+    handle = make_row(CYLINDER, np.eye(3), np.array([0.0, 0.0, 0.16]), np.array([0.03, 0.03, 0.2]))
+    apart = handle.copy()
+    apart[10] = 0.3
+    lying = State().add(head, FREE, False)
+    assert held_by_another(lying.add(handle, UPRIGHT, False)) == (1, 0)
+    assert held_by_another(lying.add(apart, UPRIGHT, False)) is None  # it hangs over nothing
+    box = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.03]), np.array([0.1, 0.1, 0.06]))
+    assert held_by_another(State().add(box, UPRIGHT, False, FLOOR, 0.0).add(handle, UPRIGHT, False)) is None
+
+
+def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
+    told = np.array([existence(gain) for gain in (0.0, 10.0, 27.0, 60.0, 1e4)])
+    assert (np.diff(told[:, 0]) > 0.0).all() and told[-1, 0] <= 0.95
+    assert told[2, 0] == pytest.approx(0.475) and told[2, 1] > told[-1, 1] > told[0, 1]
 
 
 def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():

@@ -10,7 +10,7 @@ from derender.results.check import check_fit
 from derender.results.fit import fit_of
 from derender.results.trust import judgement, trusted
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x, translation
+from derender.scene.pose import rotation_x, rotation_y, translation
 
 CAMERA = Camera.from_field_of_view(160, 120)
 LIKELIHOOD = {"sigma": 0.002, "blur": 0.5, "background": 10.0}
@@ -111,3 +111,17 @@ def test_range_instead_of_depth_is_told():
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     ray = np.sqrt(1.0 + ((columns - CAMERA.cx) / CAMERA.fx) ** 2 + ((rows - CAMERA.cy) / CAMERA.fy) ** 2)
     assert any("range" in d.words for d in doubts_of(TRUE, seen * ray))
+
+
+def test_a_floor_that_explains_less_than_the_background_is_doubted():
+    seen = image(TRUE)
+    seen[:75] -= 0.2
+    told = np.where(np.arange(120)[:, None] < 75, seen, fit_of(TRUE, CAMERA, seen, LIKELIHOOD).depth)
+    assert any("less than the background" in doubt.words for doubt in doubts_of(TRUE, seen, told=told))
+    assert not any("less than the background" in doubt.words for doubt in doubts_of(TRUE, image(TRUE)))
+
+
+def test_a_floor_that_faces_sideways_is_doubted():
+    wall = SceneGraph(translation(0.3, 0.0, 0.9) @ rotation_y(np.deg2rad(-100)), (FLOOR,))
+    doubts = doubts_of(wall, image(wall))
+    assert any("sideways" in doubt.words and doubt.serious for doubt in doubts)

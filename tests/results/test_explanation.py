@@ -60,3 +60,12 @@ def test_the_background_is_smoothed_but_not_across_its_steps():
     off = smooth - np.where(np.arange(40)[None] < 20, 1.0, 1.5)
     assert 0.0002 < off.std() < 0.0009
     assert (smooth_surface(depth, np.zeros(depth.shape, bool)) == 0.0).all()
+
+
+def test_a_floor_that_the_sensor_bends_is_explained_as_it_is_seen(graph, seen):
+    bent = np.zeros(seen.shape, bool)
+    bent[30:45, :20] = True
+    seen[30:34, :20] = 0.97
+    told = explain(graph, seen, CAMERA, bent=bent)
+    assert (told.label[30:34, :20] == FLOOR).all() and np.allclose(told.depth[30:34, :20], 0.97)
+    assert (told.label[GHOST] == UNEXPLAINED).all()  # ten centimetres are no bend

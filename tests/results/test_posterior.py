@@ -10,6 +10,7 @@ from small_scenes import LOOKED_AT, TOWER, SceneWorld
 from derender.errors import DerenderError
 from derender.results.netcdf import write_netcdf
 from derender.results.posterior import Posterior, StructurePosterior, load
+from derender.results.trust import chain_doubts
 
 
 def part(text=TOWER, weight=1.0, seed=0):
@@ -64,6 +65,17 @@ def test_probabilities_are_sums_of_weights():
     assert posterior.shape_probability("lid") == {"cube": 1.0}
     counts = sum("lid" in graph.names for graph in posterior.graphs(np.random.default_rng(0), 400))
     assert abs(counts - 120) < 4.5 * np.sqrt(400 * 0.21)  # binomial, one failure in 150,000
+
+
+def test_a_free_form_thing_may_be_no_object_at_all():
+    _, one = part()
+    name = one.graph.names[-1]
+    sure, doubted = (Posterior((one,), meta={"existence": told}) for told in ({}, {name: (0.6, 0.1)}))
+    assert doubted.object_probability(name) == pytest.approx(0.6 * sure.object_probability(name))
+    assert doubted.object_probability_error(name) >= 0.1 > sure.object_probability_error(name)
+    assert doubted.object_probability(one.graph.names[0]) == sure.object_probability(one.graph.names[0])
+    assert any(name in doubt.words and doubt.serious for doubt in chain_doubts(doubted, []))
+    assert not any(name in doubt.words for doubt in chain_doubts(sure, []))
 
 
 def test_each_draw_is_taken_before_one_is_taken_again():

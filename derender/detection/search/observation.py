@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.detection.background import standing_bodies
-from derender.detection.floor import Floor, back_project, find_floor, floor_beside
+from derender.detection.bend import bend_of, sensor_deviation
+from derender.detection.floor import Floor, back_project, find_floor, floor_beside, plane_through
 from derender.detection.foreground import joined_to_floor
 from derender.detection.given_floor import find_backdrop, given_floor
 from derender.detection.local_planes import local_planes
@@ -32,6 +33,7 @@ MARGIN = 0.01  # metres beyond the outline of the visible floor that still count
 # Noise of the worst sensors (stereo, Kinect v1): metres, and metres a square metre. A floor that is off its plane by
 # more is no plane, or not the floor; but where neighbours scatter so, by ROUGHER times less, it is noise.
 SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
+NO_FLOOR = 6.0  # standard deviations of consumer sensors by which a floor is off its plane at most
 LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
 
 
@@ -47,6 +49,9 @@ class Observation(NamedTuple):
         sensors.
     background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
     behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
+    no_floor : whether what was taken as the floor is off its plane by more than any sensor is.
+    bend : (H, W) metres that were added to the depths to make the floor a plane, see `bend_of`; None: none.
+    beyond : (H, W) metres by which points lie beyond the outline of the visible floor, negative over it.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
     single : (H, W) metres, NaN = no return: the pixels of the image as it came that those of `image` stand for.
@@ -67,7 +72,10 @@ class Observation(NamedTuple):
     background: float
     behind: np.ndarray
     single: np.ndarray
+    beyond: np.ndarray
     backdrop: bool
+    no_floor: bool = False
+    bend: np.ndarray | None = None
     things: tuple = ()
     interrupted: bool = False
     agreed: bool = True
@@ -94,11 +102,28 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
     # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
     backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
     seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
-    if plane is None and seen.correlation > CORRELATED and seen.mask.any():
-        seen = tell_apart(
-            depth, camera, factor, floor_beside(floor, depth, camera, seen.mask), None, rounding, floating
-        )
+    if plane is None and seen.correlation > CORRELATED:
+        bend = bend_of(depth, floor, camera)
+        depth = depth + bend
+        if bend.any():
+            normal = floor.pose[:3, 2]
+            points = back_project(depth, camera)
+            floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
+        if seen.mask.any():
+            floor = floor_beside(floor, depth, camera, seen.mask)
+        seen = tell_apart(depth, camera, factor, floor, None, rounding, floating)._replace(bend=bend)
+        if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
+            seen = without_floor(seen)
     return seen._replace(single=single_pixels(whole, factor))
+
+
+def without_floor(seen):
+    """Return the Observation in which all that is off the floor's plane is background: that plane cuts through what is
+    seen, and nothing stands on it."""
+    off = (seen.image.weight > 0) & ~seen.floor.inliers
+    seen.image.floor[off] = seen.image.depth[off]
+    share = float(off.sum() / max((seen.image.weight > 0).sum(), 1))
+    return seen._replace(mask=np.zeros_like(seen.mask), behind=off, background=share, no_floor=True)
 
 
 def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):
@@ -154,7 +179,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
-                       depth, backdrop is not None)  # fmt: skip
+                       depth, beyond_edge, backdrop is not None)  # fmt: skip
 
 
 def closer_look(seen, depth, camera):
@@ -170,6 +195,9 @@ def closer_look(seen, depth, camera):
 
     def larger(image):
         return image[rows[:, None], columns]
+
+    if seen.bend is not None:
+        depth = depth + larger(seen.bend)
 
     sigma = larger(seen.sigma)
     image = make_image(depth, sigma, camera, seen.floor.pose, estimate_blur(depth, sigma))

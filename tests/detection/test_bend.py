@@ -1,0 +1,40 @@
+"""A floor that is off its plane by millimetres is made a plane again; what stands on it stays, and noise is no bend."""
+
+import numpy as np
+import pytest
+from table_scenes import CAMERA, seen_on_the_table
+
+from derender.detection.bend import bend_of
+from derender.detection.floor import find_floor
+from derender.detection.search.observation import observe
+from derender.scene.solids import BOX
+
+
+def bent_by(metres):
+    """Return an image of a box on a table that is bent by so much towards the camera in the middle."""
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.1, 0.08, 0.12), None)])
+    x = np.linspace(-1.0, 1.0, CAMERA.width)
+    return image - metres * (1.0 - x**2)
+
+
+def test_a_bent_floor_becomes_a_plane():
+    image = bent_by(0.006)
+    floor = find_floor(image, CAMERA)
+    after = find_floor(image + bend_of(image, floor, CAMERA), CAMERA)
+    assert after.sigma < 0.65 * floor.sigma
+
+
+@pytest.mark.parametrize("metres", [0.0, 0.0003])
+def test_a_plane_stays_as_it_is(metres):
+    image = bent_by(metres)
+    assert not bend_of(image, find_floor(image, CAMERA), CAMERA).any()
+
+
+def test_where_there_is_no_floor_nothing_stands():
+    """Hills of twenty centimetres: no plane that holds many of their pixels is one that things could stand on."""
+    row, column = np.indices(CAMERA.shape)
+    image = 0.8 + 0.1 * np.sin(row / 17.0) * np.cos(column / 23.0) + 0.05 * np.sin(column / 9.0)
+    seen = observe(image + 0.001 * np.random.default_rng(0).standard_normal(image.shape), CAMERA)
+    assert seen.no_floor and not seen.mask.any()
+    plane = observe(bent_by(0.003), CAMERA)
+    assert not plane.no_floor and plane.mask.any()
