@@ -9,6 +9,8 @@
     python scripts/evaluate.py prediction -n 4           what comes next in a film (see evaluate_prediction.py)
     python scripts/evaluate.py tosses -n 20              where real tosses come to rest (the same file)
     python scripts/evaluate.py physics -n 200            verdicts, margins, bounces and pushes (see evaluate_physics.py)
+    python scripts/evaluate.py verdicts -n 200           does it stand? of images (see evaluate_stability.py)
+    python scripts/evaluate.py stands -n 40              what --assume-stable tells of where things are (the same)
     python scripts/evaluate.py views -n 20               what a second look tells of towers (see evaluate_views.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
