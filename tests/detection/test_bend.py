@@ -35,6 +35,6 @@ def test_where_there_is_no_floor_nothing_stands():
     row, column = np.indices(CAMERA.shape)
     image = 0.8 + 0.1 * np.sin(row / 17.0) * np.cos(column / 23.0) + 0.05 * np.sin(column / 9.0)
     seen = observe(image + 0.001 * np.random.default_rng(0).standard_normal(image.shape), CAMERA)
-    assert seen.no_floor and not seen.mask.any()
+    assert seen.no_floor and not seen.mask.any() and seen.behind.all()
     plane = observe(bent_by(0.003), CAMERA)
     assert not plane.no_floor and plane.mask.any()

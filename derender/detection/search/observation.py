@@ -118,12 +118,10 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
 
 
 def without_floor(seen):
-    """Return the Observation in which all that is off the floor's plane is background: that plane cuts through what is
-    seen, and nothing stands on it."""
-    off = (seen.image.weight > 0) & ~seen.floor.inliers
+    """Return the Observation in which all is background: what was taken as the floor cuts through what is seen."""
+    off = seen.image.weight > 0
     seen.image.floor[off] = seen.image.depth[off]
-    share = float(off.sum() / max((seen.image.weight > 0).sum(), 1))
-    return seen._replace(mask=np.zeros_like(seen.mask), behind=off, background=share, no_floor=True)
+    return seen._replace(mask=np.zeros_like(seen.mask), behind=off, background=1.0, no_floor=True)
 
 
 def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):
