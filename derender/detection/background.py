@@ -13,6 +13,9 @@ from derender.detection.segments import segments
 
 LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
 CUT = 0.35  # share of a body's width or height in pixels along which a border cuts it
+# Share of a line that returns fill where what is seen begins, and share of the lines within which that is so after the
+# first return: the borders of registered images are ragged.
+FILLED, RAGGED = 0.5, 0.03
 OUTSIDE = 0.5  # share of a body's pixels beyond the support's outline from which on it stands beyond
 FLOATS = 0.1  # metres between the support and the lowest point of what hangs over it
 HANGS = 0.6  # share of a floating body's lower edge under which the support or what is behind it shows
@@ -45,10 +48,9 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
     """
     jump = np.ascontiguousarray(APART * footprint + 3.0 * sigma)
     body, count = label_bodies(points, above, jump)
-    rows, columns = np.nonzero(good)
-    if count == 0 or len(rows) == 0:
+    if count == 0 or not good.any():
         return above & (beyond < MARGIN)
-    frame = rows.min(), rows.max(), columns.min(), columns.max()
+    frame = frame_seen(good)
     normal, _, _ = local_planes(points, above, origin, jump, 2)
 
     def stands(mask):
@@ -87,6 +89,23 @@ def outline_length(mask, footprint):
     return float(footprint[mask & ~inner].sum())
 
 
+def frame_seen(good):
+    """Return the first and last row and column of what the camera sees; good : (H, W) bool, pixels with a depth.
+
+    Registered images have margins without returns; but where returns end in few pixels that is the top of a solid
+    with nothing behind it, and the border is the image's own.
+    """
+    found = []
+    for axis in (1, 0):
+        share, last = good.mean(axis=axis), good.shape[1 - axis] - 1
+        returns, filled = np.flatnonzero(share), np.flatnonzero(share > FILLED)
+        most = RAGGED * len(share)
+        begins = len(filled) and filled[0] - returns[0] <= most
+        ends = len(filled) and returns[-1] - filled[-1] <= most
+        found += [int(filled[0]) if begins else 0, int(filled[-1]) if ends else last]
+    return tuple(found)
+
+
 def at_border(mask, frame):
     """Return whether a body reaches the border of what has a depth."""
     top, bottom, left, right = frame
@@ -106,7 +125,7 @@ def along_edge(points, beyond):
 def cut_off(points, mask, frame, real=True):
     """Return whether a body is cut by the image's border so that it may go on as a wall does.
 
-    frame : first and last row and column that have a depth.
+    frame : first and last row and column of what the camera sees.
     """
     top, bottom, left, right = frame
     rows, columns = np.nonzero(mask)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.background import is_background
+from derender.detection.background import frame_seen, is_background
 from derender.detection.local_planes import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import complexity, total_energy
@@ -280,8 +280,7 @@ def without_background(seen, state, masks):
     good = image.weight > 0
     if not seen.mask.any() or seen.floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
         return seen, state, masks
-    rows, columns = np.nonzero(good)
-    frame = rows.min(), rows.max(), columns.min(), columns.max()
+    frame = frame_seen(good)
     label, misfit = held_out(image, state, -1)[1:3]
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     normal, _, _ = local_planes(seen.points, good, image.origin, jump, 2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, is_background, length
+from derender.detection.background import along_edge, frame_seen, is_background, length
 from derender.detection.search.observation import local_noise, observe
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
@@ -96,3 +96,14 @@ def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
     inside, upright = np.full((60, 80), -1.0), np.zeros_like(points)
     assert is_background(points, mask, upright, nothing, inside, (0, 59, 0, 79))
     assert not is_background(points, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))
+
+
+def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():
+    """A registered image has margins; before a room without returns a can's top is the first thing seen."""
+    good = np.zeros((60, 80), bool)
+    good[10:55, 5:78] = True
+    good[9, 20:30] = True  # ragged
+    assert frame_seen(good) == (10, 54, 5, 77)
+    can = np.zeros((60, 80), bool)
+    can[25:, :] = can[8:, 30:40] = True
+    assert frame_seen(can) == (0, 59, 0, 79)
