@@ -252,10 +252,15 @@ def missed_by(seen, parts, loose):
     """Return the probability that the search has missed what is there; loose : what the prior says of that.
 
     Of an image whose pixels are independent it has explained everything where two searches agreed, the model weighed
-    what they found, and no badly explained spots are left. Of a real sensor's the tempered score says how open it is.
+    what they found, and no badly explained spots are left. Of a real sensor's nothing says so, and where no
+    floor was found nothing was searched for.
     """
-    settled, open_ = loose.missed
-    if seen.correlation > CORRELATED or len(parts) == 1 and parts[0].log_density.size == 1:  # one scene says no odds
+    settled, open_, sensor = loose.missed
+    if seen.no_floor:
+        return open_
+    if seen.correlation > CORRELATED:
+        return sensor
+    if len(parts) == 1 and parts[0].log_density.size == 1:  # one scene says no odds
         return settled
     return settled if seen.agreed and parts[0].extras.get("unexplained") == 0 else open_
 

@@ -99,11 +99,13 @@ def test_only_before_a_room_does_what_the_border_cuts_count_as_background():
 def test_no_answer_is_surer_than_the_search():
     """What a search may have missed is more where two disagree, or something is left that no solid explains."""
     loose = bare_image().loose
-    settled, open_ = loose.missed
+    settled, open_, sensor = loose.missed
     part = SimpleNamespace(extras={"unexplained": 0}, log_density=np.zeros((2, 50)))
     left = SimpleNamespace(extras={"unexplained": 1}, log_density=np.zeros((2, 50)))
     scored = SimpleNamespace(extras={}, log_density=np.zeros((2, 50)))  # not by the model: background, things
-    seen = SimpleNamespace(correlation=0.0, agreed=True)
+    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False)
     assert missed_by(seen, [part], loose) == settled < 0.01 < open_
     assert missed_by(seen, [left], loose) == missed_by(seen, [scored], loose) == open_
-    assert missed_by(SimpleNamespace(correlation=0.0, agreed=False), [part], loose) == open_
+    assert missed_by(SimpleNamespace(**{**vars(seen), "agreed": False}), [part], loose) == open_
+    assert missed_by(SimpleNamespace(**{**vars(seen), "no_floor": True}), [part], loose) == open_
+    assert missed_by(SimpleNamespace(**{**vars(seen), "correlation": 0.9}), [part], loose) == sensor

@@ -28,7 +28,7 @@ class Loose:
     overlap : metres by which solids may enter each other.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
     missed : probability that a search has not found what is there at all: where two searches agreed and nothing is left
-        unexplained, and where not.
+        unexplained, where not, and of a real sensor's image.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     """
@@ -39,7 +39,7 @@ class Loose:
     overlap: float = 3e-4
     hanging: float = 1e-13
     tipping: float = 0.01
-    missed: tuple[float, float] = (0.005, 0.3)
+    missed: tuple[float, float, float] = (0.005, 0.3, 0.2)
     second_support: float = 0.5
     within: float = 0.06
 
@@ -95,8 +95,8 @@ def read_loose(section: Section) -> Loose:
             raise section["seen_from"].fault("the nearest is not nearer than the farthest", "write [0.4, 1.5]")
         found["seen_from"] = low, high
     if "missed" in section:
-        settled, open_ = (item.number(lower=0.0, upper=1.0) for item in section["missed"].sequence(2))
-        found["missed"] = settled, open_
+        settled, open_, sensor = (item.number(lower=0.0, upper=1.0) for item in section["missed"].sequence(3))
+        found["missed"] = settled, open_, sensor
     if "second_support" in section:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
