@@ -12,8 +12,9 @@ from derender.dynamics.errors import ENGINE_FRICTION, ENGINE_RESTITUTION
 from derender.dynamics.inference import Identified
 from derender.dynamics.states import CHANGE, moved, to_poses
 
-# A number is told by the motion where its standard deviation is at most this share of the prior's.
-TOLD = 0.5
+# A number is told by the motion where its standard deviation is at most this share of the prior's: of the few draws
+# that count for something the deviation itself is uncertain by a fifth, and nothing that is untold may pass.
+TOLD = 0.35
 LEVEL = 0.9
 
 
