@@ -14,7 +14,8 @@ import derender
 from derender.errors import DerenderError
 
 MODULES = ("derender", "derender.camera.intrinsics", "derender.camera.depth_file", "derender.interface.functions",
-           "derender.interface.scene", "derender.interface.posterior", "derender.interface.simulation")  # fmt: skip
+           "derender.interface.scene", "derender.interface.simulation",
+           pytest.param("derender.interface.posterior", marks=pytest.mark.slow))  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MODULES)

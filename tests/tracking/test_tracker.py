@@ -35,6 +35,7 @@ def placed_film(rng):
     return film(rng, ["box", "box"], [BOX_A, BOX_B], paths)
 
 
+@pytest.mark.slow  # a film of two boxes
 def test_a_box_put_onto_another_is_followed_and_its_parent_changes_once():
     frames, poses = placed_film(np.random.default_rng(0))
     track = follow(frames, start(["box", "box"], [BOX_A, BOX_B], poses[0])).track()
