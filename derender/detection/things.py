@@ -355,9 +355,8 @@ def made_thing(seen, state, mask, gain):
     parent, bottom = support_of(points, state)
     upright = rotation_z(smallest_rectangle(points[:, :2]))[:3, :3]
     ends = np.quantile(points @ upright, [ENDS, 1.0 - ENDS], axis=0)
-    rim = 0.5 * float(
-        np.median(seen.footprint[mask])
-    )  # a pixel on the silhouette shows half of itself beyond its middle
+    # A pixel on the silhouette shows half of itself beyond its middle.
+    rim = 0.5 * float(np.median(seen.footprint[mask]))
     ends[:, :2] += [[-rim], [rim]]
     ends[0, 2] = bottom
     size = np.maximum(ends[1] - ends[0], THINNEST)
