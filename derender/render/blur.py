@@ -37,9 +37,9 @@ def blur(image: np.ndarray, sigma: float) -> np.ndarray:
 
 def _blur_along(image: np.ndarray, taps: np.ndarray, axis: int) -> np.ndarray:
     radius, length = len(taps) - 1, image.shape[axis]
-    padded = np.pad(image, [(radius, radius) if axis == each else (0, 0) for each in (0, 1)], mode="edge")
     if axis == 1:  # whole rows are added: columns would be strides apart
-        padded = np.ascontiguousarray(padded.T)
+        image = image.T
+    padded = image.take(np.clip(np.arange(-radius, length + radius), 0, length - 1), axis=0)
     blurred = taps[0] * padded[radius : radius + length]
     for k in range(1, radius + 1):
         blurred += taps[k] * (padded[radius - k : radius - k + length] + padded[radius + k : radius + k + length])

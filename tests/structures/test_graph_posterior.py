@@ -33,6 +33,7 @@ from derender.structures.draws.chart import (
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import (
     engine_of,
+    evaluate,
     load,
     log_evidence,
     run,
@@ -356,6 +357,25 @@ def test_a_step_s_change_of_the_prior_is_that_of_the_whole():
         alone_change = solid_log_prior(chart, after, k) - solid_log_prior(chart, before, k)
         short += abs(alone_change - change) > 1e-3 and (touched != alone).any()
     assert short == 1  # the cube under the box
+
+
+def test_densities_of_what_moves_are_those_of_all():
+    rng = np.random.default_rng(12)
+    sensor, chart, values = observe(rng, stack(), {"sigma": 0.002}, camera(96, 72))
+    engine = engine_of(chart, sensor)
+    load(engine, chart, values)
+    for k, alone in ((0, False), (2, True)):  # the cube carries a box; nothing stands on the other
+        members = own_members(chart, k)
+        points = np.tile(values, (5, 1))
+        points[:, members] += 0.002 * rng.standard_normal((5, len(members)))
+        found = np.empty((3, 5, 2))
+        for touched, each in zip(
+            (touched_by(chart, members), np.ones(5, bool), np.arange(5) == k + 1), found, strict=True
+        ):
+            evaluate(engine, chart, points, touched, each)
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-7)
+        # a broken twin: what stands on the solid left out
+        assert np.allclose(found[2], found[1], rtol=1e-7) == alone
 
 
 def test_the_normal_about_a_mode_is_about_as_wide_as_the_draws():

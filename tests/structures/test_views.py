@@ -66,7 +66,7 @@ def test_the_density_of_several_images_is_the_product_of_theirs(names):
     points = values + 0.003 * rng.standard_normal((20, len(values)))
     found = np.empty((20, 2))
     load(together, chart, values)
-    evaluate(together, chart, points, found)
+    evaluate(together, chart, points, np.ones(len(chart.flags) + 1, bool), found)
     apart = np.array([[load(each, chart, point) for each in single] for point in points])
     np.testing.assert_array_equal(found[:, 0], apart[:, 0, 0])
     np.testing.assert_allclose(found[:, 1], apart[..., 1].sum(axis=1), rtol=1e-7)

@@ -16,6 +16,7 @@ from derender.scene.solids import BOX, CYLINDER
 from derender.structures.alternatives import of_one_solid, stood_up
 from derender.structures.draws.metropolis import engine_of, evaluate, load
 from derender.structures.draws.refined import at_mode, members_of, refitted
+from derender.structures.draws.steps import touched_by
 from derender.structures.weighing import Weighed, averaged, made_sure, of_block, with_own_sensor
 
 RULES = Rules(0.0015)
@@ -48,7 +49,7 @@ def reference(rng, refined, members):
         batch[:, members] = points
         terms = []
         for number, engine in enumerate(engines):
-            evaluate(engine, refined.chart, batch, found)
+            evaluate(engine, refined.chart, batch, touched_by(refined.chart, members), found)
             end = math.log(0.5) if number in (0, len(engines) - 1) else 0.0
             squares = -2.0 * sigma**2 * (found[:, 1] + count * math.log(sigma * math.sqrt(2.0 * math.pi)))
             for s, belief in zip(sigmas, beliefs, strict=True):

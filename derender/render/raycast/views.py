@@ -34,7 +34,7 @@ class Views(NamedTuple):
 def make_views(states: Sequence[EngineState], into: np.ndarray) -> Views:
     """Return the Views of engines, one a view, that hold the same solids; into : (V, 4, 4), see Views.
 
-    The engines are copied: `engine_of_view` returns those that the views work on.
+    Several engines are copied: `engine_of_view` returns those that the views work on.
     """
     engines = EngineState(*(_stacked(arrays) for arrays in zip(*states, strict=True)))
     into = np.ascontiguousarray(into, np.float64)
@@ -52,6 +52,8 @@ def engine_of_view(views: Views, view: int) -> EngineState:
 
 def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """Return arrays of one type one behind the other, each at the beginning of its place, the rest 0."""
+    if len(arrays) == 1:
+        return np.ascontiguousarray(arrays[0])[None]
     largest = np.max([array.shape for array in arrays], axis=0)
     result = np.zeros((len(arrays), *largest), arrays[0].dtype)
     for place, array in zip(result, arrays, strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
-from derender.render.blur import blur
+from derender.render.blur import blur, blur_radius
 from derender.render.likelihoods.base import temper
 from derender.render.raycast.engine import propose_state, settle_state
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD
@@ -27,7 +27,7 @@ from derender.structures.draws.chart import (
     camera_poses,
     place_rows,
 )
-from derender.structures.draws.steps import touched_by
+from derender.structures.draws.steps import touched_by_each
 
 SHARP = 100.0  # a pixel at an edge tells where that is to a tenth of a pixel
 APART = 0.5  # pixels from the mode to either side
@@ -68,6 +68,7 @@ class ImageCurvature:
     def __init__(self, engine, chart, sensor, values) -> None:
         self.engine, self.chart, self.values, self.into = engine, chart, values, sensor.into
         self.blur = sensor.values["blur"]
+        self.reach = blur_radius(self.blur)
         self.pixels = slice(PAD, PAD + sensor.observed.shape[1])
         self.base = engine.images[DEPTH + CURRENT][: len(sensor.observed), self.pixels].copy()
         self.weight = np.sqrt(weights(sensor, blur(self.base.astype(float), self.blur))).astype(np.float32)
@@ -92,24 +93,24 @@ class ImageCurvature:
         settle_state(self.engine, CURRENT)
         return seen
 
-    def weighed(self, change, distance):
-        """Return the (H W,) derivatives of the blurred image in standard deviations of the noise."""
-        if self.blur > 0.0:
-            change = blur(change.astype(float), self.blur)
-        return (change * (self.weight / np.float32(distance))).ravel()
-
     def derivatives(self, members):
         """Return (n, H W) float32, the image's derivatives by the coordinates `members` in deviations of the noise."""
         size, turns = len(self.values), self.chart.slots[:, TURN:SIZE]
-        images = np.empty((len(members), self.base.size), np.float32)
-        for n, member in enumerate(members):
+        images = np.zeros((len(members), *self.base.shape), np.float32)
+        units = np.eye(size)[:, members]
+        for image, member, touched in zip(images, members, touched_by_each(self.chart, units), strict=True):
             apart = self.apart[member]
             if member in turns:
                 apart /= 0.5 * np.linalg.norm(self.chart.base[np.argwhere(turns == member)[0, 0], 13:15])
-            touched, shift = touched_by(self.chart, [member]), apart * np.eye(size)[member]
+            shift = apart * np.eye(size)[member]
             change = self.moved(touched, self.values + shift) - self.moved(touched, self.values - shift)
-            images[n] = self.weighed(change, 2.0 * apart)
-        return images
+            if change.any():  # only there, and as far as the blur carries it, the derivative is not 0
+                where = tuple(
+                    slice(max(along[0] - self.reach, 0), along[-1] + self.reach + 1)
+                    for along in (np.flatnonzero(change.any(axis=axis)) for axis in (1, 0))
+                )
+                image[where] = blur(change[where], self.blur) * (self.weight[where] / np.float32(2.0 * apart))
+        return images.reshape(len(members), -1)
 
 
 def weights(sensor, base):

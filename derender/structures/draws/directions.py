@@ -4,6 +4,8 @@ import numpy as np
 
 from derender.structures.draws.chart import FLOOR_WAYS, SIZE, TURN, VERTICAL
 
+PIVOTS = np.array([(0, 0, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)])  # half sides from the centre
+
 
 def directions(chart, count, solids=None):
     """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
@@ -43,11 +45,11 @@ def directions(chart, count, solids=None):
                 continue
             about = np.array([0.0, 0.0, 1.0]) if flag[VERTICAL] else rotation[:, axis]
             radius = 0.5 * float(np.linalg.norm(base[13:16]))
-            for x, y in ((0, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+            corners = (0.5 * base[13:16] * PIVOTS) @ rotation.T
+            for move in np.cross(about, -corners) / radius:
                 vector = np.zeros(count)
                 vector[index] = 1.0 / radius
-                corner = rotation @ (0.5 * base[13:16] * np.array([x, y, 0.0]))
-                found.append(shifted(vector, np.cross(about, -corner) / radius))
+                found.append(shifted(vector, move))
     for axis in range(FLOOR_WAYS):
         vector = np.zeros(count)
         vector[count - FLOOR_WAYS + axis] = 0.1

@@ -22,7 +22,7 @@ from derender.compilation.cache import njit
 from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import new_engine
-from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GAUSSIAN, PAD, SCORE
+from derender.render.raycast.state import CANDIDATE, CURRENT
 from derender.render.raycast.views import make_views, propose_views, settle_views
 from derender.sampling.evidence import evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
@@ -38,6 +38,7 @@ from derender.structures.draws.steps import (
     block_steps,
     make_proposals,
     single_steps,
+    touched_by,
     unseen_steps,
 )
 
@@ -69,7 +70,6 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
     rows, trial_rows = np.empty((count, ROW)), np.empty((count, ROW))
     place_rows(chart, values, rows)
     poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
-    moved_poses, moved_sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
     indices = np.empty(count + 1, np.int64)
     trial, normal = values.copy(), np.empty(size)
     accepted, number = 0, len(proposals.scale)
@@ -108,17 +108,8 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
         threshold = compiled_log_threshold(rng)
         if new_prior > -np.inf:
             camera_poses(chart, trial, trial_rows, poses, sizes)
-            moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
-            for k in range(count + 1):
-                if touched[k]:
-                    indices[moved] = k
-                    for i in range(4):
-                        for j in range(4):
-                            moved_poses[moved, i, j] = poses[k, i, j]
-                    for i in range(3):
-                        moved_sizes[moved, i] = sizes[k, i]
-                    moved += 1
-            new = propose_views(views, moved, indices, moved_poses, moved_sizes)
+            moved = take_moved(touched, poses, sizes, indices)
+            new = propose_views(views, moved, indices, poses, sizes)
             taken_up = threshold < new_prior - prior + temperature * (new - likelihood) - drawn
             settle_views(views, CANDIDATE if taken_up else CURRENT)
             if taken_up:
@@ -140,17 +131,37 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
 
 
 @njit(cache=True, nogil=True)
-def evaluate(views, chart, batch, densities):
-    """Write the log prior and the log likelihood of coordinates (m, D) into densities (m, 2)."""
+def take_moved(touched, poses, sizes, indices):
+    """Bring the poses and sizes of what moves to the front, write which solids these are, and return how many."""
+    moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
+    for k in range(len(touched)):
+        if touched[k]:
+            indices[moved] = k
+            for i in range(4):
+                for j in range(4):
+                    poses[moved, i, j] = poses[k, i, j]
+            for i in range(3):
+                sizes[moved, i] = sizes[k, i]
+            moved += 1
+    return moved
+
+
+@njit(cache=True, nogil=True)
+def evaluate(views, chart, batch, touched, densities):
+    """Write the log prior and the log likelihood of coordinates (m, D) into densities (m, 2).
+
+    touched : (1 + N,) bool, which of the floor and the solids are elsewhere than in `views`.
+    """
     count = len(chart.flags)
-    rows, indices = np.empty((count, ROW)), np.arange(count + 1)
+    rows, indices = np.empty((count, ROW)), np.empty(count + 1, np.int64)
     poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
     for n in range(len(batch)):
         place_rows(chart, batch[n], rows)
         densities[n, 0], densities[n, 1] = log_prior(chart, rows), 0.0
         if densities[n, 0] > -np.inf:
             camera_poses(chart, batch[n], rows, poses, sizes)
-            densities[n, 1] = propose_views(views, np.int64(count + 1), indices, poses, sizes)
+            moved = take_moved(touched, poses, sizes, indices)
+            densities[n, 1] = propose_views(views, moved, indices, poses, sizes)
             settle_views(views, CURRENT)
 
 
@@ -166,25 +177,20 @@ def load(views, chart, values):
 
 
 def engine_of(chart, sensor):
-    """Return the Views of a chart's solids under a Sensor (sensor.py), at the empty scene: a bare wall.
+    """Return the Views of a chart's solids under a Sensor (sensor.py), none of them drawn yet.
 
-    So the first proposal fills it, and `load_state`, which costs as long to compile as all else, is not needed.
+    The floor counts as seen in all of the image, so the first proposal draws and scores every pixel, and `load_state`,
+    which costs as long to compile as all else, is not needed.
     """
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     count = len(kinds)
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
     states = []
     for view in sensor.views:
-        likelihood, observed, wall = view.likelihood, view.observed, view.values["background"]
-        row = likelihood.row(view.values, likelihood.counted_pixels(observed))
-        state = new_engine(view.camera, observed, solids, likelihood.code, row, view.values["blur"])
-        if likelihood.code == GAUSSIAN:
-            score = np.where(np.isfinite(observed), (observed - wall) ** 2, 0.0)
-        else:
-            score = likelihood.per_pixel(observed, np.full(observed.shape, wall), view.values)
-        state.images[DEPTH : DEPTH + 2] = wall
-        state.images[SCORE : SCORE + 2, :, PAD : PAD + observed.shape[1]] = score
-        state.total[:] = state.images[SCORE].astype(float).sum()
+        likelihood, camera = view.likelihood, view.camera
+        row = likelihood.row(view.values, likelihood.counted_pixels(view.observed))
+        state = new_engine(camera, view.observed, solids, likelihood.code, row, view.values["blur"])
+        state.rectangle[:, 0] = 0, camera.width, 0, camera.height
         states.append(state)
     return make_views(states, np.array([view.into for view in sensor.views]))
 
@@ -311,13 +317,13 @@ def log_evidence(rng, chart, sensor, values, drawn, members):
     """
     chosen = np.concatenate([draws.values[:, members] for draws in drawn])
     densities = np.concatenate([draws.densities.sum(axis=1) for draws in drawn])
-    engine = engine_of(chart, sensor)
+    engine, touched = engine_of(chart, sensor), touched_by(chart, members)
     load(engine, chart, values)
 
     def target(points):
         batch, found = np.tile(values, (len(points), 1)), np.empty((len(points), 2))
         batch[:, members] = points
-        evaluate(engine, chart, batch, found)
+        evaluate(engine, chart, batch, touched, found)
         return found.sum(axis=1)
 
     return evidence(rng, target, chosen, densities, len(chosen))

@@ -38,7 +38,7 @@ from derender.structures.draws.sensor import (
     model_image,
     same_sensor_refitted,
 )
-from derender.structures.draws.steps import own_members
+from derender.structures.draws.steps import own_members, touched_by
 
 ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
@@ -283,7 +283,7 @@ def over_blur(rng, refined, solids):
     """
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = members_of(chart, solids)
-    points, proposed = np.tile(values, (1, 1)), np.zeros(1)
+    points, proposed, touched = np.tile(values, (1, 1)), np.zeros(1), touched_by(chart, members)
     if members:
         steps = LOCAL_STEPS * len(solids)
         (drawn,) = sample(rng, chart, sensor, values, 1, LOCAL_DRAWS, steps, members)
@@ -296,7 +296,7 @@ def over_blur(rng, refined, solids):
         """Return (n, 2) log prior and log likelihood of the points."""
         engine, found = engine_of(chart, sensor), np.empty((len(points), 2))
         load(engine, chart, values)
-        evaluate(engine, chart, points, found)
+        evaluate(engine, chart, points, touched, found)
         return found
 
     held = open_ = densities(sensor).sum(axis=1) - proposed

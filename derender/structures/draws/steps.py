@@ -66,22 +66,26 @@ def touched_by(chart, members, matrix=None):
 
     matrix : (len(members), R), how they move together; None: each by itself.
     """
-    size, touched = size_of(chart), np.zeros(len(chart.flags) + 1, bool)
     matrix = np.eye(len(members)) if matrix is None else matrix
-    moves = np.zeros((size, matrix.shape[1]))
+    moves = np.zeros((size_of(chart), matrix.shape[1]))
     moves[members] = matrix
-    if moves[size - FLOOR_WAYS :].any():
-        touched[:] = True
-        return touched
-    moves[np.abs(moves) < ROUNDING * np.abs(moves).max()] = 0.0
-    tops = np.zeros((len(touched), moves.shape[1]))  # of the floor, which stays, and of each solid
+    return touched_by_each(chart, moves).any(axis=0)
+
+
+def touched_by_each(chart, moves):
+    """Return (V, 1 + N) bool: which of the floor and the solids move with each column of moves (D, V)."""
+    rounding = ROUNDING * np.abs(moves).max(axis=0, initial=0.0)
+    moves = np.where(np.abs(moves) < rounding, 0.0, moves)
+    tops = np.zeros((len(chart.flags) + 1, moves.shape[1]))  # of the floor, which stays, and of each solid
+    touched = np.zeros(tops.shape, bool)
     for k in chart.order:
         own, held = moves[chart.slots[k][chart.slots[k] >= 0]], chart.flags[k, HELD]
         lifted = tops[chart.flags[k, PARENT] + 1] * held
-        touched[k + 1] = own.any() or lifted.any()
+        touched[k + 1] = own.any(axis=0) | (lifted != 0.0)
         top = lifted + moves[chart.slots[k, SIZE + 2]] if held else np.abs(own).sum(axis=0)
-        tops[k + 1] = np.where(np.abs(top) < ROUNDING * np.abs(moves).max(), 0.0, top)
-    return touched
+        tops[k + 1] = np.where(np.abs(top) < rounding, 0.0, top)
+    touched[:, moves[-FLOOR_WAYS:].any(axis=0)] = True
+    return touched.T
 
 
 def own_members(chart, k):
@@ -140,10 +144,9 @@ def single_steps(chart, only=None):
     solids = [k for k, slot in enumerate(chart.slots) if free[slot[slot >= 0]].any()]
     ways = list({v.tobytes(): v for v in directions(chart, size, solids) * free if np.any(v)}.values())
     steps = []
-    for vector in ways:
+    for vector, touched in zip(ways, touched_by_each(chart, np.transpose(ways)), strict=True):
         members = np.flatnonzero(vector)
-        steps.append(Step(members, vector[members][:, None], touched_by(chart, members), 1.0 / len(ways), LATTICE,
-                          0.4))  # fmt: skip
+        steps.append(Step(members, vector[members][:, None], touched, 1.0 / len(ways), LATTICE, 0.4))
     return steps
 
 
