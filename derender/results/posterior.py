@@ -22,8 +22,7 @@ from derender.json_text import parse_json
 from derender.results.explanation import Explanation
 from derender.results.validation import check_header, check_parts
 from derender.sampling import diagnostics
-from derender.scene.constraints import Constraint
-from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.graph import Constraint, Contact, SceneGraph, Vertex
 
 FORMAT = 1  # of posterior.npz
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene.constraints import Constraint
 from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT
-from derender.scene.names import is_name
+from derender.scene.graph import ROOT, Constraint
 from derender.scene.shapes import shapes
+from derender.scene.vertex import is_name
 
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
 

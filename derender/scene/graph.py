@@ -9,7 +9,6 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.registry import suggest
-from derender.scene.constraints import Constraint
 from derender.scene.contacts import contacts
 from derender.scene.contacts.base import Inverse
 from derender.scene.pose import inverse
@@ -22,6 +21,28 @@ __all__ = ["ROOT", "Constraint", "Contact", "SceneGraph", "Vertex"]
 STANDARD_GRAVITY = 9.81
 """m / s^2"""
 ROOT_BODY = Body(shapes["frame"])
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """An undirected relation between two objects.
+
+    Attributes
+    ----------
+    first, second : names of vertices; their order says nothing.
+    type : "does-not-touch".
+    margin : metres that must be left between their surfaces.
+    """
+
+    first: str
+    second: str
+    type: str = "does-not-touch"
+    margin: float = 0.0
+
+    def renamed(self, old: str, new: str) -> "Constraint":
+        """Return the same relation after an object was renamed."""
+        first, second = (new if name == old else name for name in (self.first, self.second))
+        return Constraint(first, second, self.type, self.margin)
 
 
 @dataclass(frozen=True, eq=False)

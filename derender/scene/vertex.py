@@ -1,5 +1,6 @@
 """One object of a scene graph: its shape, its contact, and where the two put it."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,10 +13,17 @@ from derender.scene.contacts.base import Inverse
 from derender.scene.shapes import Body, shapes
 from derender.scene.solids import MESH, Solids
 
+NAME = re.compile(r"[^\W_][\w -]{0,63}")  # of an object: a part of an address, safe to print
+RESERVED = ("root", "likelihood", "camera")  # that addresses begin with besides objects
 ROOT = "root"
 
 # What is left of a slack number after a pose went through matrices: below this it is none.
 ROUNDING = 1e-11
+
+
+def is_name(name: object) -> bool:
+    """Return whether this may name an object."""
+    return isinstance(name, str) and NAME.fullmatch(name) is not None and name not in RESERVED
 
 
 @dataclass(frozen=True)

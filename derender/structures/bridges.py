@@ -20,11 +20,10 @@ import numpy as np
 from derender.detection.solids.beliefs import bare_image
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
-from derender.scene.balance import balances
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.priors.bare_image import Loose
-from derender.scene.second_support import support_residual
 from derender.scene.shapes import shapes
+from derender.scene.support import balances, support_residual
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other

@@ -19,8 +19,7 @@ from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.scene import polygon
 from derender.scene.contacts import contacts
-from derender.scene.contacts.face_to_face import FaceToFace
-from derender.scene.contacts.side_on_face import SideOnFace
+from derender.scene.contacts.on_face import FaceToFace, SideOnFace
 from derender.scene.pose import random_rotation, rotation_x
 from derender.scene.separation import separation_of
 from derender.scene.shapes import shapes

@@ -160,11 +160,11 @@ def test_uniform_rotation_is_haar():
 
 
 def test_compiled_twins_equal_the_readable_ones():
-    from derender.scene.distributions.compiled import compiled
+    from derender.posterior.compiled.prior import density_and_draw
 
     for name, parameters in SCALAR:
         distribution = distributions[name](*parameters)
-        density, draw = compiled(distribution.type)
+        density, draw = density_and_draw(distribution.type)
         row = np.array(distribution.row)
         assert row.shape == (4,)
         here, there = np.random.default_rng(7), np.random.default_rng(7)
@@ -173,11 +173,6 @@ def test_compiled_twins_equal_the_readable_ones():
             assert draw(there, row) == pytest.approx(x, rel=1e-12, abs=1e-15)
             for y in (x, x + 0.7, x - 0.7, 0.0):
                 assert density(float(y), row) == pytest.approx(distribution.log_density(y), rel=1e-11, abs=1e-11)
-
-
-def test_codes_are_distinct():
-    codes = [distributions[name].code for name in distributions if distributions[name].code is not None]
-    assert len(codes) == len(set(codes)) and 0 not in codes
 
 
 WRONG = [

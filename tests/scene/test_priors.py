@@ -12,6 +12,7 @@ from scipy import stats
 
 from derender.document import built_in_priors, document_from, document_text, read_prior_document
 from derender.errors import DerenderError
+from derender.report.scores import why_impossible
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.distributions import Categorical, distributions
 from derender.scene.graph import Contact, SceneGraph, Vertex
@@ -19,7 +20,6 @@ from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.contacts import ContactPrior, ContactRule
 from derender.scene.priors.grammar import GrammarPrior
-from derender.scene.priors.impossible import why_impossible
 from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot
 from derender.scene.priors.shapes import ShapePrior
 from derender.scene.priors.tree import TreeObject, TreePrior

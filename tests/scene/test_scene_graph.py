@@ -12,9 +12,9 @@ from derender.errors import DerenderError
 from derender.scene.contacts import contacts
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, random_rotation, translation
-from derender.scene.second_support import support_residual
 from derender.scene.separation import overlaps
 from derender.scene.solids import BOX, PLANE
+from derender.scene.support import support_residual
 
 
 def figure_3(which):

@@ -12,10 +12,9 @@ from derender.evaluation.metrics import compare_scenes
 from derender.report.scene_json import scene_json
 from derender.report.tree_text import scene_lines
 from derender.results.posterior import Posterior, StructurePosterior, load
-from derender.scene.balance import balances
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
-from derender.scene.second_support import support_residual
+from derender.scene.support import balances, support_residual
 from derender.structures.bridges import with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options

@@ -19,11 +19,11 @@ from derender.posterior.compiled.layout import (
     Chain,
     Model,
 )
+from derender.posterior.compiled.prior import density_and_draw
 from derender.posterior.compiled.terms import table_of
 from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
-from derender.scene.distributions.compiled import compiled
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.parameter import Parameter
 from derender.scene.priors.root import FreeRoot, LookedAtRoot
@@ -50,7 +50,7 @@ def model_of(target, address: Address = address_of) -> Model:
     except NotImplementedError as error:
         raise NotCompiled(f"the constraint {error}") from None
     for unknown in space.unknowns:
-        if unknown.distribution.size == 1 and unknown.distribution.code is None:
+        if unknown.distribution.size == 1 and not unknown.distribution.compiled:
             raise NotCompiled(f"the distribution of {unknown.address}")
     unknowns, laws = laws_of(space, target.folds, address)
     vertices, extents = vertices_of(graph, root_code(target), address)
@@ -120,7 +120,7 @@ def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Add
         else:
             codes.append(0)
             laws.append((*law.row, unknown.period or 0.0, *folds.get(unknown.address, (0.0, 0.0))))
-            density, draw = compiled(law.type)
+            density, draw = density_and_draw(law.type)
             row = np.zeros(len(laws[-1]))
             calls.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
     unknowns = [[*codes, 0], space.offsets, space.directions, *zip(*calls, (0, 0), strict=True)]

@@ -1,18 +1,28 @@
 """Prior, moves and differences on the flat values: `space.py` compiled, number for number."""
 
+import functools
 import math
 
 from derender.compilation.cache import njit
 from derender.compilation.call import call_for_number
 from derender.posterior import space
 from derender.posterior.compiled.layout import CODE, DENSITY_AT, DIRECTION, DRAW_AT, OFFSET, PERIOD, ROTATION
-from derender.scene.distributions import uniform_rotation
+from derender.scene.distributions import DistributionType, distributions
 
 wrap = njit(cache=True, nogil=True)(space.wrap)
 turn = njit(cache=True, nogil=True)(space.turn)
 turn_between = njit(cache=True, nogil=True)(space.turn_between)
-_rotation_density = njit(uniform_rotation.density)
-_draw_rotation = njit(uniform_rotation.draw)
+_rotation_density = njit(distributions["uniform-rotation"].density)
+_draw_rotation = njit(distributions["uniform-rotation"].draw)
+
+
+@functools.cache
+def density_and_draw(kind: DistributionType):
+    """Return the kernels density(x, row) -> float64 and draw(rng, row) -> float64 of a type that can be compiled.
+
+    They are called by address, so a model compiles those that occur in it.
+    """
+    return njit(cache=True, nogil=True)(kind.density), njit(cache=True, nogil=True)(kind.draw)
 
 
 @njit(cache=True, nogil=True)

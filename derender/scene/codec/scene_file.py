@@ -15,7 +15,6 @@ from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
 from derender.scene.graph import STANDARD_GRAVITY
-from derender.scene.names import is_name
 from derender.scene.pose import from_quaternion
 from derender.scene.priors.base import Prior
 from derender.scene.priors.contacts import ON, TOP, ContactPrior, ContactRule
@@ -35,6 +34,7 @@ from derender.scene.priors.terms import RestsOn, read_terms
 from derender.scene.priors.tree import ROOT, TreeObject, TreePrior
 from derender.scene.priors.values import QUATERNION
 from derender.scene.shapes import shapes
+from derender.scene.vertex import is_name
 
 KEYS = ("root", "gravity", "objects", "structure", "shapes", "contacts", "constraints")
 MOST_OBJECTS = 2000

@@ -3,24 +3,6 @@
 from derender.scene.contacts.base import ContactType, Inverse, SurfaceContact, contacts
 
 # The built-in types register themselves when they are imported.
-from derender.scene.contacts import (  # isort: skip
-    corner_on_face,
-    edge_on_face,
-    face_to_face,
-    point_on_face,
-    side_on_face,
-    six_dof,
-)
+from derender.scene.contacts import on_face, six_dof  # noqa: F401  # isort: skip
 
-__all__ = [
-    "ContactType",
-    "Inverse",
-    "SurfaceContact",
-    "contacts",
-    "corner_on_face",
-    "edge_on_face",
-    "face_to_face",
-    "point_on_face",
-    "side_on_face",
-    "six_dof",
-]
+__all__ = ["ContactType", "Inverse", "SurfaceContact", "contacts"]

@@ -9,19 +9,10 @@ True
 """
 
 from derender.scene.distributions import (  # noqa: F401  (importing registers)
-    beta,
-    exponential,
-    gamma,
-    geometric,
-    log_normal,
-    log_uniform,
-    normal,
-    poisson,
-    truncated_normal,
-    uniform,
-    uniform_integer,
-    uniform_rotation,
-    von_mises,
+    angles,
+    counts,
+    interval,
+    line,
 )
 from derender.scene.distributions.base import ROW, Distribution, DistributionType, distributions
 from derender.scene.distributions.categorical import Categorical

@@ -1,8 +1,7 @@
 """What a probability distribution over one number is: a registered type and, with its parameters, a distribution.
 
-The bodies of `density` and `draw` of a built-in type are plain scalar functions of a *row*: four floats that hold the
-parameters (and a constant worth computing once).  `compiled.py` hands the same functions to numba, so the readable and
-the compiled samplers cannot drift apart.
+`density` and `draw` of a built-in type are plain scalar functions of a *row*: four floats that hold the parameters (and
+a constant worth computing once). The compiled prior (posterior/compiled/prior.py) hands the same functions to numba.
 """
 
 import math
@@ -36,7 +35,8 @@ class DistributionType:
     parameters : names of the parameters, in the order in which YAML lists them.
     defaults : values of the last parameters, which may then be left out.
     dimensionless : parameters without a unit; all others have that of the number itself.
-    code : a number where density and draw can be compiled, else None.
+    lowest : the least value, where support is from there upwards.
+    compiled : whether density and draw can be compiled.
     size : how many numbers a value has (1; a rotation's quaternion: 4).
     discrete : the density is with respect to the counting measure.
     """
@@ -45,7 +45,8 @@ class DistributionType:
     parameters: tuple[str, ...] = ()
     defaults: tuple[float, ...] = ()
     dimensionless: tuple[str, ...] = ()
-    code: int | None = None
+    lowest: float = -math.inf
+    compiled: bool = False
     size: int = 1
     discrete: bool = False
 
@@ -78,7 +79,7 @@ class DistributionType:
 
     def support(self, parameters: Sequence[float]) -> tuple[float, float]:
         """Return the least and the greatest value (possibly infinite)."""
-        raise NotImplementedError
+        return self.lowest, math.inf
 
     def cdf(self, x: float, parameters: Sequence[float]) -> float:
         """Return the probability of a value of at most x."""
@@ -121,8 +122,8 @@ class Distribution:
         return self.type.name
 
     @property
-    def code(self) -> int | None:
-        return self.type.code
+    def compiled(self) -> bool:
+        return self.type.compiled
 
     @property
     def discrete(self) -> bool:

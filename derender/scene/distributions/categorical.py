@@ -18,7 +18,7 @@ class Categorical:
 
     __slots__ = ("probabilities", "_log", "_choices", "_cumulative")
     name = "categorical"
-    code = None
+    compiled = False
     size = 1
     discrete = True
 

@@ -7,13 +7,13 @@ sinking into each other, touching nothing) is a density about those contacts: in
 import math
 from dataclasses import dataclass, field
 
-from derender.scene.balance import balances
 from derender.scene.codec.yaml_tree import Section
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.reading import read_value
 from derender.scene.shapes import shapes
+from derender.scene.support import balances
 
 
 @dataclass(frozen=True)

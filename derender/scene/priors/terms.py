@@ -14,8 +14,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.registry import Registry
 from derender.scene.codec.yaml_tree import Node, Section
-from derender.scene.constraints import Constraint
-from derender.scene.graph import SceneGraph
+from derender.scene.graph import Constraint, SceneGraph
 from derender.scene.shapes import shapes
 
 MOST_TRIES = 10_000

@@ -1,6 +1,6 @@
-"""The box, and the edges and corners that it shares with the cube."""
+"""The box and the cube, with their faces, edges and corners."""
 
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 
@@ -71,34 +71,73 @@ def _length(name: str) -> Parameter:
     return Parameter(name, "m", 0.0, np.inf)
 
 
-@shapes.register("box")
-class Box(Shape):
-    """A box with the sides length, width and height along its x, y and z."""
+def _rotations() -> np.ndarray:
+    """Return the (24, 3, 3) rotations of the cube: the signed permutation matrices of determinant one."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return np.stack(found)
 
-    parameters = (_length("length"), _length("width"), _length("height"))
+
+ROTATIONS = _rotations()
+
+
+class Rectangular(Shape):
+    """What the box and the cube share; a subclass says its parameters and how they give the size."""
+
     solid_kind = solids.BOX
     face_names = FACE_NAMES
     edge_names = EDGE_NAMES
     corner_names = CORNER_NAMES
 
-    def size(self, psi, options={}):  # noqa: B006 - never changed
-        return np.array(psi, dtype=float)
-
-    def psi_from_size(self, size, options={}):  # noqa: B006
-        return np.array(size, dtype=float)
-
-    def face(self, name, psi, options={}):  # noqa: B006
+    def face(self, name, psi, options={}):  # noqa: B006 - never changed
         if name not in self.feature_names():
             raise self.no_such_face(name)
-        return box_feature(name, np.asarray(psi, dtype=float))
-
-    def face_order(self, name):
-        return 2
+        return box_feature(name, self.size(psi))
 
     def mesh(self, psi, options={}):  # noqa: B006
         import trimesh
 
         return trimesh.creation.box(extents=self.size(psi, options))
 
+
+@shapes.register("box")
+class Box(Rectangular):
+    """A box with the sides length, width and height along its x, y and z."""
+
+    parameters = (_length("length"), _length("width"), _length("height"))
+
+    def size(self, psi, options={}):  # noqa: B006
+        return np.array(psi, dtype=float)
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array(size, dtype=float)
+
+    def face_order(self, name):
+        return 2
+
     def symmetry(self, psi=(), options={}):  # noqa: B006
         return Symmetry(HALF_TURNS)
+
+
+@shapes.register("cube")
+class Cube(Rectangular):
+    """A cube, by its side; a quarter turn of any face leaves it as it is."""
+
+    parameters = (_length("side"),)
+
+    def size(self, psi, options={}):  # noqa: B006
+        return np.full(3, float(psi[0]))
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array([float(np.mean(size))])
+
+    def face_order(self, name):
+        return 4
+
+    def symmetry(self, psi=(), options={}):  # noqa: B006
+        return Symmetry(ROTATIONS)

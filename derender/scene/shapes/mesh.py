@@ -105,7 +105,7 @@ def upright(box_from_file: np.ndarray) -> np.ndarray:
 
     The fit orders the box's axes by length; people who wrote the file meant its own z to be up.
     """
-    from derender.scene.shapes.cube import ROTATIONS
+    from derender.scene.shapes.box import ROTATIONS
 
     traces = np.einsum("kij,ji->k", ROTATIONS, box_from_file[:3, :3])
     turn = np.eye(4)

@@ -31,7 +31,7 @@ from derender.scene.pose import inverse
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
 from derender.scene.shapes.base import AXES
-from derender.scene.shapes.cube import ROTATIONS
+from derender.scene.shapes.box import ROTATIONS
 from derender.structures.jumps.charts import (
     LINE,
     STEEPEST,

@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.priors.root import FreeRoot, LookedAtRoot, written
-from derender.scene.shapes.cube import ROTATIONS
+from derender.scene.shapes.box import ROTATIONS
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
 from derender.structures.jumps.reparametrise import renamed
 from derender.structures.jumps.vocabulary import Vocabulary

@@ -1,9 +1,29 @@
-"""The unbounded plane: a floor, a table, a wall."""
+"""Shapes without extent: the coordinate frame, such as the root, and the plane, such as a floor, a table or a wall."""
 
 import numpy as np
 
 from derender.scene import solids
 from derender.scene.shapes.base import UNBOUNDED, Face, Shape, Symmetry, box_face, shapes
+
+
+@shapes.register("frame")
+class Frame(Shape):
+    """A coordinate frame: no surface, no parameters; others float in it by `6dof`."""
+
+    solid_kind = None
+    bounded = False
+
+    def size(self, psi=(), options={}):  # noqa: B006 - never changed
+        return None
+
+    def psi_from_size(self, size=None, options={}):  # noqa: B006
+        return np.zeros(0)
+
+    def mesh(self, psi=(), options={}):  # noqa: B006
+        import trimesh
+
+        return trimesh.Trimesh()
+
 
 DRAWN_SIDE = 20.0  # metres; of the square that stands for the plane in exports and previews
 

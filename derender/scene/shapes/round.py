@@ -1,11 +1,11 @@
-"""The cylinder: two flat caps and a side that rolls."""
+"""The cylinder, with two flat caps and a side that rolls, and the sphere."""
 
 import numpy as np
 
 from derender.scene import solids
 from derender.scene.parameter import Parameter
 from derender.scene.pose import from_axes
-from derender.scene.shapes.base import Face, Outline, Shape, Symmetry, box_face, shapes
+from derender.scene.shapes.base import POINT, Face, Outline, Shape, Symmetry, box_face, shapes
 
 SECTIONS = 128  # of the mesh: its sagitta is 0.03 % of the radius
 
@@ -44,3 +44,34 @@ class Cylinder(Shape):
 
     def symmetry(self, psi=(), options={}):  # noqa: B006
         return Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")
+
+
+@shapes.register("sphere")
+class Sphere(Shape):
+    """A sphere, by its radius. It touches a face in a point, by whichever of its own points is there."""
+
+    parameters = (Parameter("radius", "m", 0.0, np.inf),)
+    solid_kind = solids.SPHERE
+    point_names = ("surface",)
+
+    def size(self, psi, options={}):  # noqa: B006 - never changed
+        return np.full(3, 2.0 * float(psi[0]))
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array([0.5 * float(np.mean(size))])
+
+    def face(self, name, psi, options={}):  # noqa: B006
+        if name not in self.point_names:
+            raise self.no_such_face(name)
+        return Face(np.eye(4), POINT, float(psi[0]))
+
+    def face_order(self, name):
+        return np.inf
+
+    def mesh(self, psi, options={}):  # noqa: B006
+        import trimesh
+
+        return trimesh.creation.icosphere(subdivisions=4, radius=float(psi[0]))
+
+    def symmetry(self, psi=(), options={}):  # noqa: B006
+        return Symmetry(np.eye(3)[None], "all")

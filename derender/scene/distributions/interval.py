@@ -1,0 +1,203 @@
+"""Distributions on an interval: uniform, log-uniform, beta and truncated normal.
+
+The truncated normal's mass is computed on the side of the mean where both tails are small, by erfc, so that an interval
+ten standard deviations out keeps its relative precision.
+"""
+
+import math
+
+from derender.scene.distributions.base import DistributionType, bisected, distributions
+
+HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+ROOT_HALF = math.sqrt(0.5)
+
+
+class Interval(DistributionType):
+    """Between its last two parameters. The quantile is found by bisection where a type has no formula for it."""
+
+    def fault(self, parameters):
+        lower, upper = parameters[-2:]
+        return None if lower < upper else f"lower {lower:g} is not below upper {upper:g}"
+
+    def support(self, parameters):
+        return parameters[-2], parameters[-1]
+
+    def quantile(self, probability, parameters):
+        return bisected(lambda x: self.cdf(x, parameters), probability, *self.support(parameters))
+
+
+@distributions.register("uniform")
+class Uniform(Interval):
+    """Uniform on [lower, upper]."""
+
+    parameters = ("lower", "upper")
+    compiled = True
+
+    @staticmethod
+    def density(x, row):
+        return -math.log(row[1] - row[0]) if row[0] <= x <= row[1] else -math.inf
+
+    @staticmethod
+    def draw(rng, row):
+        return row[0] + (row[1] - row[0]) * rng.random()
+
+    def cdf(self, x, parameters):
+        lower, upper = parameters
+        return min(max((x - lower) / (upper - lower), 0.0), 1.0)
+
+    def quantile(self, probability, parameters):
+        lower, upper = parameters
+        return lower + (upper - lower) * probability
+
+    def mean(self, parameters):
+        return 0.5 * (parameters[0] + parameters[1])
+
+
+@distributions.register("log-uniform")
+class LogUniform(Interval):
+    """Uniform in the logarithm on [lower, upper]."""
+
+    parameters = ("lower", "upper")
+    compiled = True
+
+    @staticmethod
+    def density(x, row):
+        """Row: lower, upper, log lower, log log(upper / lower)."""
+        return -math.log(x) - row[3] if row[0] <= x <= row[1] else -math.inf
+
+    @staticmethod
+    def draw(rng, row):
+        x = math.exp(row[2] + math.exp(row[3]) * rng.random())
+        return min(max(x, row[0]), row[1])  # rounding must not leave the support
+
+    def fault(self, parameters):
+        if not parameters[0] > 0:
+            return f"lower {parameters[0]:g} is not above 0"
+        return super().fault(parameters)
+
+    def row(self, parameters):
+        lower, upper = parameters
+        return lower, upper, math.log(lower), math.log(math.log(upper / lower))
+
+    def cdf(self, x, parameters):
+        lower, upper = parameters
+        return math.log(min(max(x, lower), upper) / lower) / math.log(upper / lower)
+
+    def quantile(self, probability, parameters):
+        lower, upper = parameters
+        return lower * (upper / lower) ** probability
+
+    def mean(self, parameters):
+        lower, upper = parameters
+        return (upper - lower) / math.log(upper / lower)
+
+
+@distributions.register("beta")
+class Beta(Interval):
+    """Beta with shapes a and b on (lower, upper), by default (0, 1)."""
+
+    parameters = ("a", "b", "lower", "upper")
+    defaults = (0.0, 1.0)
+    dimensionless = ("a", "b")
+    compiled = True
+
+    @staticmethod
+    def density(x, row):
+        a, b, lower, upper = row[0], row[1], row[2], row[3]
+        t = (x - lower) / (upper - lower)
+        if t <= 0.0 or t >= 1.0:  # the ends have no mass; a density there may be infinite
+            return -math.inf
+        constant = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) - math.log(upper - lower)
+        return constant + (a - 1.0) * math.log(t) + (b - 1.0) * math.log1p(-t)
+
+    @staticmethod
+    def draw(rng, row):
+        first = rng.standard_gamma(row[0])
+        second = rng.standard_gamma(row[1])
+        return row[2] + (row[3] - row[2]) * first / (first + second)
+
+    def fault(self, parameters):
+        if min(parameters[:2]) < 0.01:
+            return "a and b have to be at least 0.01"
+        return super().fault(parameters)
+
+    def cdf(self, x, parameters):
+        from scipy.special import betainc
+
+        a, b, lower, upper = parameters
+        return float(betainc(a, b, min(max((x - lower) / (upper - lower), 0.0), 1.0)))
+
+    def quantile(self, probability, parameters):
+        from scipy.special import betaincinv
+
+        a, b, lower, upper = parameters
+        return float(lower + (upper - lower) * betaincinv(a, b, probability))
+
+    def mean(self, parameters):
+        a, b, lower, upper = parameters
+        return lower + (upper - lower) * a / (a + b)
+
+
+@distributions.register("truncated-normal")
+class TruncatedNormal(Interval):
+    """Normal with a mean and a standard deviation before it was cut to [lower, upper]."""
+
+    parameters = ("mean", "sd", "lower", "upper")
+    compiled = True
+
+    @staticmethod
+    def density(x, row):
+        mean, sd = row[0], row[1]
+        if x < row[2] or x > row[3]:
+            return -math.inf
+        a, b = (row[2] - mean) / sd, (row[3] - mean) / sd
+        if a + b < 0.0:  # by symmetry, so that erfc sees positive arguments where it can
+            a, b = -b, -a
+        mass = 0.5 * (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
+        z = (x - mean) / sd
+        return -0.5 * z * z - math.log(sd) - HALF_LOG_TWO_PI - math.log(mass)
+
+    @staticmethod
+    def draw(rng, row):
+        """Reject: from the normal where the interval keeps much of it, else from the uniform (both bounds finite)."""
+        mean, sd, lower, upper = row[0], row[1], row[2], row[3]
+        if lower - 0.5 * sd <= mean <= upper + 0.5 * sd and upper - lower > 2.0 * sd:
+            while True:
+                x = mean + sd * rng.standard_normal()
+                if lower <= x <= upper:
+                    return x
+        mode = min(max(mean, lower), upper)
+        offset = (mode - mean) / sd
+        if abs(offset) * (upper - lower) / sd > 4.0:  # far in a tail: exponential proposals (Robert 1995)
+            while True:
+                step = rng.standard_exponential() / abs(offset)
+                if step * sd <= upper - lower and rng.random() <= math.exp(-0.5 * step * step):
+                    return mode + sd * step if offset > 0 else mode - sd * step
+        while True:
+            x = lower + (upper - lower) * rng.random()
+            z = (x - mean) / sd
+            if rng.random() <= math.exp(0.5 * (offset * offset - z * z)):
+                return x
+
+    def fault(self, parameters):
+        mean, sd, lower, upper = parameters
+        if sd <= 0:
+            return f"sd {sd:g} is not positive"
+        if lower < upper and max(lower - mean, mean - upper) > 30.0 * sd:
+            return "the interval is more than 30 standard deviations from the mean"
+        return super().fault(parameters)
+
+    def cdf(self, x, parameters):
+        mean, sd, lower, upper = parameters
+        a, b = (lower - mean) / sd, (upper - mean) / sd
+        z = (min(max(x, lower), upper) - mean) / sd
+        if a + b < 0.0:
+            below = math.erfc(-z * ROOT_HALF) - math.erfc(-a * ROOT_HALF)
+            return below / (math.erfc(-b * ROOT_HALF) - math.erfc(-a * ROOT_HALF))
+        below = math.erfc(a * ROOT_HALF) - math.erfc(z * ROOT_HALF)
+        return below / (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
+
+    def mean(self, parameters):
+        mean, sd, lower, upper = parameters
+        row = self.row(parameters)
+        return mean + sd * sd * (math.exp(self.density(lower, row)) - math.exp(self.density(upper, row)))
