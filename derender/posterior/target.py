@@ -1,6 +1,7 @@
 """The posterior of a scene of fixed structure given a depth image: what kernels walk on."""
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
@@ -29,6 +30,39 @@ class Images(Protocol):
 
     def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
         """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
+
+
+class ObservedImage:
+    """One depth image under one likelihood.
+
+    Parameters
+    ----------
+    camera : Camera. observed : (H, W) metres, NaN where nothing returned.
+    type : registered likelihood. values : its fixed numbers by name.
+    """
+
+    def __init__(self, camera, observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None):
+        self.camera, self.observed, self.type = camera, np.ascontiguousarray(observed, np.float64), type
+        self.values = dict(values or {})
+        self._evaluators = threading.local()
+
+    def evaluator(self):
+        """Return a new DepthEvaluator: each chain, which may run in a thread of its own, has one."""
+        from derender.render.raycast.evaluator import DepthEvaluator
+
+        return DepthEvaluator(self.camera, self.observed, self.type, self.values)
+
+    def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
+        """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""
+        if not hasattr(self._evaluators, "own"):
+            self._evaluators.own = self.evaluator()
+        return self._evaluators.own.log_likelihood(graph.solids(), parameters)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_evaluators"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _evaluators=threading.local())
 
 
 class SceneTarget:
@@ -123,9 +157,9 @@ class SceneTarget:
         Also the log of the product of |d phi' / d phi| over them; None where a child would leave its contact.
         """
         (name,), before = block.objects, self.graph(values)
-        return self._touching_anew(before, moved, {name: self.graph(moved).poses()[name]}, name)
+        return self._reattached(before, moved, {name: self.graph(moved).poses()[name]}, name)
 
-    def _touching_anew(
+    def _reattached(
         self, before: SceneGraph, moved: np.ndarray, there: Mapping[str, np.ndarray], settled: str = ""
     ) -> tuple[np.ndarray, float] | None:
         """Return `moved` with contacts such that objects stand `there` (in the camera), all others as `before`.
@@ -213,7 +247,7 @@ class SceneTarget:
             face = graph.vertex(name).body.face(graph.vertex(name).contact.faces[1])
             put = below @ translation(place[1], place[2], height) @ rotation_z(place[0])
             there[name] = put @ TURNED @ inverse(face.frame)
-        return self._touching_anew(graph, values, there)
+        return self._reattached(graph, values, there)
 
 
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:
@@ -235,6 +269,3 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
         {"flip": {"weight": 0.01}},
         {"resimulate": {"weight": 0.02}},
     ]
-
-
-__all__ = ["Images", "SceneTarget", "default_parts"]

@@ -10,13 +10,11 @@ import numpy as np
 
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
-from derender.posterior.images import ObservedImage
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.settings import Settings
 from derender.posterior.smc import tempered
-from derender.posterior.symmetry import representative
-from derender.posterior.target import SceneTarget, default_parts
+from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import workers
@@ -26,7 +24,7 @@ from derender.sampling.streams import POPULATIONS, STRUCTURES, child_seed, strea
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import TreePrior
-from derender.structures.open_structures import structure_weights, structures
+from derender.structures.open_structures import representative, structure_weights, structures
 
 MOST_STRUCTURES = 64
 NOISE = ("sigma", "sigma_growth", "outlier", "missing", "missing_edge")
@@ -69,7 +67,7 @@ def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> Ob
 def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
     """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
 
-    Structures that say the same of the world (see `symmetry.py`) are one.
+    Structures that say the same of the world (see `open_structures.py`) are one.
 
     Raises
     ------

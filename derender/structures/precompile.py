@@ -78,9 +78,9 @@ def steps_of_chains() -> None:
     from derender.compilation.call import address_of
     from derender.document import read_prior_document
     from derender.posterior.adaptation import first_tuning
+    from derender.posterior.compiled.contacts import stand_all
     from derender.posterior.compiled.mixture import Calls, calls_of, kernels_of, objects_below
     from derender.posterior.compiled.model import chain_of, model_of
-    from derender.posterior.compiled.standing import stand_all
     from derender.posterior.compiled.steps import sweep
     from derender.posterior.kernels import mixture
     from derender.posterior.target import default_parts

@@ -3,8 +3,7 @@
 import numpy as np
 
 from derender.document import document_from
-from derender.posterior.images import ObservedImage
-from derender.posterior.target import SceneTarget
+from derender.posterior.target import ObservedImage, SceneTarget
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.scene.codec.yaml_tree import parse_yaml

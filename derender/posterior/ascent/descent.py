@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.posterior.ascent.domain import bring
-from derender.posterior.ascent.placement import find_motions, place
+from derender.posterior.ascent.placement import bring, find_motions, place
 from derender.render.raycast.normal_equations import cost, cost_gradient, normal_equations
 from derender.render.raycast.records import MOTION
 

@@ -6,6 +6,7 @@ slack, and the way sizes enter through (u, v) need no derivative of their own. T
 differenced.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
-from derender.posterior.ascent.domain import Domain
 from derender.posterior.compiled.layout import NEXT, SHAPES, SIZES, SOLID
 from derender.posterior.compiled.model import NotCompiled, contact_parameters, numbers_of, vertices_of
 from derender.posterior.compiled.poses import place as place_vertex
@@ -21,6 +21,31 @@ from derender.registry import suggest
 from derender.render.raycast.records import MOTION
 from derender.scene.graph import SceneGraph
 from derender.scene.shapes import shapes
+
+
+class Domain(NamedTuple):
+    """Where parameters may be. lower, upper : (P,) float64; period : (P,) float64, 0 = none (then they are ignored)."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    period: np.ndarray
+
+    def bring(self, values: np.ndarray) -> np.ndarray:
+        """Return the nearest values inside."""
+        moved = np.array(values, np.float64)
+        bring(moved, *self)
+        return moved
+
+
+@njit(cache=True, nogil=True)
+def bring(values, lower, upper, period):
+    """Move values to their domain: wrapped where periodic, clipped elsewhere."""
+    for p in range(values.shape[0]):
+        if period[p] > 0.0:
+            values[p] -= period[p] * math.floor(values[p] / period[p])
+        else:
+            values[p] = min(max(values[p], lower[p]), upper[p])
+
 
 STEP = 1e-6  # of the differences: metres, radians, or shares
 SMALLEST = 1e-3  # metres: no extent is moved below this

@@ -7,10 +7,9 @@ import numpy as np
 
 from derender.compilation.call import address_of
 from derender.posterior.compiled import steps
-from derender.posterior.compiled.contacts import touch_anew
+from derender.posterior.compiled.contacts import put_down, reattach, stand_all
 from derender.posterior.compiled.layout import SCALE, Chain, Kernels, Model
 from derender.posterior.compiled.model import held
-from derender.posterior.compiled.standing import put_down, stand_all
 from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, ROW, Part, Tuning
 from derender.posterior.kernels.relocate import mixture_of
@@ -79,7 +78,7 @@ def calls_of(target, parts: list[Part], model: Model, chain: Chain) -> list[Call
                                  flat, 0.0, flat, flat)  # fmt: skip
         if kind.keeps_children:
             vertex = target.template.names.index(part.block.objects[0])
-            keep = address_of(touch_anew, model.vertices, model.extents, model.places, model.laws, chain.values,
+            keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,
                               chain.numbers, chain.pose, chain.marks, flat, chain.relative, index, members,
                               chain.moved_pose)  # fmt: skip
         calls.append(Calls(propose, place, keep, vertex))

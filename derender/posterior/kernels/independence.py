@@ -1,4 +1,4 @@
-"""Independence: propose everything from a fitted multivariate t distribution (a heavy-tailed Laplace approximation)."""
+"""Proposals that do not look at the present state: from a t distribution fitted in warm-up, or from the prior."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.layout import CODE, NEXT, NOW, PERIOD, ROTATION
-from derender.posterior.compiled.prior import difference, directions, move, shaped
+from derender.posterior.compiled.prior import difference, directions, log_prior, move, resample, shaped
 from derender.posterior.kernels.base import KernelType, kernels
 
 DEGREES = 5  # of freedom of the t distribution: heavier tails than any posterior that it has to cover
@@ -78,3 +78,21 @@ class IndependenceType(KernelType):
 
     def factor(self, space, part, tuning):
         return part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
+
+
+@njit(cache=True, nogil=True)
+def resimulated(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+    """Propose the block from its own prior, which knows no constraints between objects.
+
+    proposal(new | old) = own prior(new block), so that prior and proposal cancel up to the constraints:
+    log ratio = temperature * (log likelihood(new) - log likelihood(old)) + constraints(new) - constraints(old).
+    """
+    resample(rng, unknowns, laws, members, values[NEXT])
+    return log_prior(unknowns, laws, values[NOW]) - log_prior(unknowns, laws, values[NEXT])
+
+
+@kernels.register("resimulate")
+class ResimulateType(KernelType):
+    """Draw one edge's contact, or one object's shape, anew from the prior."""
+
+    proposal = resimulated

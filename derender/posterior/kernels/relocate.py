@@ -1,4 +1,4 @@
-"""Relocate: an object is put down anew where warm-up has seen it in the world; its children stay where they are."""
+"""Objects put down anew in the world, where warm-up saw them or at any angle; their children stay where they are."""
 
 import math
 from collections.abc import Mapping
@@ -9,6 +9,7 @@ from derender.compilation.cache import njit
 from derender.posterior.compiled.prior import wrap
 from derender.posterior.kernels.base import PLACING, KernelType, kernels
 from derender.posterior.kernels.place_mixture import DEGREES, PlaceMixture, fitted, mixture_density
+from derender.posterior.space import Block
 
 
 @njit(cache=True, nogil=True)
@@ -25,7 +26,7 @@ def seen_place(rng, places, periods, old, new):
     `slide`. With J = |dw / dphi|,
     log ratio = log posterior(new) - log posterior(old) + log q(w) - log q(w') + log J(old) - log J(new)
                 + sum of log |d phi_c' / d phi_c|,
-    of which the last three terms come from putting the objects there (`touch_anew`); where one would lose its contact
+    of which the last three terms come from putting the objects there (`reattach`); where one would lose its contact
     there is no density, and the step is refused (as is the way back from there). Several objects are put down by one w
     of all.
 
@@ -77,3 +78,59 @@ class RelocateType(PlacingType):
     """Put an object down anew where warm-up has seen it in the world, and leave what stands on it where it is."""
 
     proposal = seen_place
+
+
+@kernels.register("relocate-stack")
+class RelocateStackType(RelocateType):
+    """Put some objects of a stack down anew together, and leave what stands on them where it is.
+
+    The step of `relocate` with w the places of all of them. What is hidden below may be seen to fit in two ways of
+    which each needs both objects elsewhere: one at a time none of them can go.
+    """
+
+    options = {"objects": 2}
+
+    def blocks(self, space, options):
+        contacts = {block.objects[0]: block for block in space.blocks if block.name in space.relocations}
+        found = []
+        for name in contacts:
+            stack = [name]
+            while len(stack) < options["objects"] and stack[0] in space.below:
+                stack.insert(0, space.below[stack[0]])
+            if 1 < len(stack) == options["objects"]:
+                blocks = [contacts[one] for one in stack]
+                unknowns = tuple(i for block in blocks for i in block.unknowns)
+                found.append(Block("+".join(block.name for block in blocks), unknowns))
+        return found
+
+
+CLOSEST, FARTHEST = 0.1, 10.0  # shift's length in units of that between two places of the archive
+
+
+@njit(cache=True, nogil=True)
+def turned_place(rng, places, periods, old, new):
+    """Propose a place w' = (angle, x, y) on the floor below the object: any angle, and offsets not far from its own.
+
+    What is half hidden may be seen to fit at two angles, whose offsets are a little apart. The angle is uniform over
+    its period; the shift is the difference of two random places of the archive, times a random factor. Neither looks at
+    the present place, the angles' density is constant and a shift is as likely as its opposite (the two places change
+    roles): q(w' | w) = q(w | w'). With J = |dw / dphi|, as in `relocate`,
+    log ratio = log posterior(new) - log posterior(old) + log J(old) - log J(new) + sum of log |d phi_c' / d phi_c|.
+    """
+    size = len(old)
+    number = len(places) // (size + size * (size + 1) + 1)
+    first, second = int(rng.random() * number), int(rng.random() * number)
+    factor = FARTHEST * math.exp(rng.random() * math.log(CLOSEST / FARTHEST))
+    for i in range(size):
+        if periods[i] > 0.0:
+            new[i] = rng.random() * periods[i]
+        else:
+            new[i] = old[i] + factor * (places[i * number + first] - places[i * number + second])
+    return 0.0
+
+
+@kernels.register("turn")
+class TurnType(PlacingType):
+    """Turn an object to any angle about where it stands, and leave what stands on it where it is."""
+
+    proposal = turned_place
