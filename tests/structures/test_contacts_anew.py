@@ -43,8 +43,8 @@ class Silent:
 class WithoutArea(SceneTarget):
     """Takes (u, v) for metres."""
 
-    def _touching_anew(self, *arguments):
-        found = super()._touching_anew(*arguments)
+    def _reattached(self, *arguments):
+        found = super()._reattached(*arguments)
         return found and (found[0], 0.0)
 
 
