@@ -18,7 +18,6 @@ ANYWHERE = 0.15  # metres over which the height of what hangs in the air is unif
 STEADY, UNSTEADY = 0.0012, 0.015  # metres a frame by which a gap changes in contact, and in the air
 MOST_TOLD = 6.0  # nats that the change of a gap says at most
 CHANGE = 0.04  # probability that what a thing rests on changes between two frames
-AFLOAT = 0.006  # metres from everything below from which on a thing falls freely
 LOWERED, PRESSED = 0.001, 0.3  # metres, and the share of them that must go into what bears it
 NO_SUPPORT = -40.0  # log density of standing on what is not below
 
@@ -34,14 +33,11 @@ def rows_of(poses, sizes, kinds, floor):
     return rows
 
 
-def gaps_of(rows, has_floor, only=None):
-    """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there.
-
-    only : indices of the things that are asked about; None: all.
-    """
+def gaps_of(rows, has_floor):
+    """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there."""
     count = len(rows)
     gaps = np.full((count, 2 + count), np.inf)
-    for k in range(count) if only is None else only:
+    for k in range(count):
         if not np.isfinite(rows[k, 0]):
             continue
         if has_floor:
@@ -55,13 +51,6 @@ def gaps_of(rows, has_floor, only=None):
             if gap < 0.1 and gap - gap_between(lower, rows[j]) > PRESSED * LOWERED:
                 gaps[k, 2 + j] = gap
     return gaps
-
-
-def bears(rows, k, names) -> str | None:
-    """Return the name of what most probably bears thing k by this frame alone, "floor" among them, or None."""
-    gaps = gaps_of(rows, True, [k])[k]
-    best = int(np.argmin(np.abs(gaps)))
-    return None if abs(gaps[best]) > AFLOAT else "floor" if best == FLOOR else names[best - 2]
 
 
 def evidence(gaps, spread, resting):

@@ -44,14 +44,7 @@ def start_from(posterior, rng) -> Start:
     poses = graph.poses()
     planes = [vertex.name for vertex in graph.vertices if vertex.shape == "plane"]
     draws = [g for g in posterior.graphs(rng, DRAWS) if g.names == graph.names]
-    things = [
-        thing_of(graph, draws, vertex.name)
-        for vertex in graph.vertices
-        if vertex.shape in TIES
-    ]  # fmt: skip
-    for thing in things:
-        parent = graph.vertex(thing.name).parent
-        thing.parent = parent if parent in planes or parent in [t.name for t in things] else None
+    things = [thing_of(graph, draws, vertex.name) for vertex in graph.vertices if vertex.shape in TIES]
     told = dict(posterior.meta.get("likelihood", {}))
     correlation = float(posterior.meta.get("correlation", 0.0) or 0.0)
     correlation = min(max(correlation, 0.0), 0.75)

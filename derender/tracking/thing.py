@@ -23,9 +23,8 @@ class Thing:
     name : unique. type : of its shape. kind : code of scene.solids. size : (3,) full extents, metres.
     pose : (4, 4), to the world: the camera's axes of the first frame.
     covariance : (6 + G, 6 + G) of its centre and turn (world axes) and the numbers of its size along `ties`.
-    velocity, spin : (3,) metres and radians a second, world axes.
+    velocity, spin, acceleration : (3,) metres and radians a second, metres a second squared, world axes.
     state : still, moving, hidden (nothing of it can be seen), lost (what is seen there is something else) or gone.
-    parent : what it stands on so far as is known, or None.
     quiet : frames on end in which it has hardly moved. waiting : frames on end in which it was not seen.
     usual_misfit : share of its pixels that are off while all is well. usual_cost, usual_off :
         nats a pixel about it then, and the share of those pixels that are off.
@@ -39,8 +38,8 @@ class Thing:
     covariance: np.ndarray
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     spin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros(3))
     state: str = STILL
-    parent: str | None = None
     quiet: int = 0
     waiting: int = 0
     usual_misfit: float = 0.05
@@ -59,5 +58,8 @@ class Thing:
 
     def copy(self, **changes: Any) -> "Thing":
         """Return a copy whose arrays are its own."""
-        arrays = {name: getattr(self, name).copy() for name in ("size", "pose", "covariance", "velocity", "spin")}
+        arrays = {
+            name: getattr(self, name).copy()
+            for name in ("size", "pose", "covariance", "velocity", "spin", "acceleration")
+        }
         return replace(self, **{**arrays, **changes})

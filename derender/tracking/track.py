@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from derender.tracking.contact import bears, parent_probabilities, rows_of
+from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
 from derender.tracking.first import thing_of
 from derender.tracking.thing import MOVING, STILL
@@ -113,7 +113,6 @@ class Recorder:
             seen = self.tracker.report(seen.blobs)
         self.seen.append(seen)
         self.sizes.append(np.array([thing.size for thing in self.tracker.things]).reshape(-1, 3))
-        self._tell_parents(seen)
         return True
 
     def _is_cut(self) -> bool:
@@ -156,17 +155,6 @@ class Recorder:
     def _new_name(self, kind) -> str:
         taken = {thing.name for thing in self.tracker.things}
         return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
-
-    def _tell_parents(self, seen) -> None:
-        """Let the tracker know what bears the things that move: what nothing bears will fall."""
-        moving = [k for k, thing in enumerate(self.tracker.things) if thing.state == MOVING]
-        if not moving:
-            return
-        things = self.tracker.things
-        floor = seen.view @ (self.tracker.floor if self.tracker.floor is not None else upright(self.gravity))
-        rows = rows_of(seen.poses, [thing.size for thing in things], [thing.kind for thing in things], floor)
-        for k in moving:
-            things[k].parent = bears(rows, k, [thing.name for thing in things])
 
     def track(self, times=None, frames=None, before: "Recorder | None" = None) -> Track:
         """Return what was found so far; before : what was found going backward from the same first frame."""

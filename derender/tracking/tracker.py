@@ -2,8 +2,9 @@
 
 In each frame the camera is found first where it may move (by the floor and by all that rests), then everything that
 moved before from where it is expected, and last what rested, if a test of its own pixels says that it does so no more.
-A fit begins where constant velocity leads; where its pixels are not explained from there other beginnings are tried:
-falling, standing still, thrown back by what it struck, and wherever the image shows something that nothing explains.
+A fit begins at that of several predictions (constant velocity or acceleration, free fall, a bounce, a standstill) which
+explains the image best; where its pixels are not explained from there, others are tried, and wherever the image shows
+something that nothing explains.
 """
 
 from typing import NamedTuple
@@ -28,6 +29,7 @@ BIAS = 0.2  # pixels by which outlines may be off in one direction, frame after 
 WRONG = 0.15  # share of its pixels, beyond the usual one, that are off: then the fit is not believed
 MORE_THAN_BEFORE = 2.0  # times at once that the usual cost rises where no beginning led to a better one
 GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is lost
+SEARCHED = 3  # starts of a search from which a fit begins, those of least cost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 
 
@@ -113,6 +115,30 @@ class Tracker(Drawing):
         pose[:3, 3] += thing.velocity * self.step
         return pose
 
+    def _predictions(self, thing):
+        """Return poses (4, 4) where a moving thing may be, the likeliest first: at constant velocity, without its spin,
+        at constant acceleration, in free fall, thrown back by an impact, and standing still.
+        """
+        straight, step = self._expected(thing), self.step
+        down = self.gravity / np.linalg.norm(self.gravity)
+        shifts = (
+            thing.acceleration * step**2,
+            self.gravity * step**2,
+            -(1 + GIVEN_BACK) * (thing.velocity @ down) * down * step,
+            -thing.velocity * step,
+        )
+        predictions = [straight, straight.copy()]
+        predictions[1][:3, :3] = thing.pose[:3, :3]
+        for shift in shifts:
+            predictions.append(straight.copy())
+            predictions[-1][:3, 3] += shift
+        predictions[-1][:3, :3] = thing.pose[:3, :3]
+        return predictions
+
+    def _ranked(self, k, poses):
+        """Return poses (4, 4) of thing k in the world by the cost of the image, the least first."""
+        return sorted(poses, key=lambda pose: self.draw(k, pose))
+
     def _information(self, thing):
         """Return the precision (P, P) of a moving thing's pose before the image, and of its size."""
         information = np.zeros(thing.covariance.shape)
@@ -122,27 +148,16 @@ class Tracker(Drawing):
         information[6:, 6:] = np.linalg.inv(thing.covariance[6:, 6:])
         return information
 
-    def _beginnings(self, thing):
-        """Return poses from which a fit may begin where constant velocity misled: after an impact, in free fall."""
-        fall, still, thrown = thing.pose.copy(), thing.pose.copy(), thing.pose.copy()
-        fall[:3, 3] += (thing.velocity + self.gravity * self.step) * self.step
-        down = self.gravity / np.linalg.norm(self.gravity)
-        speed = thing.velocity - (1 + GIVEN_BACK) * (thing.velocity @ down) * down
-        thrown[:3, 3] += speed * self.step
-        straight = self._expected(thing)
-        straight[:3, :3] = thing.pose[:3, :3]
-        return [fall, still, thrown, straight]
-
     def _follow(self, k) -> None:
         """Find a moving thing in the present frame."""
         thing = self.things[k]
         before = thing.pose.copy()
-        expected, information = self._expected(thing), self._information(thing)
-        falling = expected.copy()
-        falling[:3, 3] += self.gravity * self.step**2
-        if thing.state == MOVING and thing.parent is None:
-            expected = falling
+        information = self._information(thing)
+        expected = self._expected(thing)
         self.draw(k, expected)
+        if thing.state == MOVING and self.unexplained(k):
+            expected = self._ranked(k, self._predictions(thing))[0]
+            self.draw(k, expected)
         _, curvature = self.fit(k, expected, information, free=True)
         if self.unexplained(k) or self.left_behind(k):
             curvature = self._search(k, expected, information, curvature)
@@ -178,6 +193,7 @@ class Tracker(Drawing):
         turn = rotation_between(before, thing.pose)
         if thing.state in (HIDDEN, LOST, GONE):
             shift, turn = shift / (1 + thing.waiting), turn / (1 + thing.waiting)
+        thing.acceleration = (shift / self.step - thing.velocity) / self.step
         thing.velocity, thing.spin = shift / self.step, turn / self.step
         if thing.type == "sphere":
             thing.spin = np.zeros(3)
@@ -198,9 +214,11 @@ class Tracker(Drawing):
         best = float(cost(self.misfit, self.poses, self.sizes))
         kept = self.poses[index].copy(), self.sizes[index].copy(), curvature
         owner, here = self.owner() == index, self.poses[index].copy()
-        starts = [expected, *self._beginnings(thing)]
+        starts = [expected, *self._predictions(thing)]
         starts += [inverse(self.view) @ pose for pose in shifts_to(self, blobs_of(self), owner, here)]
-        for start in starts:
+        self.loosen(True)
+        ranked = self._ranked(k, [inverse(self.view) @ here, *starts])[:SEARCHED]
+        for start in ranked:
             self.draw(k, start)
             bent = self.fit_from_afar(k, start, wide)
             value = float(cost(self.misfit, self.poses, self.sizes))
