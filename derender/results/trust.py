@@ -16,8 +16,6 @@ LIMITS, QUICK_LIMITS = (1.01, 100.0), (1.1, 25.0)
 QUICK = 1000  # draws of all chains together, below which it was a quick look
 SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
 MARGIN = 2.5  # times the draws that seem enough
-# Of images whose neighbouring pixels share noise, where structures are not weighed by the integral of a density.
-TEMPERED = "probabilities of structures are those of a tempered score, whose error is not known"
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
 LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answer is an object
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
@@ -75,7 +73,6 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
 
     rows : of `tables.parameter_rows`, about its most probable structure. lost : how many chains died.
     """
-    notes = (Doubt(TEMPERED, serious=False),) if posterior.meta.get("tempered") else ()
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("no_floor"):
         doubts.append("no surface was found that things could stand on: all is taken as background")
@@ -95,7 +92,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
-        return (*map(Doubt, doubts), *notes)
+        return tuple(map(Doubt, doubts))
     largest, smallest = limits(chains * draws)
     over, shares = structures.get("r_hat"), structures.get("shares", [0.0])
     if over is not None and over > largest:
@@ -110,7 +107,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
     if any(map(doubtful, rows)):
         doubts[-1] += f"; --draws {enough_draws(rows)} would do"
-    return (*map(Doubt, doubts), *notes)
+    return tuple(map(Doubt, doubts))
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:

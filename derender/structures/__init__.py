@@ -1,7 +1,6 @@
 """Inference over the discrete part of scene graphs: which solids there are, and what each one stands on.
 
 `infer.py` is the way through it: a bare image is searched (`search/`, on `solids/`), the structures near the best are
-drawn from (`draws/`) and weighed (`graph_posterior.py`, `alternatives.py`; `scored_posterior.py` where neighbouring
-pixels share noise). `known/` does that with objects known beforehand; `jumps/` samples by chains and populations among
-all that a prior allows.
+drawn from (`draws/`) and weighed (`graph_posterior.py`, `alternatives.py`). `known/` does that with objects known
+beforehand; `jumps/` samples by chains and populations among all that a prior allows.
 """

@@ -172,7 +172,7 @@ def pose_step(chart, values, view):
     camera, smooth = view.camera, view.values["blur"]
     base = model_depth(chart, values, camera, view.into)
     shown = blur(base, smooth)
-    residual = np.where(np.isfinite(view.observed), view.observed - shown, 0.0)
+    residual = np.nan_to_num(view.returned - shown)
     weight = weights(view, shown)
     weight = np.where(residual**2 * weight < FAR_OFF**2, weight, 0.0)
     turn = APART / camera.fx

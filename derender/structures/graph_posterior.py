@@ -1,10 +1,8 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
-Where neighbouring pixels are the image's own and their noise is independent, and hardly anything shows but solids and
-floor, the likelihood is the engine's, with the blur and the noise that the image shows (`draws/refined.py`), and
-structures are weighed by integrals (`alternatives.py`).
-
-On other images, such as those of real sensors, the search's own score has to do (`scored_posterior.py`).
+The likelihood is the engine's, with the blur and the noise that the image shows (`draws/refined.py`); structures are
+weighed by integrals (`alternatives.py`). Of a real sensor's image, whose neighbouring pixels err together, so many
+pixels tell as much as one independent one (`effective_pixels`), and faces are off where they appear (`draws/faces.py`).
 """
 
 from dataclasses import replace
@@ -35,9 +33,7 @@ from derender.structures.draws.refined import (
     view_of,
     with_sensor_refitted,
 )
-from derender.structures.draws.sensor import too_far
 from derender.structures.hidden import hidden_expected
-from derender.structures.scored_posterior import MOST_PARTS, NEGLIGIBLE, part_of, posterior_parts
 from derender.structures.unexplained import SURELY, additions, nearer_than_explained, spots
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
@@ -46,34 +42,18 @@ ROUNDS = 4  # in which each solid is tried otherwise, and then one more where so
 MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
-INDEPENDENT = 0.1  # correlation of neighbouring pixels' residuals up to which they count as independent
-# By how much an image may be reduced: pixels are then sure to a fraction of a millimetre, so that the few that take the
-# other side of an edge would outweigh a whole solid; the search's score cuts them off.
-MOST_REDUCED = 2
-MOST_BACKGROUND = 0.1  # share of the pixels that show what the engine does not know: the room behind a table
+# Structures less probable than the best by more than this many nats are not reported; how many are, at most.
+NEGLIGIBLE, MOST_PARTS = 8.0, 12
 
 
-def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False, closer=None):
+def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False):
     """Return the parts of the posterior about the search's best state.
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
-    closer : Closer for a real sensor's draws, or None.
     """
-    knowable = not seen.things and unknown_share(seen) < MOST_BACKGROUND and seen.factor <= MOST_REDUCED
-    if seen.correlation < INDEPENDENT and knowable:
-        first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
-        energy = total_energy(seen.image, state, settings)
-        return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
-    if only_best:
-        return [part_of(rng, seen, closer, state, settings, names_of(state), 1.0, 1, 1)]
-    return posterior_parts(rng, seen, closer, state, pool, settings, chains, draws)
-
-
-def unknown_share(seen):
-    """Return the share of the pixels that show background which the sensor model does not leave out as too far."""
-    good = seen.image.weight > 0
-    far = too_far(np.where(good, seen.image.depth, np.nan))
-    return float((seen.behind & good & ~far).sum() / max(good.sum(), 1))
+    first = refine(rng, [view_of(seen, settings.temper)], seen.floor.pose, state, settings.rules, settings.tries)
+    energy = total_energy(seen.image, state, settings)
+    return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
 
 
 def independent_parts(rng, first, energy, pool, settings, chains, draws, only_best):
@@ -82,7 +62,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     first : Refined of the search's best state. energy, pool : see `weighed_structures`.
     """
     if only_best:
-        return [structure_posterior(first, names_of(first.state), 1.0, [only_draw(first)])]
+        return [structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])]
     made = DrawsOfOne(chains, draws)
     evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
     kept = weighed_structures(rng, first, energy, pool, settings, evidence, made)
@@ -97,7 +77,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:
             drawn = [only_draw(trial)]
-        part = structure_posterior(trial, own, float(weights[place]), drawn)
+        part = structure_posterior(rng, trial, own, float(weights[place]), drawn)
         low, high = (float(end) for end in intervals[place])
         if place == 0:
             hidden = hidden_expected(rng, trial, settings.beliefs)

@@ -8,7 +8,7 @@ from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.sizes import CUBE, FIRST, HIGH, LOW, NODES
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.draws.sensor import model_depth
+from derender.structures.draws.sensor import floor_depth, model_depth
 
 TRIES = 400  # solids of the prior that are put down behind what is seen
 MARGIN = 0.01  # metres by which all of one has to lie behind what is seen in front of it
@@ -53,16 +53,6 @@ def rate_on_floor(beliefs, count):
     """Return the solids that the prior expects on one more square metre, so many being there."""
     count = min(count, MOST - 1)
     return float(np.exp(beliefs.on_floor[count + 1] - beliefs.on_floor[count]))
-
-
-def floor_depth(floor, camera):
-    """Return the depth (H, W) of a floor alone, inf where it is not met."""
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1)
-    along = ray @ floor[:3, 2]
-    with np.errstate(divide="ignore"):
-        depth = (floor[:3, 3] @ floor[:3, 2]) / along
-    return np.where(depth > 0.0, depth, np.inf)
 
 
 def drawn_rows(rng, places, beliefs):

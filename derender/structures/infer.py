@@ -9,7 +9,7 @@ from derender.detection.given_floor import read_floor
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
-from derender.detection.search.observation import CORRELATED, closer_look, nearest_pixels, observe, patches_of
+from derender.detection.search.observation import CORRELATED, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
@@ -218,9 +218,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
             return known_posterior(rng, seen.image, state, settings, seen.floor.pose, library, others, *many)
         if len(looks) > 1:
             return together_parts(rng, looks, settings, chains, draws, only_best)
-        real = seen.factor > 1 and seen.correlation > CORRELATED
-        closer = closer_look(seen, depth, camera) if real else None
-        return parts_of(rng, seen, state, pool, settings, chains, draws, only_best, closer)
+        return parts_of(rng, seen, state, pool, settings, chains, draws, only_best)
 
     try:
         parts = parts_about(interrupted or options.method == "map")
@@ -236,7 +234,6 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "no_floor": seen.no_floor, "interrupted": interrupted,
-            "tempered": len(state) > 0 and "likelihood" not in parts[0].extras,
             "existence": {thing_name(k): existence(thing.gain) for k, thing in enumerate(seen.things)},
             "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip

@@ -65,7 +65,7 @@ def draws_on_a_floor() -> None:
     draws = metropolis.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
     model_depth(chart, values, camera)
     refined = refined_at(state, chart, values, sensor, *draws.densities[0])
-    structure_posterior(refined, names_of(state), 1.0, [only_draw(refined)])
+    structure_posterior(np.random.default_rng(0), refined, names_of(state), 1.0, [only_draw(refined)])
 
 
 def steps_of_chains() -> None:

@@ -56,7 +56,7 @@ def residual_of(view, model):
     """Return (H, W) the residuals of a view in standard deviations of its noise, cut off, NaN where it says nothing."""
     smooth = blur(model, view.values["blur"])
     noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * smooth**2
-    return np.clip((view.observed - smooth) / noise, -CLIPPED, CLIPPED)
+    return np.clip((view.returned - smooth) / noise, -CLIPPED, CLIPPED)
 
 
 def correlation(one, other, model, other_model, residual, other_residual):

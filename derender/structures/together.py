@@ -137,16 +137,10 @@ def as_others_have_it(state, states, looks, settings):
 
 
 def views_of(looks: Sequence[Look], settings) -> list[View]:
-    """Return the Views by which all images are explained together: without what is background or free-form."""
-    views = []
-    for look in looks:
-        view, seen = view_of(look.seen), look.seen
-        free = np.any([thing.mask for thing in seen.things], axis=0) if seen.things else np.zeros_like(seen.behind)
-        observed = np.where(seen.behind | free, np.nan, view.observed)
-        worth = settings.for_correlation(seen.correlation).temper / settings.temper
-        worth = np.inf if worth <= 1.0 else observed.size / worth
-        views.append(View(view.camera, observed, look.into, worth))
-    return views
+    """Return the Views by which all images are explained together."""
+    usual = settings.temper
+    return [view_of(look.seen, settings.for_correlation(look.seen.correlation).temper / usual)._replace(into=look.into)
+            for look in looks]  # fmt: skip
 
 
 def together_parts(rng, looks: Sequence[Look], settings, chains, draws, only_best):

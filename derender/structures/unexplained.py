@@ -50,7 +50,7 @@ def nearer_than_explained(best):
     sensor = best.sensor
     model = blur(model_depth(best.chart, best.values, sensor.camera), sensor.values["blur"])
     noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * model**2
-    return np.clip((model - sensor.observed) / noise, -MOST_OF_ONE, MOST_OF_ONE)
+    return np.clip((model - sensor.returned) / noise, -MOST_OF_ONE, MOST_OF_ONE)
 
 
 def spots(nearer):
@@ -93,13 +93,13 @@ def additions(rng, best, settings, evidence=whole_evidence):
     """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
 
     Others may have given way to explain what it shows, so all move and all are integrated over. evidence : of the best,
-    see `whole_evidence`.
+    see `whole_evidence`. Nothing is proposed where neighbouring pixels err together: a sensor's bends look like that.
     """
-    if len(best.state) >= settings.max_objects:
+    if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0:
         return []
     sensor, floor, place = best.sensor, floor_pose_of(best), [len(best.state)]
     noise = np.full(sensor.observed.shape, sensor.values["sigma"])
-    image = make_image(sensor.observed, noise, sensor.camera, floor, sensor.values["blur"])
+    image = make_image(sensor.returned, noise, sensor.camera, floor, sensor.values["blur"])
     seen = image.origin + image.depth[..., None] * image.direction
     climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
     candidates = []

@@ -29,6 +29,8 @@ def observe(rng, solids, camera, likelihood, values):
     depth, _ = render_depth(solids, camera)
     observed = likelihoods[likelihood].sample(rng, depth, values)
     observed[rng.uniform(size=observed.shape) < 0.05] = np.nan
+    if likelihood == "robust":  # what is no part of the scene
+        observed[rng.uniform(size=observed.shape) < 0.1] *= -1.0
     return observed
 
 

@@ -248,15 +248,6 @@ def test_chains_that_stay_with_different_structures_are_told():
     assert "the likeliest has 0.00 in one, 1.00 in another" in str(doubt)
 
 
-def test_probabilities_of_a_tempered_score_are_told_and_do_no_harm():
-    meta = {"tempered": True}
-    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((1, 2, 1))))
-    (doubt,) = trust.chain_doubts(posterior, [])
-    assert "tempered score" in doubt.words and trust.trusted([doubt])
-    meta["tempered"] = False
-    assert trust.chain_doubts(posterior, []) == ()
-
-
 def test_numbers_are_read_in_their_own_units():
     for address, unit in {
         "can.contact.lean": "°", "can.contact.roll": "°", "can.contact.theta": "°", "can.contact.gap": "mm",

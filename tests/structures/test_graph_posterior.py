@@ -420,7 +420,9 @@ def test_a_scene_may_turn_out_to_be_empty():
     engine = engine_of(chart, sensor)
     prior, likelihood = load(engine, chart, values)
     refined = Refined(State(), chart, values, sensor, prior, likelihood)
-    part = structure_posterior(refined, [], 1.0, chains_of(np.random.default_rng(7), refined, 2, 10))
+    part = structure_posterior(
+        np.random.default_rng(0), refined, [], 1.0, chains_of(np.random.default_rng(7), refined, 2, 10)
+    )
     assert part.values.shape == (2, 10, 0)
     assert part.graph.names == ("floor",)
 
@@ -432,7 +434,9 @@ def test_the_best_scene_of_a_posterior_is_the_best_of_climb_and_draws():
     prior, likelihood = load(engine_of(chart, sensor), chart, values)
     refined = Refined(cube(), chart, values, sensor, prior, likelihood)
     draws = chains_of(rng, refined, 2, 20)
-    beside = structure_posterior(refined._replace(log_likelihood=-1e9), ["cube_1"], 1.0, draws)
+    beside = structure_posterior(
+        np.random.default_rng(0), refined._replace(log_likelihood=-1e9), ["cube_1"], 1.0, draws
+    )
     assert beside.log_density.min() > -1e9
-    above = structure_posterior(refined._replace(log_likelihood=1e9), ["cube_1"], 1.0, draws)
+    above = structure_posterior(np.random.default_rng(0), refined._replace(log_likelihood=1e9), ["cube_1"], 1.0, draws)
     assert above.log_density[0, 0] > 1e8 and np.array_equal(above.log_density[:, 1:], beside.log_density[:, 1:])

@@ -17,6 +17,8 @@ from derender.structures.alternatives import of_one_solid, stood_up
 from derender.structures.draws.metropolis import engine_of, evaluate, load
 from derender.structures.draws.refined import at_mode, members_of, refitted
 from derender.structures.draws.steps import touched_by
+from derender.structures.standing import log_standing
+from derender.structures.unions import merged
 from derender.structures.weighing import Weighed, averaged, made_sure, of_block, with_own_sensor
 
 RULES = Rules(0.0015)
@@ -96,6 +98,39 @@ def test_cube_against_box_and_can_is_as_importance_sampling_has_it(others, side,
     )
     assert abs(weighed.odds - (log - own)) < 3.0 * math.hypot(weighed.error, error, own_error) + 0.1
     assert weighed.error < 0.3
+
+
+def boxes(*places, parents):
+    """Return the State of upright boxes (x, y, bottom, size), each on the floor or on one before it."""
+    state = State()
+    for (x, y, bottom, size), parent in zip(places, parents, strict=True):
+        state = state.add(row(BOX, 0.5, x, y, bottom, size), UPRIGHT, False, parent, bottom)
+    return state
+
+
+BESIDE = boxes((-0.03, 0.0, 0.0, (0.06, 0.06, 0.05)), (0.0227, 0.0288, 0.0, (0.06, 0.06, 0.05)), parents=(-1, -1))
+STACKED = boxes((0.0, 0.0, 0.0, (0.08, 0.07, 0.05)), (0.0, 0.0, 0.05, (0.08, 0.07, 0.04)), parents=(-1, 0))
+# a seam that what stands before it hides
+HIDDEN = boxes(
+    (0.0, 0.05, 0.0, (0.07, 0.06, 0.06)), (0.0, 0.05, 0.06, (0.07, 0.06, 0.06)), (0.0, -0.06, 0.0, (0.2, 0.05, 0.12)),
+    parents=(-1, 0, -1),
+)  # fmt: skip
+
+
+@pytest.mark.slow  # half a minute each: hundreds of thousands of images
+@pytest.mark.parametrize("state, noise", [(BESIDE, 0.01), (STACKED, 0.01), (HIDDEN, 0.006)])
+def test_two_boxes_as_one_are_as_importance_sampling_has_it(state, noise):
+    """Side by side and one on the other, both flush, and one on the other where the seam does not show at all."""
+    rng = np.random.default_rng(4)
+    sensor, chart, values = observe(rng, state, {"sigma": noise, "blur": 0.5}, camera(48, 36))
+    best = with_own_sensor(rng, at_mode(rng, state, floor_pose(), sensor._replace(prior=PRIOR), RULES), [0, 1], -1e9)
+    weighed = merged(rng, best, 1, 0, RULES)
+    log, error = reference(rng, weighed.trial, members_of(weighed.trial.chart, [0]))
+    own, own_error = reference(rng, best, members_of(best.chart, [0, 1]))
+    (sure,) = made_sure(rng, best, [weighed._replace(odds=0.0)], lambda rng: best.values[None], RULES)
+    stands = log_standing(weighed.trial.state, RULES) - log_standing(best.state, RULES)
+    print(sure.odds, sure.error, log - own + stands, error, own_error)
+    assert abs(sure.odds - (log - own + stands)) < 3.0 * math.hypot(sure.error, error, own_error) + 0.1
 
 
 def test_close_odds_are_made_sure_over_draws_of_what_structures_share():

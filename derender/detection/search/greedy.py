@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.threads import THREADS
-from derender.detection.search.observation import CORRELATED, REAL_DISCREPANCY
+from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import Beliefs, bare_image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit
@@ -39,7 +39,7 @@ class Settings(NamedTuple):
     temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
     floating_price : nats that a solid costs that nothing carries.
     uneven : metres by which a floor and its image may be off the plane.
-    discrepancy : metres by which faces of real solids lie off where they appear to, in draws.
+    faces : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
     free_forms : whether there may be things of no such shape.
     beliefs : of weights and draws, None: the default ones; the search has its own prior.
@@ -64,7 +64,7 @@ class Settings(NamedTuple):
     floating_price: float = 30.0
     temper: float = 1.0
     uneven: float = 0.01
-    discrepancy: float = 0.0
+    faces: float = 0.0
     tries: int = THREADS
     may_overlap: bool = False
     may_float: bool = False
@@ -77,8 +77,8 @@ class Settings(NamedTuple):
         """What solids may do to each other, see rules.Rules."""
         overlap = np.inf if self.may_overlap else None
         beliefs = bare_image() if self.beliefs is None else self.beliefs
-        slack = self.slack if self.discrepancy > 0.0 else beliefs.loose.slack  # a real table's solids are off by more
-        return Rules(slack, overlap, self.may_float, beliefs)
+        slack = self.slack if self.faces > 0.0 else beliefs.loose.slack  # a real table's solids are off by more
+        return Rules(slack, overlap, self.may_float, beliefs, self.faces)
 
     @property
     def price_of_floating(self):
@@ -92,13 +92,14 @@ class Settings(NamedTuple):
         cut off at their limit are less correlated than small ones: the power 1.5 did best on real frames (1: solids are
         split along their dents; 2: small ones are lost).
         """
-        discrepancy = REAL_DISCREPANCY if correlation > CORRELATED else 0.0
+        beliefs = bare_image() if self.beliefs is None else self.beliefs
+        faces = beliefs.loose.faces if correlation > CORRELATED else 0.0
         correlation = min(max(correlation, 0.0), 0.75)
         if correlation < 0.1:
             return self
         factor = ((1 + correlation) / (1 - correlation)) ** 1.5
         return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
-                                                discrepancy=discrepancy)  # fmt: skip
+                                                faces=faces)  # fmt: skip
 
     def for_pixels(self, many):
         """Return the settings for an image of which so `many` pixels tell as much as one did."""

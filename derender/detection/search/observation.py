@@ -16,15 +16,13 @@ from derender.detection.patches import Patches, find_patches
 from derender.detection.pyramid import reduce, sampled, single_pixels
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.sharpness import estimate_blur
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
-from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.wall import walls_behind
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
-REAL_DISCREPANCY = 0.003
-CLOSER = 2  # times as many columns and rows as the search looks at
 AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
@@ -81,13 +79,6 @@ class Observation(NamedTuple):
     agreed: bool = True
 
 
-class Closer(NamedTuple):
-    """More pixels of what was observed. image : Image; times : as many columns and rows as there were."""
-
-    image: Image
-    times: float
-
-
 def observe(depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
@@ -133,7 +124,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     sigma = noise_map(depth, even, camera)
     correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
     if correlation > CORRELATED:
-        sigma = np.hypot(sigma, REAL_DISCREPANCY)
+        sigma = np.hypot(sigma, bare_image().loose.faces)
     blur = estimate_blur(depth, sigma)
     image = make_image(depth, sigma, camera, floor.pose, blur)
     wall = raise_wall(image)
@@ -178,32 +169,6 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
                        depth, beyond_edge, backdrop is not None)  # fmt: skip
-
-
-def closer_look(seen, depth, camera):
-    """Return the Closer of an image with about CLOSER as many columns and rows, all else as fewer have told.
-
-    Fewer pixels tell which solids there are; where their silhouettes are, more of them do.
-
-    seen : Observation of a reduced image; depth (H, W), camera : of the image as it came.
-    """
-    depth, camera, factor = reduce(depth, camera, CLOSER * seen.camera["width"])
-    rows, columns = (nearest_pixels(after, factor, before, seen.factor)
-                     for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
-
-    def larger(image):
-        return image[rows[:, None], columns]
-
-    if seen.bend is not None:
-        depth = depth + larger(seen.bend)
-
-    sigma = larger(seen.sigma)
-    image = make_image(depth, sigma, camera, seen.floor.pose, estimate_blur(depth, sigma))
-    raise_wall(image)
-    as_seen = larger((seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN))
-    as_seen &= image.weight > 0
-    image.floor[as_seen] = image.depth[as_seen]
-    return Closer(image, seen.factor / factor)
 
 
 def nearest_pixels(count, factor, among, others):

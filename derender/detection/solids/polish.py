@@ -19,7 +19,6 @@ UPRIGHT, FREE = 0, 1
 # Kinds of steps, see try_step: of a search, and of a walk, which must also let a cube's side change under a top that
 # the image holds still.
 MOVES, WALK_MOVES = 14, 15
-TANGENT = 9  # numbers of a joint step: of centre, rotation and size
 
 
 @njit(cache=True, nogil=True)
@@ -178,38 +177,6 @@ def propose(rng, row, trial, origin, form, cube, tilt, scale):
 
 
 @njit(cache=True, nogil=True)
-def joint_step(rng, row, trial, factor):
-    """Write a solid one random step from `row` in all its numbers together into `trial`; return whether it is possible.
-
-    The step is normal, with covariance factor factor^T, in (centre in the floor's axes, rotation vector in the solid's
-    own axes, size): the rotation vector is the same in the axes before and after the turn, so that the way back is the
-    same step with its sign changed.
-    """
-    tangent = np.zeros(TANGENT)
-    for k in range(factor.shape[1]):
-        z = rng.standard_normal()
-        for n in range(TANGENT):
-            tangent[n] += factor[n, k] * z
-    for n in range(row.size):
-        trial[n] = row[n]
-    for n in range(3):
-        trial[10 + n] += tangent[n]
-        trial[13 + n] += tangent[6 + n]
-    x, y, z = tangent[3], tangent[4], tangent[5]
-    angle = np.sqrt(x * x + y * y + z * z)
-    if angle > 0.0:
-        x, y, z = x / angle, y / angle, z / angle
-        c, s = np.cos(angle), np.sin(angle)
-        for n in range(3):  # Rodrigues' formula: each row of the rotation, turned backwards
-            a, b, d = row[1 + 3 * n], row[2 + 3 * n], row[3 + 3 * n]
-            along = (x * a + y * b + z * d) * (1.0 - c)
-            trial[1 + 3 * n] = a * c + (b * z - d * y) * s + x * along
-            trial[2 + 3 * n] = b * c + (d * x - a * z) * s + y * along
-            trial[3 + 3 * n] = d * c + (a * y - b * x) * s + z * along
-    return min(trial[13], trial[14], trial[15]) > 0.004
-
-
-@njit(cache=True, nogil=True)
 def polish(
     rng,
     image,
@@ -294,30 +261,24 @@ def walk(
     steps,
     temper,
     adapt,
-    factor,
 ):
     """Return the solid after `steps` Metropolis steps on its density given all others.
 
     Each kind of step is drawn with its own fixed scale and is its own reverse with the sign changed (a pivot keeps its
     name and place), and has Jacobian one in (centre, size, Haar's measure of the rotation): proposals are symmetric, so
-    the log acceptance ratio is the difference of energies alone. So are joint steps, see `joint_step`.
+    the log acceptance ratio is the difference of energies alone.
 
     Parameters
     ----------
     scale : (WALK_MOVES,) float64, standard deviation of each kind of step; changed in place if `adapt` (in a warm-up).
     temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
-    factor : (TANGENT, D) float64, a factor of the covariance of joint steps, every other step; D = 0: none.
     """
     row = start.copy()
     energy = added_misfit(image, row, depth, misfit) / temper + size_energy(row, cube)
     energy += contact_energy(row, others, skip, bottom, carried, slack) + tilt_energy(row, form, tilt)
     trial = np.empty(row.size)
     for _ in range(steps):
-        jointly = factor.shape[1] > 0 and rng.random() < 0.5
-        if jointly:
-            move, possible = 0, joint_step(rng, row, trial, factor)
-        else:
-            move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
+        move, possible = propose(rng, row, trial, image.origin, form, cube, tilt, scale)
         if not possible:
             continue
         new = size_energy(trial, cube) + contact_energy(trial, others, skip, bottom, carried, slack)
@@ -327,6 +288,6 @@ def walk(
             for n in range(row.size):
                 row[n] = trial[n]
             energy = new
-        if adapt and not jointly:
+        if adapt:
             scale[move] = min(max(scale[move] * (1.2 if accepted else 0.92), 2e-5), 0.03)
     return row

@@ -13,7 +13,6 @@ from derender.render.likelihoods.base import (
     SIGMA,
     Likelihood,
     blurred_depth,
-    has_return,
     likelihoods,
     temper,
     with_wall,
@@ -40,6 +39,11 @@ class Robust(Likelihood):
     An edge is a pixel at which the second difference of d along the row or the column is more than `edge_step`:
     surfaces that are flat in space, at whatever slant, have next to none. A pixel's value is a depth or "no return", so
     missing pixels count: a hole where the scene has no edge is evidence.
+
+    A pixel may show what is no part of the scene: background, or a thing of no known form. Nothing is known of such a
+    surface but that it is where it was seen, unless the scene hides it. Such a pixel holds minus that depth, and its
+    density is the one above with min(m, that depth) in place of m: solids behind it make no difference, and those
+    before it are as improbable as they would be before any other surface.
     """
 
     parameters = (
@@ -129,8 +133,9 @@ class Robust(Likelihood):
     def per_pixel(self, observed, depth, values=None):
         values = self.complete(values)
         exponent = temper(values, self.counted_pixels(observed))
-        seen, model, missing = has_return(observed), blurred_depth(depth, values), self.missing_rate(depth, values)
-        value = np.where(seen, observed, 0.0)
+        value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
+        seen, model, missing = value > 0.0, blurred_depth(depth, values), self.missing_rate(depth, values)
+        model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
         spread = values["sigma"] + values["sigma_growth"] * model**2
         surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
         inside = (value >= values["near"]) & (value <= values["far"])

@@ -15,6 +15,7 @@ from derender.render.raycast.lane_names import (
     load,
     logarithm,
     maximum,
+    minimum,
     multiply,
     multiply_add,
     splat,
@@ -87,7 +88,9 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     for row in range(top, bottom):
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         for column in range(left, right, LANES):
-            value, model = load(observed, row, column), load(score, row, column)
+            told, model = load(observed, row, column), load(score, row, column)
+            value = absolute(told)
+            model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
             here = load(depth, row, column)
             twice = add(here, here)
             along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)

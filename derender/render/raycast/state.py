@@ -38,7 +38,8 @@ class EngineState(NamedTuple):
     total : (2,) float64, sums of the scores.
     taps : (R + 1,) float32, blur weights from the centre outwards.
     images : (5 + 2 M, H, P) float32; pixel i of a row is at column i + PAD.
-        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under the robust one they are 0),
+        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under the robust one they are 0,
+            and below zero where they show what is no part of the scene, see `Robust`),
         [DEPTH + half] clean model depth, edges replicated,
         [SCORE + half] each pixel's squared residual (gaussian) or log density (robust),
         [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only.
@@ -100,7 +101,7 @@ def new_state(
     taps = taps_of(blur)
     count = len(solids.kind)
     missing = np.nan if kind == GAUSSIAN else 0.0
-    seen = np.isfinite(observed) & (observed > 0)
+    seen = np.isfinite(observed) & (observed > 0 if kind == GAUSSIAN else observed != 0)
     meshes = FlatMeshes(solids.meshes)
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)

@@ -25,7 +25,8 @@ class Loose:
     unit : metres, a number or distribution: of all lengths in the file. seen_from : units from the camera, least and
         most, to most of what it sees.
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
-    overlap : metres by which solids may enter each other.
+    overlap : metres by which solids may enter each other. faces : standard deviation in metres by which each face of a
+        real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
     missed : probability that a search has not found what is there at all: where two searches agreed and nothing is left
         unexplained, where not, and of a real sensor's image.
@@ -37,6 +38,7 @@ class Loose:
     seen_from: tuple[float, float] = (0.4, 1.5)
     slack: float = 0.0015
     overlap: float = 3e-4
+    faces: float = 0.003
     hanging: float = 1e-13
     tipping: float = 0.01
     missed: tuple[float, float, float] = (0.005, 0.3, 0.2)
@@ -76,7 +78,7 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
-NUMBERS = {"slack": "m", "overlap": "m", "hanging": "", "tipping": ""}
+NUMBERS = {"slack": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 
 def read_loose(section: Section) -> Loose:

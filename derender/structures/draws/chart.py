@@ -19,13 +19,14 @@ from derender.detection.solids.sizes import CUBE, box_log_density, log_density_a
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
-KIND, VERTICAL, PARENT, HELD = range(4)  # columns of Chart.flags
+KIND, VERTICAL, PARENT, HELD, EQUAL = range(5)  # columns of Chart.flags
 X, Y, Z, TURN, SIZE, SLOTS = 0, 1, 2, 3, 6, 9  # columns of Chart.slots
 FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
 
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
 LEAST_EXTENT = 0.004  # metres: thinner solids are noise, whatever a prior says
 EIGHTH = np.sqrt(0.5) - 1e-9  # cosine of an eighth of a turn, to rounding
+ROOT_OF_3 = np.sqrt(3.0)
 EIGHT_PI_SQUARED = 8.0 * np.pi**2
 
 
@@ -34,12 +35,12 @@ class Chart(NamedTuple):
 
     Attributes
     ----------
-    flags : (N, 4) int64, see KIND ... HELD; the parent is FLOOR or an index.
+    flags : (N, 5) int64, see KIND ... EQUAL (whether it is a cube); the parent is FLOOR or an index.
     slots : (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none.
     base : (N, ROW) float64, the solids at the start: rotations are turns from there.
     order : (N,) int64, supports before what they carry.
     floor : (4, 4) float64, floor frame to camera at the start.
-    slack, overlap, floating : as in Rules. sunk : metres by which solids may sink into the floor.
+    slack, overlap, faces, floating : as in Rules. sunk : metres by which solids may sink into the floor.
     hanging : nats that touching nothing costs. sizes : as in Beliefs.
     structural : log prior of the structure itself: how many solids stand where, of which kinds, upright or not.
     """
@@ -51,6 +52,7 @@ class Chart(NamedTuple):
     floor: np.ndarray
     slack: float
     overlap: float
+    faces: float
     floating: bool
     sunk: float
     hanging: float
@@ -66,7 +68,7 @@ def make_chart(state, floor_pose, rules):
     parents = list(state.parents)
     order = order_of(parents)
     rows = np.array(state.rows, float)
-    flags, slots = np.zeros((count, 4), np.int64), np.full((count, SLOTS), -1, np.int64)
+    flags, slots = np.zeros((count, 5), np.int64), np.full((count, SLOTS), -1, np.int64)
     values: list[float] = []
 
     def free(solid, column, value):
@@ -78,7 +80,7 @@ def make_chart(state, floor_pose, rules):
         support = support_of(state, k, parents[k])
         vertical = state.forms[k] != FREE and kind != SPHERE
         held = support is not None and (vertical or kind == SPHERE)
-        flags[k] = kind, vertical, parents[k] if support is None else support, held
+        flags[k] = kind, vertical, parents[k] if support is None else support, held, state.cubes[k]
         if kind == SPHERE:  # a sphere may be turned as one likes: so that its contact needs no turn
             rows[k, 1:10] = np.diag([1.0, -1.0, -1.0]).ravel()
         free(k, X, row[10])
@@ -92,7 +94,7 @@ def make_chart(state, floor_pose, rules):
             for axis in (0, 1):
                 free(k, TURN + axis, 0.0)
         free(k, SIZE, row[13])
-        if kind == BOX and not state.cubes[k]:
+        if kind == BOX and (rules.faces > 0.0 or not state.cubes[k]):  # a cube's faces appear where they do
             free(k, SIZE + 1, row[14])
             free(k, SIZE + 2, row[15])
         elif kind == CYLINDER:
@@ -104,20 +106,20 @@ def make_chart(state, floor_pose, rules):
     loose = beliefs.loose
     overlap = loose.overlap if rules.overlap is None else rules.overlap
     chart = Chart(flags, slots, rows, np.array(order, np.int64), np.ascontiguousarray(floor_pose, dtype=float),
-                  rules.slack, overlap, rules.floating, loose.overlap, -float(np.log(loose.hanging)), beliefs.sizes,
-                  structure_log_prior(flags, slots, beliefs))  # fmt: skip
+                  rules.slack, overlap, rules.faces, rules.floating, loose.overlap, -float(np.log(loose.hanging)),
+                  beliefs.sizes, structure_log_prior(flags, beliefs))  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
 
 
-def structure_log_prior(flags, slots, beliefs):
+def structure_log_prior(flags, beliefs):
     """Return the log prior of a structure, all but the densities of its numbers: with those it is comparable between
     structures of different numbers of solids.
 
     Solids on the floor and on each top are a set: p(n) n! times the density of one place each.
     """
     total = beliefs.on_floor[min(int(np.sum(flags[:, PARENT] == FLOOR)), MOST)]
-    for k, (kind, vertical, _, _) in enumerate(flags):
-        row = row_of(flags[k], slots[k])
+    for k, (kind, vertical, _, _, equal) in enumerate(flags):
+        row = CUBE if equal else int(kind)
         total += beliefs.kinds[row] + (
             0.0 if kind == SPHERE else (beliefs.upright if vertical else beliefs.tilted)[row]
         )
@@ -127,11 +129,6 @@ def structure_log_prior(flags, slots, beliefs):
         else:  # what has no level top carries nothing but what leans on it
             total += carried * (beliefs.on_top[row][1] if kind != SPHERE else IMPOSSIBLE)
     return float(total)
-
-
-def row_of(flag, slot):
-    """Return the row of a solid's kind in tables of beliefs: cubes have one of their own."""
-    return CUBE if flag[KIND] == BOX and slot[SIZE] == slot[SIZE + 1] else int(flag[KIND])
 
 
 def support_of(state, k, parent):
@@ -238,7 +235,7 @@ def solid_log_prior(chart, rows, k):
     """
     row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
     kind = flag[KIND]
-    cube = kind == BOX and slot[SIZE] == slot[SIZE + 1]
+    cube = flag[EQUAL] == 1
     total = 0.0
     if min(row[13], row[14], row[15]) < LEAST_EXTENT:
         return -np.inf
@@ -246,7 +243,9 @@ def solid_log_prior(chart, rows, k):
         base = chart.base[k]
         if base[1] * row[1] + base[4] * row[4] < EIGHTH:
             return -np.inf
-    if kind == BOX and not cube:
+    if cube and slot[SIZE] != slot[SIZE + 1]:
+        total += apparent_cube_log_density(chart, row[13:16])
+    elif kind == BOX and not cube:
         total += box_log_density(chart.sizes[BOX], row[13:16], flag[VERTICAL])
     else:
         for i in range(3):
@@ -277,6 +276,24 @@ def solid_log_prior(chart, rows, k):
             apart = (gap / LEVEL_WITHIN) ** 4
             total -= chart.hanging * apart / (1.0 + apart)
     return total
+
+
+@njit(cache=True, nogil=True)
+def apparent_cube_log_density(chart, extents):
+    """Return the log density of the extents (3,) at which the faces of a cube appear to be, its side unknown.
+
+    Each extent is the side s and two faces' offsets, together normal with variance v = 2 faces^2, so that the density
+    is the integral over s of p(s) N(a; s, v) N(b; s, v) N(c; s, v): with p even over a few millimetres
+
+        p(m) exp(-((a - m)^2 + (b - m)^2 + (c - m)^2) / 2v) / (sqrt(3) 2 pi v),    m = (a + b + c) / 3.
+    """
+    mean, variance = (extents[0] + extents[1] + extents[2]) / 3.0, 2.0 * chart.faces**2
+    square = (extents[0] - mean) ** 2 + (extents[1] - mean) ** 2 + (extents[2] - mean) ** 2
+    return (
+        log_density_at(chart.sizes[CUBE, 0], mean)
+        - 0.5 * square / variance
+        - np.log(ROOT_OF_3 * 2.0 * np.pi * variance)
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -14,7 +14,6 @@ from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
 from derender.render.blur import blur, blur_radius
-from derender.render.likelihoods.base import temper
 from derender.render.raycast.engine import propose_state, settle_state
 from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD
 from derender.render.raycast.views import engine_of_view
@@ -123,8 +122,7 @@ def weights(sensor, base):
         other = padded[1 - down : 1 - down + height, 1 - right : 1 - right + width] - base
         np.maximum(step, np.abs(np.abs(one) - np.abs(other)), out=step)
     noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * base**2
-    worth = temper(sensor.values, sensor.likelihood.counted_pixels(sensor.observed))
-    return np.where(np.isfinite(sensor.observed), worth / (noise**2 + step**2 / SHARP), 0.0)
+    return np.where(sensor.observed > 0.0, sensor.worth / (noise**2 + step**2 / SHARP), 0.0)
 
 
 def contact_precision(chart, values, members):

@@ -11,13 +11,16 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
+from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.image import ROW
+from derender.detection.solids.misfit import AS_SEEN
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
+from derender.structures.draws.faces import true_faces
 from derender.structures.draws.metropolis import (
     Draws,
     ascend,
@@ -33,10 +36,12 @@ from derender.structures.draws.sensor import (
     blurs_about,
     final_sensor,
     first_sensor,
+    floor_depth,
     log_prior_of,
     model_depth,
     model_image,
     same_sensor_refitted,
+    too_far,
 )
 from derender.structures.draws.steps import own_members, touched_by
 
@@ -46,6 +51,10 @@ HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where out
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
 BLUR_POINTS, GROUPS = 200, 8  # points at which blurs are summed over, and parts of them that tell the error
+# Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
+MOST_BACKGROUND = 0.1
+# By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
+BEFORE, LEAST_DEPTH = 3.0, 0.01
 WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any; degrees of freedom of t
 
 
@@ -102,8 +111,7 @@ def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
 
 
 class View(NamedTuple):
-    """An image to refine by: its Camera; observed (H, W) metres, NaN where it says nothing; into, see Sensor;
-    effective_pixels that it is worth."""
+    """An image to refine by: its Camera; observed (H, W) and into, see Sensor; effective_pixels that it is worth."""
 
     camera: Camera
     observed: np.ndarray
@@ -111,10 +119,27 @@ class View(NamedTuple):
     effective_pixels: float = np.inf
 
 
-def view_of(seen):
-    """Return the View of an Observation."""
+def view_of(seen, temper=1.0):
+    """Return the View of an Observation of which so many pixels tell as much as one independent one.
+
+    Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
+    """
     camera = Camera(**{k: seen.camera[k] for k in ("fx", "fy", "cx", "cy", "width", "height")})
-    return View(camera, seen.single)  # what all pixels of a block say is bent where an edge runs through it
+    observed = seen.single  # what all pixels of a block say is bent where an edge runs through it
+    if seen.bend is not None:
+        observed = observed + seen.bend
+    if seen.correlation > CORRELATED or seen.things or background_share(seen) > MOST_BACKGROUND:
+        as_seen = (seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN)
+        nearest = np.minimum(seen.image.depth, floor_depth(seen.floor.pose, camera)) - BEFORE * seen.sigma
+        observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
+    return View(camera, observed, effective_pixels=np.inf if temper <= 1.0 else observed.size / temper)
+
+
+def background_share(seen):
+    """Return the share of the pixels that show background which the sensor model does not leave out as too far."""
+    good = seen.image.weight > 0
+    far = too_far(np.where(good, seen.image.depth, np.nan))
+    return float((seen.behind & good & ~far).sum() / max(good.sum(), 1))
 
 
 def refine(rng, views, floor_pose, state, rules, tries=THREADS):
@@ -158,7 +183,7 @@ def pixels_of(refined):
     pixels = np.zeros(count, np.int64)
     for view in refined.sensor.views:
         _, label = model_image(refined.chart, refined.values, view.camera, view.into)
-        shown = label[np.isfinite(view.observed) & (label > 0)]
+        shown = label[(view.observed > 0.0) & (label > 0)]
         pixels += np.bincount(shown, minlength=count + 1)[1:]
     return pixels
 
@@ -217,19 +242,30 @@ def floor_pose_of(refined):
     return poses[0].copy()
 
 
-def structure_posterior(refined, names, weight, chains: list[Draws]):
+def structure_posterior(rng, refined, names, weight, chains: list[Draws]):
     """Return the StructurePosterior of a Refined and its chains' draws.
 
-    The Refined takes the place of the first draw where none is better: a climb may end beside the mode.
+    The Refined takes the place of the first draw where none is better: a climb may end beside the mode. Numbers are of
+    the solids' faces where they are, not where they appear (`faces.py`); in the best draw no offset is drawn.
     """
-    graph = scene_graph(refined.state, floor_pose_of(refined), names, refined.chart.floating)
+    chart = refined.chart
     values = np.stack([chain.values for chain in chains])
     densities = np.stack([chain.densities for chain in chains])
-    if refined.log_prior + refined.log_likelihood > densities.sum(axis=-1).max():
-        values[0, 0] = refined.values
-        densities[0, 0] = refined.log_prior, refined.log_likelihood
+    heights = densities.sum(axis=-1)
+    best = divmod(int(heights.argmax()), heights.shape[1])
+    if refined.log_prior + refined.log_likelihood > heights.max():
+        best = 0, 0
+        values[best] = refined.values
+        densities[best] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
-    addresses, numbers, periods, root = numbers_of_draws(refined.chart, values.reshape(-1, size), graph, names)
+    likeliest = true_faces(None, chart, values[best][None])
+    values = true_faces(rng, chart, values.reshape(-1, size)).reshape(values.shape)
+    values[best] = likeliest[0]
+    state = refined_at(
+        refined.state, chart, true_faces(None, chart, refined.values[None])[0], refined.sensor, 0, 0
+    ).state
+    graph = scene_graph(state, floor_pose_of(refined), names, chart.floating)
+    addresses, numbers, periods, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)
     shape = values.shape[:2]
     return StructurePosterior(
         graph, addresses, numbers.reshape(*shape, -1), densities[..., 0], densities[..., 1], weight, periods,

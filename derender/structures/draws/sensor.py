@@ -10,6 +10,7 @@ from derender.detection.noise import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.detection.solids.image import ROW
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
+from derender.render.likelihoods.base import temper
 from derender.render.raycast.depth import render_depth
 from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
@@ -36,7 +37,8 @@ class Sensor(NamedTuple):
 
     Attributes
     ----------
-    camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out.
+    camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it
+        shows what is no part of the scene, see `Robust`.
     likelihood : of render.likelihoods; values : all its numbers.
     prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
     into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
@@ -50,6 +52,16 @@ class Sensor(NamedTuple):
     prior: Any = None
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()
+
+    @property
+    def returned(self):
+        """The image (H, W) in metres where it shows the scene, else NaN."""
+        return shown(self.observed)
+
+    @property
+    def worth(self):
+        """How many independent pixels one of the first view tells as much as: at most 1."""
+        return temper(self.values, self.likelihood.counted_pixels(self.observed))
 
     @property
     def views(self):
@@ -102,9 +114,24 @@ def model_depth(chart, values, camera, into=None):
     return model_image(chart, values, camera, into)[0]
 
 
+def floor_depth(floor, camera):
+    """Return the depth (H, W) of a floor alone, inf where it is not met."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1)
+    along = ray @ floor[:3, 2]
+    with np.errstate(divide="ignore"):
+        depth = (floor[:3, 3] @ floor[:3, 2]) / along
+    return np.where(depth > 0.0, depth, np.inf)
+
+
 def too_far(observed):
     """Return (H, W) bool: pixels so far behind most others that inference leaves them out."""
-    return observed > FAR_AWAY * np.nanmedian(observed)
+    return observed > FAR_AWAY * np.nanmedian(np.abs(observed))
+
+
+def shown(observed):
+    """Return an image (H, W) where it shows the scene, NaN where it shows something else or nothing."""
+    return np.where(observed > 0.0, observed, np.nan)
 
 
 def log_prior_of(prior, numbers):
@@ -137,7 +164,7 @@ def robust_fit(observed, clean, blurred, outliers, every=1):
     every : look at each `every`-th pixel of each `every`-th row.
     """
     model = blur(clean, blurred)[::every, ::every]
-    residual = observed[::every, ::every] - model
+    residual = shown(observed)[::every, ::every] - model
     sigma, growth = noise_of(residual, model)
     seen = np.isfinite(residual)
     missing = float(np.clip(np.mean(np.isnan(observed)), LEAST_MISSING, MOST_MISSING))
@@ -151,7 +178,7 @@ def robust_fit(observed, clean, blurred, outliers, every=1):
 
 def outlier_range(observed):
     """Return `near` and `far` of a robust likelihood: the default ones, or wider where the image has such depths."""
-    seen = observed[np.isfinite(observed)]
+    seen = np.abs(observed[np.isfinite(observed)])
     low, high = (seen.min(), seen.max()) if len(seen) else (NEAR, FAR)
     return {"near": float(min(NEAR, 0.9 * low)), "far": float(max(FAR, 1.1 * high))}
 
@@ -179,6 +206,8 @@ def best_fit(observed, clean, blurs, rates, steps, every=1):
             best = max([best, *trials], key=density_of)
     at = best[2]["blur"]
     robust = max([best, *(robust_fit(observed, clean, at, rate, every) for rate in rates[1:])], key=density_of)
+    if (observed < 0.0).any():  # only the robust likelihood knows of what is no part of the scene
+        return robust
     plain = gaussian_fit(observed, clean, at, every)
     return plain if density_of(plain) > density_of(robust) else robust
 

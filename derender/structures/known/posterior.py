@@ -24,7 +24,6 @@ from derender.scene.solids import MESH
 from derender.structures.draws.numbers import numbers_at, parameters_of
 from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.structures.known.image import walk_known
-from derender.structures.scored_posterior import NO_JOINT_STEPS
 
 STEPS = 24  # of each object between two draws
 LEAST_LIKELY = 1e-3
@@ -152,7 +151,7 @@ def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
     rows = in_the_way(placement.rows(placed), settings)
     if item.known is None:
         row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
-                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt, NO_JOINT_STEPS)  # fmt: skip
+                   settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
         return replace(item, row=row)
     known = item.known
     vertices, triangles = known.triangles

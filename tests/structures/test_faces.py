@@ -1,0 +1,122 @@
+"""Where the faces of real solids are, given where they appear; and what that makes of the prior of a cube."""
+
+import numpy as np
+import pytest
+
+from derender.detection.search.greedy import Settings
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.image import ROW, make_row
+from derender.detection.solids.interpenetration import highest, lowest
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.sizes import CUBE, log_density_at
+from derender.detection.solids.state import FLOOR, State
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.draws.chart import SIZE, apparent_cube_log_density, make_chart, place_rows
+from derender.structures.draws.faces import true_faces
+
+OFF = 0.003
+COUNT = 4000
+RULES = Rules(0.002, faces=OFF)
+
+
+def rows_of(chart, values):
+    """Return rows (n, N, ROW) of coordinates (n, D)."""
+    rows = np.empty((len(values), len(chart.flags), ROW))
+    for each, row in zip(values, rows, strict=True):
+        place_rows(chart, each, row)
+    return rows
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Return the rows (5, ROW) of a tower of four kinds with a box that leans beside it, and (COUNT, 5, ROW) draws."""
+    state = State()
+    state = state.add(
+        make_row(BOX, rotation_z(0.4)[:3, :3], [0, 0, 0.04], [0.1, 0.12, 0.08]), UPRIGHT, False, FLOOR, 0.0
+    )
+    upside_down = rotation_x(np.pi)[:3, :3]
+    state = state.add(make_row(CYLINDER, upside_down, [0, 0, 0.13], [0.08, 0.08, 0.1]), UPRIGHT, False, 0, 0.08)
+    state = state.add(make_row(BOX, np.eye(3), [0, 0, 0.21], [0.06] * 3), UPRIGHT, True, 1, 0.18)
+    state = state.add(make_row(SPHERE, np.eye(3), [0, 0, 0.27], [0.06] * 3), FREE, False, 2, 0.24)
+    leaning = rotation_x(0.6)[:3, :3]
+    state = state.add(make_row(BOX, leaning, [0.3, 0, 0.1], [0.05, 0.06, 0.07]), FREE, False, FLOOR, np.nan)
+    chart, values = make_chart(state, np.eye(4), RULES)
+    rng = np.random.default_rng(0)
+    return rows_of(chart, values[None])[0], rows_of(chart, true_faces(rng, chart, np.tile(values, (COUNT, 1))))
+
+
+def test_what_stands_stays_on_its_support(drawn):
+    _, rows = drawn
+    for draw in rows[:50]:
+        assert lowest(draw[0]) == pytest.approx(0.0, abs=1e-12)
+        for k in (1, 2, 3):
+            assert lowest(draw[k]) == pytest.approx(highest(draw[k - 1]), abs=1e-12)
+
+
+def test_shapes_stay_what_they_are(drawn):
+    start, rows = drawn
+    assert np.array_equal(rows[:, :, 1:10], np.broadcast_to(start[:, 1:10], rows[:, :, 1:10].shape))
+    assert np.allclose(rows[:, 1, 13], rows[:, 1, 14])
+    for k in (2, 3):
+        assert np.ptp(rows[:, k, 13:16], axis=1).max() < 1e-12
+
+
+def test_each_face_has_an_offset_of_its_own(drawn):
+    """An extent is two faces' and spreads by the root of two; of a cube three pairs of faces tell the side."""
+    start, rows = drawn
+    spread = (rows[:, :, 13:16] - start[:, 13:16]).std(axis=0) / OFF
+    error = 4 / np.sqrt(2 * COUNT)  # four standard errors of a standard deviation, relative
+    root = np.sqrt(2)
+    wanted = np.array([[root] * 3, [root] * 3, [root / np.sqrt(3)] * 3, [root] * 3, [root] * 3])
+    assert np.abs(spread / wanted - 1).max() < error
+    assert np.abs((rows[:, :, 13:16] - start[:, 13:16]).mean(axis=0)).max() < 4 * root * OFF / np.sqrt(COUNT)
+    tops = rows[:, :2, 12] + 0.5 * rows[:, :2, 15]
+    assert np.abs(tops.std(axis=0) / (root * OFF) - 1).max() < error  # over the floor, however many solids are below
+    # the middle of a free extent moves by half the difference of two offsets
+    middle = (rows[:, 4, 10:13] - start[4, 10:13]) @ start[4, 1:10].reshape(3, 3)
+    assert np.abs(middle.std(axis=0) / (OFF / root) - 1).max() < error
+
+
+def test_all_on_the_floor_share_its_offset():
+    state = State()
+    for x in (0.0, 0.2):
+        row = make_row(BOX, np.eye(3), [x, 0, 0.04], [0.1, 0.12, 0.08])
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    chart, values = make_chart(state, np.eye(4), RULES)
+    drawn = true_faces(np.random.default_rng(0), chart, np.tile(values, (COUNT, 1)))
+    heights = drawn[:, chart.slots[:, SIZE + 2]]
+    assert abs(np.corrcoef(heights.T)[0, 1] - 0.5) < 4 * 0.75 / np.sqrt(COUNT)  # half of each variance is the floor's
+
+
+def test_only_images_of_real_sensors_have_it():
+    assert Settings().for_correlation(0.2).rules.faces == 0.0
+    assert Settings().for_correlation(0.8).rules.faces == bare_image().loose.faces == OFF
+    chart, values = cube_chart(RULES._replace(faces=0.0))
+    assert np.array_equal(true_faces(np.random.default_rng(0), chart, values[None])[0], values)
+
+
+def cube_chart(rules=RULES):
+    state = State().add(make_row(BOX, np.eye(3), [0, 0, 0.05], [0.1] * 3), UPRIGHT, True, FLOOR, 0.0)
+    return make_chart(state, np.eye(4), rules)
+
+
+@pytest.mark.parametrize("extents", [(0.1, 0.1, 0.1), (0.104, 0.097, 0.1), (0.05, 0.058, 0.053)])
+def test_a_cube_appears_as_its_side_and_offsets_make_it(extents):
+    """Against the integral over the side, by a sum."""
+    (chart, _), sides = cube_chart(), np.linspace(0.02, 0.2, 200_001)
+    logs = np.array([log_density_at(chart.sizes[CUBE, 0], side) for side in sides])
+    for extent in extents:
+        logs += -0.25 * ((extent - sides) / OFF) ** 2 - 0.5 * np.log(4.0 * np.pi * OFF**2)
+    expected = np.logaddexp.reduce(logs) + np.log(sides[1] - sides[0])
+    found = apparent_cube_log_density(chart, np.array(extents))
+    assert found == pytest.approx(expected, abs=0.02)
+    wider = chart._replace(faces=1.5 * OFF)  # the broken twin: other offsets than those that are drawn
+    assert apparent_cube_log_density(wider, np.array(extents)) != pytest.approx(expected, abs=0.1)
+
+
+def test_the_most_probable_cube_has_the_mean_of_the_extents_at_which_it_appears():
+    chart, values = cube_chart()
+    values[chart.slots[0, SIZE:]] = 0.099, 0.104, 0.097
+    assert np.allclose(true_faces(None, chart, values[None])[0, chart.slots[0, SIZE:]], 0.1)

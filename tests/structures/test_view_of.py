@@ -1,0 +1,54 @@
+"""What inference is given of a real sensor's image: where something else than the scene shows, how much pixels tell."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.scene.pose import rotation_x, translation
+from derender.structures.draws.refined import BEFORE, view_of
+from derender.structures.draws.sensor import floor_depth, shown
+
+CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
+POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
+NOISE = 0.004
+
+
+def observation(correlation):
+    """Return what stands for an Observation: a floor, a thing before it on the left, and a wall behind on the right."""
+
+    plane = floor_depth(POSE, Camera(**CAMERA))
+    depth = np.minimum(plane, 1.2)
+    behind = np.zeros(depth.shape, bool)
+    behind[:, 24:] = True
+    depth[:, :6] -= 0.1
+    floor = plane.copy()
+    floor[:, :6], floor[:, 24:] = depth[:, :6], depth[:, 24:]
+    image = SimpleNamespace(depth=depth, floor=floor, weight=np.ones(depth.shape))
+    single = depth.copy()
+    single[3, 3] = single[20, 12] = np.nan
+    return SimpleNamespace(
+        camera=CAMERA, single=single, bend=None, correlation=correlation, things=(), behind=behind, image=image,
+        floor=SimpleNamespace(pose=POSE), sigma=np.full(depth.shape, NOISE),
+    )  # fmt: skip
+
+
+def test_what_is_no_part_of_the_scene_bounds_it():
+    seen = observation(0.8)
+    view = view_of(seen, 4.0)
+    assert view.effective_pixels == seen.single.size / 4.0
+    assert np.array_equal(np.isnan(view.observed), np.isnan(seen.single))
+    of_scene, returned = shown(view.observed), np.isfinite(seen.single)
+    plain = np.abs(seen.image.floor - seen.image.depth) > 1e-6
+    assert np.array_equal(np.isfinite(of_scene), plain & returned)
+    assert np.array_equal(of_scene[plain & returned], seen.single[plain & returned])
+    bounds = -view.observed[~plain & returned]
+    nearest = np.minimum(seen.image.depth, floor_depth(POSE, view.camera))[~plain & returned]
+    assert np.allclose(bounds, nearest - BEFORE * NOISE)
+
+
+def test_an_image_of_independent_noise_shows_a_scene_all_over():
+    seen = observation(0.0)
+    seen.behind[:] = False
+    view = view_of(seen)
+    assert np.array_equal(view.observed, seen.single, equal_nan=True) and view.effective_pixels == np.inf
