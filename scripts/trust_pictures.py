@@ -17,7 +17,7 @@ import derender
 from derender.cli import status_of
 from derender.render.renderers.preview import default_colours
 from derender.results.fit import fit_of
-from derender.results.probability_text import digits
+from derender.results.table import digits
 
 SIZE = 256, 192
 RED = np.array([215, 30, 30])

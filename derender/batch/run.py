@@ -1,14 +1,20 @@
 """The story of many frames: what is missing is inferred, told and gathered, until all is done or someone stops it."""
 
+import os
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from derender.batch.frames import Frame, Watch, find_frames
 from derender.batch.ledger import Ledger
-from derender.batch.work import Done, Order
+from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
+from derender.compilation.threads import THREADS_VARIABLE, safe_path
 from derender.sampling.workers import interruptible
 
 LOOK = 0.2  # seconds between two looks at what is finished and at what has come
@@ -146,3 +152,62 @@ class _InTurn:
         self.early[done.frame.name] = done
         while self.names and self.names[0] in self.early:
             self.tell(self.early.pop(self.names.popleft()))
+
+
+ENDING = ("SIGINT", "SIGTERM", "SIGHUP")  # a terminal or a scheduler sends them to all processes of a group
+
+
+class Processes:
+    """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on."""
+
+    def __init__(self, size: int, order: Order, output: str) -> None:
+        self._size, self.order, self.output = size, order, output
+        self._idle: list[ProcessPoolExecutor] = []
+        self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
+        self._context = get_context("spawn")
+
+    @property
+    def size(self) -> int:
+        """How many frames can be in work at a time."""
+        return self._size
+
+    @property
+    def busy(self) -> int:
+        """How many frames are in work."""
+        return len(self._busy)
+
+    def submit(self, frame: Frame) -> None:
+        """Begin to infer a frame; fewer than `size` are in work."""
+        executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
+        with safe_path():  # an executor starts its process with its first task
+            self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
+
+    def finished(self, timeout: float) -> list[Done]:
+        """Return the frames that were finished since the last call; waits for one for so many seconds at most."""
+        done = []
+        for future in wait(self._busy, timeout, FIRST_COMPLETED).done:
+            executor, frame = self._busy.pop(future)
+            try:
+                done.append(future.result())
+                self._idle.append(executor)
+            except BrokenProcessPool:
+                executor.shutdown(wait=False)
+                why = "the process that worked on it died: there may be too little memory"
+                done.append(failure(frame, why)._replace(died=True))
+        return done
+
+    def close(self) -> None:
+        """End the processes; what is in work is given up."""
+        for executor in [*self._idle, *(executor for executor, _ in self._busy.values())]:
+            for process in list((executor._processes or {}).values()):
+                process.kill()
+            executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Make this process one of many: signals to end are its parent's business, and one thread is its share."""
+    for name in ENDING:
+        if hasattr(signal, name):  # not on Windows
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    os.environ[THREADS_VARIABLE] = "1"
+    leave_with_parent()

@@ -126,7 +126,7 @@ def write_thumbnail(path: Path, posterior, seen: "DepthImage") -> None:
     """Write a small picture: the depth image, and beside it the best scene."""
     import numpy as np
 
-    from derender.camera.png import png_bytes
+    from derender.camera.image_files import png_bytes
     from derender.render.raycast.depth import render_depth
     from derender.report import pictures
     from derender.scene.solids import PLANE

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from derender.camera.device_files import DEVICES, STRAY_SCANNER, refuse_named_distortion
-from derender.camera.file_bytes import read_bytes
+from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import Camera, finite_number
 from derender.errors import DerenderError
 from derender.json_text import MOST_DEPTH, parse_json

@@ -30,8 +30,7 @@ from derender.camera.depth_formats import (
     encode_tiff,
     recognise,
 )
-from derender.camera.exr import encode_exr
-from derender.camera.file_bytes import read_bytes
+from derender.camera.image_files import encode_exr, read_bytes
 from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera
 from derender.camera.ros_bag import is_bag, read_frame
 from derender.errors import DerenderError

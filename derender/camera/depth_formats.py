@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.exr import decode_exr
+from derender.camera.image_files import decode_exr
 from derender.camera.intrinsics import MOST_PIXELS, Camera
 from derender.errors import DerenderError
 from derender.json_text import parse_json
@@ -141,7 +141,7 @@ def _decode_picture(data: bytes) -> Decoded:
 
     from PIL import Image, UnidentifiedImageError
 
-    from derender.camera.silence import silence
+    from derender.camera.image_files import silence
 
     with silence(), warnings.catch_warnings(), contextlib.ExitStack() as stack:
         warnings.simplefilter("ignore")  # about corrupt metadata; the pixels are what counts

@@ -15,7 +15,7 @@ import numpy as np
 
 from derender.atomic import write_text
 from derender.camera.camera_file import LARGEST_FILE, load_tree
-from derender.camera.file_bytes import read_bytes
+from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import finite_number
 from derender.errors import DerenderError
 from derender.scene.pose import inverse, rotation_z

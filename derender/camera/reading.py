@@ -7,7 +7,7 @@ import numpy as np
 
 from derender.camera.depth_file import DepthImage, read_depth, turned
 from derender.camera.depth_formats import MOST_BYTES
-from derender.camera.file_bytes import read_bytes
+from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import unit_vector
 from derender.errors import DerenderError
 

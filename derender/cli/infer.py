@@ -249,8 +249,7 @@ def _many(
     talk: Talk, images: tuple[str, ...], watch: bool, scheduler: str | None, arguments: dict[str, Any]
 ) -> int | None:
     """Infer many images, say a line of each, and write the tables of all."""
-    from derender.batch.processes import Processes
-    from derender.batch.run import Crew, duration, infer_frames
+    from derender.batch.run import Crew, Processes, duration, infer_frames
     from derender.batch.work import Order
     from derender.structures.options import Options
 

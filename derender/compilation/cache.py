@@ -6,8 +6,8 @@ a home folder can be written it refuses to import. Here every entry is one file 
 on: the kernel's file and every file of derender that it imports, directly or not, the types of the arguments, numba
 and the processor. An entry is written under a temporary name and moved into place, so processes cannot harm each other.
 
-numba is imported by the process that compiles something (kernel_compiler.py), and by no other: what was compiled before
-is loaded without it (kernel_loader.py), for its import takes as long as many a command.
+numba is imported by the process that compiles something (compiler.py), and by no other: what was compiled before
+is loaded without it (loader.py), for its import takes as long as many a command.
 
 The folder is the first of these that can be written and that nobody else can write to: NUMBA_CACHE_DIR, the
 `__pycache__` beside the source, the user's cache folder, and a private folder for temporary files. Without any, kernels
@@ -282,3 +282,17 @@ def _candidates(source: Path):
             return
         if not private.is_symlink() and status.st_uid == os.getuid() and not status.st_mode & 0o077:
             yield private / name
+
+
+# Compiled kernels called through their addresses: `call_for_number(address, *arguments)` in a kernel calls one that
+# returns a number. What a kernel calls by name is compiled into it a second time: seconds, for something as large as
+# the engine. A call through an address costs a nanosecond, and its target is compiled once. An address holds in one
+# process only: it is looked up when a state is made and never kept in a file.
+call_for_nothing, call_for_number, call_for_two_numbers = late(
+    "derender.compilation.compiler", "call_for_nothing", "call_for_number", "call_for_two_numbers"
+)
+
+
+def address_of(kernel, *arguments) -> int:
+    """Return where the version of a kernel for arguments of these types lies in this process; compiled if need be."""
+    return kernel.version(arguments).address

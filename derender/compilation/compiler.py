@@ -1,6 +1,6 @@
 """Kernels compiled by numba: the one file that imports it, in processes that have something to compile.
 
-Beside the entry from which a version is loaded (kernel_loader.py) numba keeps one of its own, for compiling the version
+Beside the entry from which a version is loaded (loader.py) numba keeps one of its own, for compiling the version
 into others: the bitcode that they inline, and what it knows of the types.
 """
 

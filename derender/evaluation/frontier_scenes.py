@@ -10,8 +10,7 @@ import numpy as np
 import trimesh
 
 from derender.camera.intrinsics import Camera
-from derender.evaluation.made_bridges import settled_bridge
-from derender.evaluation.made_scenes import settle
+from derender.evaluation.made_scenes import settle, settled_bridge
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids

@@ -137,7 +137,7 @@ class Posterior(kept.Posterior):
     @property
     def structures(self) -> tuple[Structure, ...]:
         """The structures found, the most probable first."""
-        from derender.report.structure_words import structure_words
+        from derender.report.tree_text import structure_words
 
         ordered = sorted(self.parts, key=lambda part: -part.weight)
         return tuple(
@@ -242,24 +242,24 @@ class Posterior(kept.Posterior):
 
     def plot_depth(self, ax=None):
         """Draw the observed depth into matplotlib axes, new ones by default, and return them."""
-        from derender.interface.plots import plot_depth
+        from derender.interface.display import plot_depth
 
         return plot_depth(self, ax)
 
     def plot_sizes(self, ax=None):
         """Draw each object's sizes with their 90 % ranges into matplotlib axes, and return them."""
-        from derender.interface.plots import plot_sizes
+        from derender.interface.display import plot_sizes
 
         return plot_sizes(self, ax)
 
     def plot_structures(self, ax=None):
         """Draw the structures' probabilities into matplotlib axes, and return them."""
-        from derender.interface.plots import plot_structures
+        from derender.interface.display import plot_structures
 
         return plot_structures(self, ax)
 
     def _repr_html_(self) -> str:
-        from derender.interface.html import posterior_html
+        from derender.interface.display import posterior_html
 
         return posterior_html(self)
 

@@ -135,11 +135,11 @@ class Scene:
 
     def plot_depth(self, ax=None):
         """Draw its depth image into matplotlib axes, new ones by default, and return them."""
-        from derender.interface.plots import plot_depth
+        from derender.interface.display import plot_depth
 
         return plot_depth(self, ax)
 
     def _repr_html_(self) -> str:
-        from derender.interface.html import scene_html
+        from derender.interface.display import scene_html
 
         return scene_html(self)

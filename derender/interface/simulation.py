@@ -6,8 +6,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
-from derender.interface.functions import as_scene, load
-from derender.interface.keywords import only_its_keywords
+from derender.interface.functions import as_scene, load, only_its_keywords
 from derender.interface.posterior import Posterior
 from derender.interface.scene import Scene
 from derender.physics.intervention import intervention

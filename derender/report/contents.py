@@ -86,7 +86,7 @@ def report_of(
     shown : whether a page is made of it: only that needs draws and downloads.
     """
     from derender.report.scene_json import scene_json
-    from derender.report.structure_words import told_structures
+    from derender.report.tree_text import told_structures
 
     known: dict[str, Any] = {**sensor_words(likelihood or {}), **dict(facts or {})}
     draws, rows, structures = [], [], []

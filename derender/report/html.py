@@ -12,7 +12,7 @@ from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.report.depth_pictures import depth_pictures
 from derender.results import trust
-from derender.results.probability_text import probability_text
+from derender.results.table import probability_text
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from derender.atomic import atomic_path
+from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.camera.png import png_bytes
 from derender.physics.next_view import NextView
 from derender.report.pictures import paint, shade
 from derender.scene.graph import SceneGraph

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.camera.png import png_bytes
 from derender.scene.solids import Solids
 
 MISSING = np.array([58, 58, 64], dtype=np.uint8)

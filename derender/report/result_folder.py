@@ -48,7 +48,7 @@ class Outcome:
 
     def structures(self) -> list[str]:
         """Return a line for each structure found that has any weight in two digits: what rests on what."""
-        from derender.report.structure_words import hidden_words, told_structures
+        from derender.report.tree_text import hidden_words, told_structures
 
         told = told_structures(self.posterior)
         wide = max(len(probability) for probability, _ in told)

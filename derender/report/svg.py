@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.results.probability_text import SURE, digits
+from derender.results.table import SURE, digits
 
 CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
 TRACE_POINTS = 160

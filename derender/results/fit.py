@@ -14,13 +14,63 @@ from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
-from derender.results.noise import Noise, flat_noise
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
 # Three standard deviations of what depth cameras are off by at a depth z, from planes before consumer sensors (white
 # noise, slow bias and edges together): 12 mm at 1 m, 32 mm at 2 m.  A depth within it is explained.
+PATCHES_ABREAST, SMALLEST = 40, 6  # patches in a row of the image; pixels of a patch's side at least
+FLAT = 0.25  # share of the patches that surely show one flat surface and nothing else
+LEAST_PATCHES = 8  # fewer tell nothing
+
+
+class Noise(NamedTuple):
+    """Standard deviation sigma_0 + growth z^2 at a depth z, metres.
+
+    Attributes
+    ----------
+    sigma : at the median depth. sigma_0 : metres; growth : 1/m.
+    """
+
+    sigma: float
+    sigma_0: float
+    growth: float
+
+    def at(self, depth: np.ndarray) -> np.ndarray:
+        """Return the standard deviation at depths in metres."""
+        return self.sigma_0 + self.growth * np.square(depth)
+
+
+def flat_noise(observed: np.ndarray) -> Noise:
+    """Return the Noise that the flattest patches of an image (H, W) show; none where there are too few patches.
+
+    A plane's inverse depth is affine in the pixel's place, so that residuals of a linear fit to it are noise alone.
+    A near and a far half of the patches tell whether it grows.
+    """
+    side = max(SMALLEST, observed.shape[1] // PATCHES_ABREAST)
+    rows, columns = observed.shape[0] // side, observed.shape[1] // side
+    tiles = observed[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    patches = tiles.swapaxes(1, 2).reshape(rows * columns, side * side)
+    patches = patches[np.isfinite(patches).all(axis=1)]
+    if len(patches) < LEAST_PATCHES:
+        return Noise(0.0, 0.0, 0.0)
+    at = np.linspace(-1.0, 1.0, side)
+    design = np.column_stack([np.ones(side * side), np.repeat(at, side), np.tile(at, side)])
+    basis, _ = np.linalg.qr(design)
+    inverse = 1.0 / patches
+    residual = inverse - (inverse @ basis) @ basis.T
+    middle = np.median(patches, axis=1)
+    scatter = np.sqrt((residual**2).sum(axis=1) / (side * side - 3)) * middle**2
+    near = middle <= np.median(middle)
+    square = np.array([np.mean(middle[half] ** 2) for half in (near, ~near) if half.any()])
+    spread = np.array([np.quantile(scatter[half], FLAT) for half in (near, ~near) if half.any()])
+    growth = float((spread[-1] - spread[0]) / (square[-1] - square[0])) if square[-1] > square[0] else 0.0
+    growth = float(np.clip(growth, 0.0, spread[0] / square[0]))  # from nothing at no distance, at most
+    sigma_0 = float(spread[0] - growth * square[0])
+    return Noise(float(sigma_0 + growth * np.median(middle) ** 2), sigma_0, growth)
+
+
 SENSOR_PER_DEPTH, SENSOR_PER_SQUARE = 0.008, 0.004  # metres by metre, by square metre
 DEVIATIONS = 4.0  # of the noise that the image's own flat patches show, where that is more
 MOST_TOLERANCE = 0.05  # of the depth: whatever the noise, a depth that is farther off is not explained
@@ -124,7 +174,7 @@ def _along(extreme: np.ufunc, values: np.ndarray, reach: int, axis: int) -> np.n
 
 def write_labels(path: str | Path, label: np.ndarray) -> None:
     """Write labels (H, W) as a 16-bit grey PNG, whole or not at all."""
-    from derender.camera.png import png_bytes
+    from derender.camera.image_files import png_bytes
 
     with atomic_path(path) as temporary:
         temporary.write_bytes(png_bytes(label))

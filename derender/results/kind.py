@@ -7,7 +7,7 @@ On a plane one function of the numbers is affine in the pixel's place: of depth 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.results.noise import Noise
+from derender.results.fit import Noise
 from derender.results.trust import Doubt
 
 LOOKED_AT = 4000  # pixels, at most, evenly spread

@@ -1,8 +1,8 @@
 """Kernels compiled by a second process while the first one compiles others: half the wait at the first use.
 
 A command says with `precompile` what it will need late. If it comes to compile anything, a process starts that
-compiles that, on a scene of a few pixels; the kernels reach the command through the cache (kernel_cache.py), which lets
-no two processes compile the same one.
+compiles that, on a scene of a few pixels; the kernels reach the command through the cache (compilation/cache.py), which
+lets no two processes compile the same one.
 """
 
 import functools
@@ -75,7 +75,7 @@ def steps_of_chains() -> None:
     """
     import numpy as np
 
-    from derender.compilation.call import address_of
+    from derender.compilation.cache import address_of
     from derender.document import read_prior_document
     from derender.posterior.adaptation import first_tuning
     from derender.posterior.compiled.contacts import stand_all

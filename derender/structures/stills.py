@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.results.fit import tolerance_of
-from derender.results.noise import flat_noise
+from derender.results.fit import flat_noise, tolerance_of
 from derender.structures.options import Frame
 
 STILL = 0.1  # pixels by which what is seen may move between images that count as from one place

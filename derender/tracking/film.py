@@ -12,7 +12,7 @@ import numpy as np
 
 from derender.camera.camera_file import camera_from_tree, read_camera
 from derender.camera.depth_file import read_depth
-from derender.camera.file_bytes import read_bytes
+from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 

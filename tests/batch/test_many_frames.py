@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from derender.batch.frames import Frame
-from derender.batch.processes import Processes
-from derender.batch.run import infer_frames
+from derender.batch.run import Processes, infer_frames
 from derender.batch.work import Done, Order, failure, is_done
 from derender.structures.options import Options
 

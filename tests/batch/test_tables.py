@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from derender.batch.frames import Frame, Watch, find_frames, is_many
-from derender.batch.index import index_page
-from derender.batch.ledger import Ledger
+from derender.batch.ledger import Ledger, index_page
 from derender.batch.run import duration, words
 from derender.batch.work import Done, Order
-from derender.camera.png import png_bytes
+from derender.camera.image_files import png_bytes
 from derender.errors import DerenderError
 from derender.results.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of
 from derender.scene.pose import rotation_x, rotation_z, translation

@@ -234,7 +234,7 @@ def whole_files():
     files = [path.read_bytes() for path in FILES.glob("*_*.*") if "8bit" not in path.name]
     stream = io.BytesIO()
     np.save(stream, TRUTH)
-    from derender.camera.exr import encode_exr
+    from derender.camera.image_files import encode_exr
 
     exr = encode_exr(np.nan_to_num(TRUTH))
     return [*files, stream.getvalue(), encode_npz(np.nan_to_num(TRUTH), CAMERA, {"seed": 1}), exr]

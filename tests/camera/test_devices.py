@@ -7,8 +7,8 @@ import pytest
 
 from derender.camera.camera_file import read_camera
 from derender.camera.depth_file import DepthImage
+from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.camera.png import png_bytes
 from derender.camera.reading import Reading, direction, turned
 from derender.errors import DerenderError
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from derender.compilation.cache import njit
-from derender.compilation.call import address_of, call_for_nothing, call_for_number
+from derender.compilation.cache import address_of, call_for_nothing, call_for_number, njit
 
 
 @njit

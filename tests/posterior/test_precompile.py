@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import typeof
 
-from derender.compilation import call as kernel_call
+from derender.compilation import cache
 from derender.document import read_prior_document
 from derender.posterior.compiled import backend
 from derender.posterior.compiled import mixture as arrays
@@ -44,7 +44,7 @@ def test_the_steps_of_chains_are_compiled_for_the_types_that_a_chain_has(monkeyp
         return note
 
     with monkeypatch.context() as patched:
-        patched.setattr(kernel_call, "address_of", lambda kernel, *given: noted(kernel, asked, lambda *_: 0)(*given))
+        patched.setattr(cache, "address_of", lambda kernel, *given: noted(kernel, asked, lambda *_: 0)(*given))
         steps_of_chains()
     monkeypatch.setattr(backend, "sweep", noted(backend.sweep, used, backend.sweep))
     monkeypatch.setattr(arrays, "stand_all", noted(arrays.stand_all, used, arrays.stand_all))

@@ -11,15 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.camera.png import png_bytes
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables
 from derender.report.contents import Report
 from derender.report.html import page
-from derender.report.structure_words import structure_words
 from derender.report.tables import cells, parameter_rows, unit_of
-from derender.report.tree_text import scene_lines
+from derender.report.tree_text import scene_lines, structure_words
 from derender.results import trust
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, rotation_z, translation

@@ -5,7 +5,7 @@ import pytest
 from browser import axe_source, needed, run_in_page
 from test_html import report as gathered  # noqa: F401  the fixture, under a name that no argument hides
 
-from derender.batch.index import index_page
+from derender.batch.ledger import index_page
 from derender.report.html import page
 from derender.results.regions import Region
 from derender.results.table import failed_row, rows_of

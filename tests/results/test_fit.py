@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.results.fit import MOST_TOLERANCE, fit_of, neighbourhood, write_explained, write_labels
-from derender.results.noise import flat_noise
+from derender.results.fit import MOST_TOLERANCE, fit_of, flat_noise, neighbourhood, write_explained, write_labels
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 
 CAMERA = Camera.from_field_of_view(96, 72)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from derender.results.objects import size_intervals, weighted_quantile
+from derender.report.scene_json import size_intervals, weighted_quantile
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 

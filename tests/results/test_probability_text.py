@@ -2,7 +2,7 @@
 
 import pytest
 
-from derender.results.probability_text import probability_text
+from derender.results.table import probability_text
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from derender.errors import DerenderError
-from derender.numbers import parse_number, write_number
+from derender.scene.codec.yaml_nodes import parse_number, write_number
 from derender.scene.codec.yaml_tree import parse_yaml, read_yaml
 
 

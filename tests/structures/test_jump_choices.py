@@ -28,8 +28,8 @@ from derender.scene.pose import (
 )
 from derender.scene.priors.values import ROTATION
 from derender.structures.jumps.base import Target, evaluate, log_proposal_ratio, moves
-from derender.structures.jumps.birth_death import Birth, Death
 from derender.structures.jumps.charts import HAAR, rotation_density, rotation_near
+from derender.structures.jumps.exchanges import Birth, Death
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, PriorProposal
 from derender.structures.jumps.smc import STAY, Particle, log_increment
 from derender.structures.jumps.vocabulary import Vocabulary

@@ -8,7 +8,7 @@ from derender.evaluation.frontier_scenes import KINDS, make
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
-from derender.structures.known.grids import cells_of
+from derender.structures.known.identities import cells_of
 from derender.structures.known.library import Known
 from derender.structures.options import Options
 

@@ -18,8 +18,8 @@ from test_jump_posterior import CAMERA, TINY, VALUES, key_of
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.structures.jumps import mixture
 from derender.structures.jumps.base import Target, evaluate
-from derender.structures.jumps.birth_death import Birth, BirthDeath
 from derender.structures.jumps.chain import walk
+from derender.structures.jumps.exchanges import Birth, BirthDeath
 from derender.structures.jumps.slots import SlotImage
 from derender.structures.jumps.vocabulary import Vocabulary
 

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from derender.compilation.cache import njit
-from derender.compilation.call import call_for_nothing, call_for_number, call_for_two_numbers
+from derender.compilation.cache import call_for_nothing, call_for_number, call_for_two_numbers, njit
 from derender.posterior.compiled.evaluate import fill, put_all
 from derender.posterior.compiled.layout import (
     CHILD_FACE,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.compilation.call import address_of
+from derender.compilation.cache import address_of
 from derender.posterior.compiled import steps
 from derender.posterior.compiled.contacts import put_down, reattach, stand_all
 from derender.posterior.compiled.layout import SCALE, Chain, Kernels, Model

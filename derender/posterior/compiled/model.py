@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from derender.compilation.call import address_of
+from derender.compilation.cache import address_of
 from derender.posterior.compiled import poses
 from derender.posterior.compiled.layout import (
     CONTACT,

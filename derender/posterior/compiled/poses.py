@@ -2,8 +2,7 @@
 
 import math
 
-from derender.compilation.cache import njit
-from derender.compilation.call import call_for_nothing
+from derender.compilation.cache import call_for_nothing, njit
 from derender.posterior.compiled.layout import (
     CHILD_FACE,
     CONTACT_CODE,

@@ -3,8 +3,7 @@
 import functools
 import math
 
-from derender.compilation.cache import njit
-from derender.compilation.call import call_for_number
+from derender.compilation.cache import call_for_number, njit
 from derender.posterior import space
 from derender.posterior.compiled.layout import CODE, DENSITY_AT, DIRECTION, DRAW_AT, OFFSET, PERIOD, ROTATION
 from derender.scene.distributions import DistributionType, distributions

@@ -5,8 +5,7 @@ The engine is called from one place only, since whatever a compiled function cal
 
 import math
 
-from derender.compilation.cache import njit
-from derender.compilation.call import call_for_number
+from derender.compilation.cache import call_for_number, njit
 from derender.posterior.compiled.evaluate import evaluate, settle
 from derender.posterior.compiled.layout import (
     COUNT,

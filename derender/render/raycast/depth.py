@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from derender.compilation.cache import njit
-from derender.compilation.call import address_of, call_for_nothing
+from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.convex import PREPARED, inverse_depth, prepare_solid
 from derender.render.raycast.mesh import draw_mesh
 from derender.scene.solids import MESH, Solids

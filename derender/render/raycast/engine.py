@@ -18,8 +18,7 @@ import math
 
 import numpy as np
 
-from derender.compilation.cache import njit
-from derender.compilation.call import address_of, call_for_nothing, call_for_number
+from derender.compilation.cache import address_of, call_for_nothing, call_for_number, njit
 from derender.render.raycast.depth import bound_address, rasterise_address
 from derender.render.raycast.filter import blur_for
 from derender.render.raycast.lane_names import LANES

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender import __version__
-from derender.report.export.upright import upright_pose
-from derender.report.geometry import plane_patch, solid_mesh
+from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.scene import solids as kinds
 from derender.scene.pose import quaternion, rotation_x

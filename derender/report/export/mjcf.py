@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from derender.report.export.upright import upright_pose
+from derender.report.geometry import upright_pose
 from derender.report.pictures import colours_of
 
 if TYPE_CHECKING:

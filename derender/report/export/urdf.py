@@ -10,8 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from derender.physics.bodies import DENSITY
-from derender.report.export.upright import upright_pose
-from derender.report.geometry import plane_patch, solid_mesh
+from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.scene import solids as kinds
 

@@ -5,8 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from derender.numbers import write_number
-from derender.scene.codec.yaml_nodes import reads_as_text
+from derender.scene.codec.yaml_nodes import reads_as_text, write_number
 
 _PLAIN = re.compile(r"[A-Za-z0-9_+/.-]([A-Za-z0-9_+/. -]*[A-Za-z0-9_+/.-])?")
 

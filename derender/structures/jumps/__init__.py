@@ -1,13 +1,6 @@
-"""Reversible jumps over scene graphs, one file per move; importing the package registers them all."""
+"""Reversible jumps over scene graphs; importing the package registers all moves."""
 
-from derender.structures.jumps import (  # noqa: F401 - registered by being imported
-    birth_death,
-    change_shape,
-    exchange_sizes,
-    reparent,
-    resimulate,
-    wiggle,
-)
+from derender.structures.jumps import exchanges, reparent, resimulate  # noqa: F401 - registered by being imported
 from derender.structures.jumps.base import Info, Move, State, evaluate, mixture, moves, step
 
 __all__ = ["Info", "Move", "State", "evaluate", "mixture", "moves", "step"]
