@@ -14,7 +14,8 @@ FACE_BITS = 24
 FACE_MASK = (1 << FACE_BITS) - 1
 QUADRIC = FACE_MASK  # the "face" number of a curved surface; others count the front faces in the order of `prepared`
 NOTHING = -1
-PIECES, CORNERS = 512, 24  # most pieces of one pixel, and corners of one piece
+PIECES: int = 512  # of one pixel at most
+CORNERS: int = 24  # of one piece at most
 ROOM = 6  # parts and borders to a pixel or triangle, on average, that there is room for
 SPARE = 1 << 14  # and so many more
 
