@@ -15,7 +15,7 @@ from derender.interface.scene import Scene
 from derender.results import posterior as kept
 
 if TYPE_CHECKING:
-    from derender.interface.simulation import Acts
+    from derender.interface.simulation import How
     from derender.physics.outcome import Chance, Outcome
 
 SIDES = ("length", "width", "height")
@@ -193,11 +193,8 @@ class Posterior(kept.Posterior):
         *,
         draws: int = 200,
         until: float | None = None,
-        engine: str = "mujoco",
-        duration: float = 2.0,
-        jobs: int = 1,
         seed: int = 0,
-        **acts: "Unpack[Acts]",
+        **how: "Unpack[How]",
     ) -> "Chance":
         """Return how probable something is to happen: (probability, standard error, draws simulated).
 
@@ -206,12 +203,12 @@ class Posterior(kept.Posterior):
         event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
             the name of an object that moves.
         draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
-        engine, duration, jobs, seed : see `derender.simulate`.
-        acts : what is done to the scene: push, remove, add, tilt, shake, jitter; see `derender.simulate`.
+        how : engine, duration and jobs, and what is done to the scene: push, remove, add, tilt, shake, jitter; see
+            `derender.simulate`.
         """
         from derender.interface.simulation import chance_that
 
-        return chance_that(event, self, draws, until, engine, duration, jobs, seed, **acts)
+        return chance_that(event, self, draws, until, seed, **how)
 
     def to_arviz(self):
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.

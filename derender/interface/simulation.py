@@ -1,6 +1,6 @@
 """What `derender.simulate`, `Scene.simulate` and `Posterior.probability` do: physics, without files."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -30,6 +30,14 @@ class Acts(TypedDict, total=False):
     tilt: str | None
     shake: str | None
     jitter: str | None
+
+
+class How(Acts, total=False):
+    """Interventions, and how they are simulated; see `simulate`."""
+
+    engine: str
+    duration: float
+    jobs: int
 
 
 class Simulation(NamedTuple):
@@ -110,7 +118,8 @@ def simulate(
     best = simulate_scene(found.graph, engine=engine, duration=duration, what=once, margin=margin, early=early)
     chance = Chance(float(best.stable), 0.0, 1)
     if draws and (posterior is not None or jitter):
-        chance = chance_that("stands", posterior or found, draws, until, engine, duration, jobs, seed, **acts)
+        run = How(engine=engine, duration=duration, jobs=jobs, **acts)
+        chance = chance_that("stands", posterior or found, draws, until, seed, **run)
     path = best.trajectory
     names = tuple(best.displacement) if path is None else path.names
     return Simulation(
@@ -125,18 +134,12 @@ def chance_that(
     of: Posterior | Scene,
     draws: int = 200,
     until: float | None = None,
-    engine: str = "mujoco",
-    duration: float = 2.0,
-    jobs: int = 1,
     seed: int = 0,
-    **acts: Unpack[Acts],
+    **how: Unpack[How],
 ) -> Chance:
     """Return how probable an event is, of a scene with jitter or of a posterior; see `Posterior.probability`."""
     count = draws if until is None else MOST_DRAWS
-    told = _several(acts)
-    return probability(
-        _graphs(of, count, seed), event, until=until, seed=seed, engine=engine, duration=duration, jobs=jobs, **told
-    )
+    return probability(_graphs(of, count, seed), event, until=until, seed=seed, **_several(how))
 
 
 def _graphs(of: Posterior | Scene, count: int, seed: int) -> Iterator[SceneGraph]:
@@ -147,7 +150,7 @@ def _graphs(of: Posterior | Scene, count: int, seed: int) -> Iterator[SceneGraph
         yield from of.graphs(rng, size) if isinstance(of, Posterior) else [of.graph] * size
 
 
-def _several(acts: Acts) -> dict[str, Any]:
+def _several(acts: Mapping[str, Any]) -> dict[str, Any]:
     """Return interventions of which a single one may have been given in place of a sequence."""
     lists = ("push", "remove", "add")
     return {key: (text,) if key in lists and isinstance(text, str) else text for key, text in acts.items()}

@@ -34,11 +34,6 @@ def pair_frictions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(mean), FRICTION, mean)
 
 
-def pair_elasticity(first: float, second: float) -> float:
-    """Return the restitution of two bodies that meet: that of the more elastic one."""
-    return max(first, second)
-
-
 def clamped_masses(bodies: Sequence[Body]) -> np.ndarray:
     """Return the masses (N,) of bodies in kg, none below LEAST_MASS of the heaviest; 0 for what does not move."""
     masses = np.array([body.weight_in_kg() if body.moves else 0.0 for body in bodies], dtype=float)
