@@ -285,6 +285,8 @@ def _shape_data(vertex: Any, folder: Path | None) -> Any:
             data["hull"] = False
     if vertex.options.get("surface"):
         data["surface"] = vertex.options["surface"]
+    if vertex.options.get("parts"):
+        data["parts"] = list(vertex.options["parts"])
     return data if len(data) > 1 else vertex.shape
 
 

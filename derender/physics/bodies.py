@@ -28,7 +28,7 @@ class Body(NamedTuple):
     Attributes
     ----------
     name : unique.
-    kind : plane, box, sphere, cylinder or mesh (the convex hull of `vertices`).
+    kind : plane, box, sphere, cylinder or mesh (the convex hull of `vertices`, or of each of its `parts`).
     size : (3,) float64, full extents in metres (plane: zeros).
     pose : (4, 4) float64, body to the frame of the scene.
     vertices : (V, 3) float64 in the body's axes, metres, for a mesh; else None.
@@ -40,6 +40,8 @@ class Body(NamedTuple):
     fixed : whether it stays where it is. Planes always do.
     velocity : (3,) m / s of the centre of mass at the start, in the frame of the scene.
     angular_velocity : (3,) rad / s at the start, in the frame of the scene.
+    parts : for each of the convex solids that a mesh is made of its corners (C, 3) float64 in the body's axes, metres;
+        () where it is convex itself, or taken to be.
     """
 
     name: str
@@ -54,18 +56,34 @@ class Body(NamedTuple):
     fixed: bool = False
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    parts: tuple[np.ndarray, ...] = ()
 
     @property
     def moves(self) -> bool:
         """Whether forces can move it: planes and what is fixed stay."""
         return not self.fixed and self.kind != "plane"
 
+    def pieces(self) -> tuple["Body", ...]:
+        """Return the convex bodies that it is made of: itself, or one for each of its parts, their masses by volume."""
+        if not self.parts:
+            return (self,)
+        whole = [self._replace(vertices=corners, parts=()) for corners in self.parts]
+        volumes = np.array([each.volume() for each in whole])
+        masses = self.weight_in_kg() * volumes / volumes.sum()
+        return tuple(each._replace(mass=float(mass)) for each, mass in zip(whole, masses, strict=True))
+
     def volume(self) -> float:
-        """Return its volume in cubic metres (a mesh: of its convex hull); 0 for a plane."""
+        """Return its volume in cubic metres (a mesh: of its convex parts); 0 for a plane."""
         if self.kind == "mesh":
-            return _hull(self.vertices)[0]
+            return sum(_hull(corners)[0] for corners in self.parts or (self.vertices,))
         share = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}[self.kind]
         return share * float(np.prod(self.size))
+
+    def reach(self) -> float:
+        """Return the radius in metres of a ball around its origin that holds it."""
+        if self.kind == "mesh" and self.vertices is not None:
+            return float(np.linalg.norm(self.vertices, axis=1).max())
+        return 0.5 * float(np.linalg.norm(self.size))
 
     def weight_in_kg(self) -> float:
         """Return its mass: as given, or volume times density."""
@@ -75,7 +93,8 @@ class Body(NamedTuple):
         """Return (3,) where its mass is centred, in the frame of the scene: it is homogeneous."""
         if self.kind != "mesh":
             return self.pose[:3, 3]
-        return self.pose[:3, :3] @ _hull(self.vertices)[1] + self.pose[:3, 3]
+        volumes, centres = zip(*(_hull(corners) for corners in self.parts or (self.vertices,)), strict=True)
+        return self.pose[:3, :3] @ np.average(centres, axis=0, weights=volumes) + self.pose[:3, 3]
 
 
 def _hull(vertices: np.ndarray | None) -> tuple[float, np.ndarray]:
@@ -140,7 +159,9 @@ def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None)
             points = solids.meshes[int(solids.mesh[index])][0]
             vertices = points * (solids.size[index] / np.ptp(points, axis=0))
         given = {key: options[key] for key in MATERIAL if key in options}
-        bodies.append(Body(name, kind, np.array(solids.size[index]), np.array(solids.pose[index]), vertices, **given))
+        size, pose, own = np.array(solids.size[index]), np.array(solids.pose[index]), graph.body(name)
+        parts = own.shape.convex_parts(own.psi, own.options)
+        bodies.append(Body(name, kind, size, pose, vertices, **given, parts=parts))
     names = {body.name for body in bodies}
     supports = [
         (vertex.name, parent)

@@ -10,6 +10,7 @@ sqrt(s / g), that of mass the heaviest body's. A tower of 0.1 mm blocks gets the
 """
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import mujoco
@@ -125,11 +126,10 @@ class World:
         self.moving = [index for index, body in enumerate(matter.bodies) if body.moves]
         extents = [float(np.max(body.size)) for body in matter.bodies if body.kind != "plane"]
         self.length = max(unit_of_length(matter), max(extents, default=0.0) / MOST_EXTENT)
-        strength = float(np.linalg.norm(matter.gravity)) or STANDARD_GRAVITY
-        period = float(np.sqrt(self.length / strength))
+        period = float(np.sqrt(self.length / (np.linalg.norm(matter.gravity) or STANDARD_GRAVITY)))
         masses = clamped_masses(matter.bodies)
-        self.units = units or Units(self.length, period, float(np.max(masses, initial=0.0)) or 1.0)
-        # the scene's own scales in the engine's units: 1 unless the caller has chosen the units
+        self.units = units or Units(self.length, period, float(masses.max(initial=0.0)) or 1.0)
+        # the scene's own scales in the engine's units
         self._long, self._slow = self.length / self.units.length, period / self.units.time
         started = any(np.any(body.velocity) or np.any(body.angular_velocity) for body in matter.bodies if body.moves)
         bouncy = any(body.elasticity > 0 for body in matter.bodies)
@@ -139,12 +139,13 @@ class World:
         self._hardness, self._across = MOVING if self._slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
         self._bouncy = [body.elasticity for body in matter.bodies]
+        self._geom_names: list[list[str]] = []  # of each body: of its convex pieces
         self.spec = self._spec(masses, sleeping)
         self.model = self.spec.compile()
-        self._body_id = np.array([self.model.geom_bodyid[k] for k in range(self.model.ngeom)], dtype=int)
-        self._index_of_geom = np.array([self.names.index(geom.name) for geom in self.spec.geoms], dtype=int)
-        self._geom_of = {int(index): geom for geom, index in enumerate(self._index_of_geom)}
-        self._moving_ids = np.array([self._body_id[self._geom_of[index]] for index in self.moving], dtype=int)
+        owner = {name: index for index, names in enumerate(self._geom_names) for name in names}
+        self._index_of_geom = np.array([owner[geom.name] for geom in self.spec.geoms], dtype=int)
+        self._geoms_of = [np.flatnonzero(self._index_of_geom == index) for index in range(len(self.names))]
+        self._moving_ids = np.array([self._number_of(self.names[index]) for index in self.moving], dtype=int)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         self._set_materials()
@@ -172,7 +173,8 @@ class World:
         if self.matter.bodies[first].kind == self.matter.bodies[second].kind == "plane":
             return limit
         length = self.units.length
-        return length * self._distance(self._geom_of[first], self._geom_of[second], limit / length)
+        pairs = product(self._geoms_of[first], self._geoms_of[second])
+        return length * min(self._distance(a, b, limit / length) for a, b in pairs)
 
     def poses(self) -> np.ndarray:
         """Return where the bodies are now, (N, 4, 4) float64, body to the frame of the scene."""
@@ -209,8 +211,7 @@ class World:
         self.data.xfrc_applied[:] = 0.0
         newton = self.units.time**2 / (self.units.mass * self.units.length)
         for name, force in forces.items():
-            number = self._body_id[self._geom_of[self.names.index(name)]]
-            self.data.xfrc_applied[number, :3] = np.asarray(force) * newton
+            self.data.xfrc_applied[self._number_of(name), :3] = np.asarray(force) * newton
 
     def reset(
         self,
@@ -235,10 +236,9 @@ class World:
     def set_masses(self, masses: Mapping[str, float]) -> None:
         """Set the masses of some bodies, kg, their inertias in proportion; call `reset` afterwards."""
         for name, mass in masses.items():
-            number = self._body_id[self._geom_of[self.names.index(name)]]
-            share = mass / self.units.mass / self.model.body_mass[number]
-            self.model.body_mass[number] *= share
-            self.model.body_inertia[number] *= share
+            number, mass = self._number_of(name), mass / self.units.mass
+            self.model.body_inertia[number] *= mass / self.model.body_mass[number]
+            self.model.body_mass[number] = mass
         mujoco.mj_setConst(self.model, self.data)
         self._set_impedance()
 
@@ -253,6 +253,10 @@ class World:
         """Return the model as MJCF text."""
         self.spec.modelname = name
         return self.spec.to_xml()
+
+    def _number_of(self, name: str) -> int:
+        """Return MuJoCo's number of the body called `name`."""
+        return int(self.model.geom_bodyid[self._geoms_of[self.names.index(name)][0]])
 
     # ---- the model ------------------------------------------------------------------------------------------------
 
@@ -279,11 +283,14 @@ class World:
                 holder = holder.add_body(name=f"{body.name}_body" if body.name == "world" else body.name, **place)
                 holder.add_freejoint()
                 place = {}
-            self._add_geom(spec, holder, body, mass / self.units.mass, place)
+            pieces = body._replace(mass=mass).pieces()
+            self._geom_names.append([body.name, *(f"{body.name}/{k}" for k in range(1, len(pieces)))])
+            for name, piece in zip(self._geom_names[-1], pieces, strict=True):
+                self._add_geom(spec, holder, piece._replace(name=name), place)
         self._add_pairs(spec)
         return spec
 
-    def _add_geom(self, spec: Any, holder: Any, body: Body, mass: float, place: dict[str, Any]) -> None:
+    def _add_geom(self, spec: Any, holder: Any, body: Body, place: dict[str, Any]) -> None:
         shape = shape_of(spec, body, self.units.length, self._stands(body))
         geom = holder.add_geom(name=body.name, **shape, **place)
         geom.friction = self._friction(FRICTION if body.friction is None else body.friction)[[0, 2, 3]]
@@ -291,7 +298,7 @@ class World:
         geom.solref = self._spring(body.elasticity)
         geom.solimp = [self._hardness, self._hardness, self._long, 0.5, 2]
         if body.moves:
-            geom.mass = mass
+            geom.mass = body.weight_in_kg() / self.units.mass
 
     def _friction(self, sliding: float) -> np.ndarray:
         """Return MuJoCo's five coefficients: sliding twice, spinning, rolling twice."""
@@ -320,7 +327,7 @@ class World:
         first, second = np.triu_indices(len(bodies), 1)
         wanted = moves[first] | moves[second]
         if len(bodies) > MOST_PAIRED and alike:
-            reach = np.array([_radius(body) for body in bodies])
+            reach = np.array([body.reach() for body in bodies])
             centre = np.array([body.pose[:3, 3] for body in bodies])
             apart = np.linalg.norm(centre[first] - centre[second], axis=1) - reach[first] - reach[second]
             joined = {tuple(sorted(map(self.names.index, pair))) for pair in self.matter.supports}
@@ -328,11 +335,12 @@ class World:
             wanted &= (apart <= WITHIN_REACH * self.length) | known | flat[first] | flat[second]
         rolls = [self._rolls(body) for body in bodies]
         for i, j in zip(first[wanted], second[wanted], strict=True):
-            pair = spec.add_pair(geomname1=self.names[i], geomname2=self.names[j])
-            # resistance to rolling shares the friction cone with that to sliding: what does not roll is without it
-            pair.condim = 6 if rolls[i] or rolls[j] else 3
-            if self._slides:
-                pair.solreffriction = [-1.0, -GRIP / self._slow]
+            for one, other in product(self._geom_names[i], self._geom_names[j]):
+                pair = spec.add_pair(geomname1=one, geomname2=other)
+                # resistance to rolling shares the friction cone with that to sliding: what does not roll is without it
+                pair.condim = 6 if rolls[i] or rolls[j] else 3
+                if self._slides:
+                    pair.solreffriction = [-1.0, -GRIP / self._slow]
 
     def _set_materials(self) -> None:
         """Write friction and elasticity of the bodies into the contacts of all pairs."""
@@ -369,12 +377,12 @@ class World:
                 if apart @ apart > (reach[a] + reach[b] + widest) ** 2:
                     continue
             names = frozenset(self.names[self._index_of_geom[geom]] for geom in (a, b))
-            gap = self._distance(int(a), int(b), 2 * widest)
+            gap = self._distance(a, b, 2 * widest)
             if gap <= (widest if names in joined else TOUCHING * self._long):
                 self.model.pair_margin[k] = gap + ENGAGED * self._long
 
-    def _distance(self, a: int, b: int, limit: float) -> float:
-        return float(mujoco.mj_geomDistance(self.model, self.data, a, b, limit, None))
+    def _distance(self, a: Any, b: Any, limit: float) -> float:
+        return float(mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), limit, None))
 
     def _start(self, velocity: np.ndarray | None = None, angular_velocity: np.ndarray | None = None) -> None:
         """Set the speeds at the start and compute forces."""
@@ -390,10 +398,3 @@ class World:
             self.data.qvel[6 * k : 6 * k + 3] = straight[k] * self.units.time / self.units.length + np.cross(turn, arm)
             self.data.qvel[6 * k + 3 : 6 * k + 6] = self.data.xmat[number].reshape(3, 3).T @ turn
         mujoco.mj_forward(self.model, self.data)
-
-
-def _radius(body: Body) -> float:
-    """Return the radius in metres of a ball around a body's centre that holds it."""
-    if body.kind == "mesh" and body.vertices is not None:
-        return float(np.linalg.norm(body.vertices, axis=1).max())
-    return 0.5 * float(np.linalg.norm(body.size))

@@ -93,7 +93,8 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
 
     near : metres of gap up to which the others touch; None: NEAR of the smallest extent.
     """
-    bodies = matter.bodies
+    pieces = [(owner, piece) for owner, body in enumerate(matter.bodies) for piece in body.pieces()]
+    owner, bodies = np.array([owner for owner, _ in pieces], dtype=np.int64), [piece for _, piece in pieces]
     count = len(bodies)
     kind = np.array([KINDS[body.kind] for body in bodies], dtype=np.int64)
     pose = np.array([body.pose for body in bodies], dtype=float).reshape(count, 4, 4)
@@ -102,7 +103,7 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     for index, body in enumerate(bodies):
         if body.kind == "plane" and not plane_is_below(matter, body):
             pose[index, :3, 1:3] *= -1.0
-    radius = 0.5 * np.linalg.norm(size, axis=1)
+    radius = np.array([body.reach() for body in bodies])
     vertices, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     vertex_start, normal_start = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
     for index, body in enumerate(bodies):
@@ -113,19 +114,21 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
             vertices.append(body.vertices @ rotation.T + place)
             normals.append(_face_normals(body.vertices.tobytes()) @ rotation.T)
             points, faces = len(vertices[-1]), len(normals[-1])
-            radius[index] = np.linalg.norm(body.vertices, axis=1).max()
         vertex_start[index + 1], normal_start[index + 1] = vertex_start[index] + points, normal_start[index] + faces
-    number = {body.name: index for index, body in enumerate(bodies)}
-    joined = np.zeros((count, count), dtype=bool)
+    number = {body.name: index for index, body in enumerate(matter.bodies)}
+    joined = np.zeros((len(number), len(number)), dtype=bool)
     for child, parent in matter.supports:
         joined[number[child], number[parent]] = joined[number[parent], number[child]] = True
     length = unit_of_length(matter)
     flush = np.array([NEAR * length, min(FLUSH * length, FLUSH_METRES)])
     nearest = NEAR * length if near is None else near
-    return Contacts(*all_contacts(
-        kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held, joined,
-        radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush, ROLLING * length,
-    ))  # fmt: skip
+    first, second, *where = all_contacts(
+        kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held,
+        joined[owner][:, owner], radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush, ROLLING * length,
+    )  # fmt: skip
+    first, second = owner[first], owner[second]
+    apart = first != second  # the parts of one body do not bear each other
+    return Contacts(first[apart], second[apart], *(each[apart] for each in where))
 
 
 class Equilibrium:

@@ -16,7 +16,7 @@ from derender.scene.solids import MESH
 @pytest.fixture
 def plugin(monkeypatch):
     """Announce the plug-in's module by an entry point, as its package's metadata would, and forget it afterwards."""
-    point = importlib.metadata.EntryPoint("frustum", "plugin_frustum", "derender.shapes")
+    point = importlib.metadata.EntryPoint("pyramid", "plugin_pyramid", "derender.shapes")
     ask = importlib.metadata.entry_points
 
     def announced(**wanted):
@@ -26,21 +26,21 @@ def plugin(monkeypatch):
     for each in (shapes, contacts):
         monkeypatch.setattr(each, "_entries", dict(each._entries))
         monkeypatch.setattr(each, "_loaded", False)
-    monkeypatch.delitem(sys.modules, "plugin_frustum", raising=False)
+    monkeypatch.delitem(sys.modules, "plugin_pyramid", raising=False)
     yield
-    sys.modules.pop("plugin_frustum", None)
+    sys.modules.pop("plugin_pyramid", None)
 
 
 def test_registries_find_it(plugin):
-    assert "frustum" in shapes.names()  # asking loads the entry points
+    assert "pyramid" in shapes.names()  # asking loads the entry points
     assert "concentric" in contacts.names()
 
 
 def test_registry_driven_geometry_holds_for_it(plugin):
     """The same round trip and brute force that the built-in types go through, wherever the new ones take part."""
-    assert shapes["frustum"]
+    assert shapes["pyramid"]
     rng = np.random.default_rng(1)
-    cases = [case for case in all_choices() if "frustum" in case or "concentric" in case]
+    cases = [case for case in all_choices() if "pyramid" in case or "concentric" in case]
     assert len(cases) > 200
     for kind, first, second, parent_face, child_face in cases:
         parent, child = random_body(rng, first), random_body(rng, second)
@@ -56,7 +56,7 @@ def test_registry_driven_geometry_holds_for_it(plugin):
 
 
 def test_scene_graph_draws_it_through_its_mesh(plugin):
-    base = Vertex("base", "frustum", {"base": 0.2, "height": 0.1}, contact=Contact("6dof", values={"z": 1.0}))
+    base = Vertex("base", "pyramid", {"base": 0.2, "height": 0.1}, contact=Contact("6dof", values={"z": 1.0}))
     top = Vertex("top", "cube", {"side": 0.05}, "base", Contact("concentric", "+z", "-z", {"theta": 0.2}))
     graph = SceneGraph(np.eye(4), (base, top))
     graph.check()
@@ -77,12 +77,12 @@ def test_yaml_and_renderer_take_it(plugin, tmp_path):
         "camera: {fx: 60, fy: 60, cx: 31.5, cy: 23.5, width: 64, height: 48}\n"
         "root: {position: [0, 0, 1.0], quat_wxyz: [0, 1, 0, 0]}\n"
         "objects:\n"
-        "  base: {shape: {type: frustum, base: 0.4, height: 0.2}, contact: {type: 6dof}}\n"
+        "  base: {shape: {type: pyramid, base: 0.4, height: 0.2}, contact: {type: 6dof}}\n"
         "  top: {shape: {type: cube, side: 0.1}, parent: base, contact: {type: concentric, theta: 0}}\n"
     )
     document = read_document(path)
     graph = document.prior.sample(np.random.default_rng(0))
     depth, label = render_depth(graph.solids(), document.camera)
-    # Straight from above (z of the root towards the camera): the cube's top at 0.8 m, the frustum's at 0.9 m.
+    # Straight from above (z of the root towards the camera): the cube's top at 0.8 m, the pyramid's at 0.9 m.
     assert depth[24, 32] == pytest.approx(0.8, abs=1e-6) and label[24, 32] == 1
     assert depth[24, 32 + 5] == pytest.approx(0.9, abs=1e-6) and label[24, 32 + 5] == 0

@@ -28,7 +28,10 @@ from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.parameter import Parameter
 from derender.scene.priors.root import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
+from derender.scene.shapes.box import box_feature
+from derender.scene.solids import MESH
 
+MOST_NUMBERS = 3  # of a shape that may be unknown: there is room for so many
 PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are checked to be affine
 
 
@@ -83,6 +86,7 @@ def vertices_of(
         faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
         solid = solids.get(vertex.name, -1)
         vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
+        check_faces(graph, vertex)
         extents[n] = extents_of(vertex)
     vertices[:6, count] = count, root, FRAME, -1, -1, -1
     arguments = index, index, size, index, size, index, index
@@ -96,7 +100,7 @@ def numbers_of(graph: SceneGraph) -> np.ndarray:
     numbers = np.zeros((len(graph.vertices) + 1, SHAPES + 3))
     for n, vertex in enumerate(graph.vertices):
         phi = [vertex.contact.values.get(p.name, p.default or 0.0) for p in contact_parameters(graph, vertex)]
-        psi = np.nan_to_num(vertex.psi)  # an unknown one may be missing from the template
+        psi = np.nan_to_num(vertex.psi[:MOST_NUMBERS])  # an unknown one may be missing from the template
         numbers[n, : len(phi)] = phi
         numbers[n, SHAPES : SHAPES + len(psi)] = psi
     return numbers
@@ -133,14 +137,12 @@ def _kind(shape: str) -> int:
 
 
 def extents_of(vertex) -> np.ndarray:
-    """Return (4, 3): the extents at numbers 0, and what each of up to three numbers adds to them for each metre."""
-    shape = shapes[vertex.shape]
-    count = len(shape.parameters)
-    if count > 3:
-        raise NotCompiled(f"the shape {vertex.shape}, which has more than three numbers")
+    """Return (4, 3): the extents at numbers 0, and what each of the first three numbers adds to them for each metre."""
+    shape, others = shapes[vertex.shape], vertex.psi[MOST_NUMBERS:]
+    count = min(len(shape.parameters), MOST_NUMBERS)
 
     def size(psi) -> np.ndarray:
-        found = shape.size(np.asarray(psi, float), vertex.options)
+        found = shape.size(np.array([*psi, *others], float), vertex.options)
         return np.zeros(3) if found is None else np.asarray(found, float)
 
     extents = np.zeros((4, 3))
@@ -152,6 +154,19 @@ def extents_of(vertex) -> np.ndarray:
     if not np.allclose(size(probe), extents[0] + probe @ extents[1 : count + 1], rtol=1e-12, atol=1e-15):
         raise NotCompiled(f"the shape {vertex.shape}, whose extents are no affine function of its numbers")
     return extents
+
+
+def check_faces(graph: SceneGraph, vertex: Vertex) -> None:
+    """Raise NotCompiled where a contact takes hold of a mesh by a face that is not that of its box."""
+    contact, meeting = vertex.contact, (graph.body(vertex.parent), vertex.body)
+    bounded = all(body.shape.bounded for body in meeting)
+    for body, name in zip(meeting, (contact.parent_face, contact.child_face), strict=True):
+        if body.shape.solid_kind != MESH or name is None:
+            continue
+        psi = np.nan_to_num(body.psi, nan=1.0)
+        own, box = body.shape.face(name, psi, body.options), box_feature(name, body.shape.size(psi, body.options))
+        if not np.allclose(own.frame, box.frame) or (bounded and not np.allclose(own.outline, box.outline)):
+            raise NotCompiled(f"the face {name} of a {body.shape.name}, which is not that of its box")
 
 
 def root_code(target) -> int:
@@ -183,7 +198,11 @@ def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int
     if rest.startswith("contact."):
         slots = [parameter.name for parameter in contact_parameters(target.template, vertex)]
         return CONTACT, names[name], slots.index(rest.removeprefix("contact."))
-    return SHAPE, names[name], [p.name for p in shapes[vertex.shape].parameters].index(rest)
+    shape = shapes[vertex.shape]
+    slot = [parameter.name for parameter in shape.parameters].index(rest)
+    if rest in shape.form_parameters or slot >= MOST_NUMBERS:
+        raise NotCompiled(f"the unknown {rest} of a {shape.name}, which changes more than its extents")
+    return SHAPE, names[name], slot
 
 
 def held(target) -> dict[str, int]:

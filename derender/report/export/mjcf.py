@@ -22,6 +22,6 @@ def export(graph: "SceneGraph", path: Path, camera: "Camera | None" = None) -> d
     world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports), units=Units(1.0, 1.0, 1.0))
     colours = dict(zip(graph.solid_names, colours_of(graph.solids(), graph.solid_names) / 255, strict=True))
     for geom in world.spec.geoms:
-        geom.rgba = [*colours[geom.name], 1.0]
+        geom.rgba = [*colours[geom.name.split("/")[0]], 1.0]
     world.spec.worldbody.add_light(pos=[0.5, -1, 2], dir=[-0.25, 0.5, -1])
     return {path.name: world.to_xml(path.stem).encode()}

@@ -74,6 +74,7 @@ class Shape:
     name: str = ""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     options: ClassVar[tuple[str, ...]] = ()
+    form_parameters: ClassVar[tuple[str, ...]] = ()  # those that change its mesh by more than its extents
     solid_kind: ClassVar[int | None] = 4  # solids.MESH: drawn through its mesh; None: not drawn
     face_names: ClassVar[tuple[str, ...]] = ()
     side_names: ClassVar[tuple[str, ...]] = ()
@@ -105,6 +106,10 @@ class Shape:
     def mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
         """Return the solid as a trimesh.Trimesh in object axes."""
         raise NotImplementedError
+
+    def convex_parts(self, psi, options: Mapping[str, Any] = {}) -> tuple[np.ndarray, ...]:  # noqa: B006
+        """Return the corners (V, 3) in object axes of the convex solids it is made of; () where it is convex itself."""
+        return ()
 
     def drawn_mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
         """Return (key, (vertices (V, 3), triangles (T, 3) int32)) for `Solids`; equal keys mean the same mesh."""

@@ -1,4 +1,4 @@
-"""The cylinder, with two flat caps and a side that rolls, and the sphere."""
+"""The round solids: the cylinder, with two flat caps and a side that rolls, the frustum, and the sphere."""
 
 import numpy as np
 
@@ -75,3 +75,46 @@ class Sphere(Shape):
 
     def symmetry(self, psi=(), options={}):  # noqa: B006
         return Symmetry(np.eye(3)[None], "all")
+
+
+@shapes.register("frustum")
+class Frustum(Shape):
+    """A round solid about its z axis, by the radius of its wide end -z, its height, and the radius of +z over that.
+
+    A `taper` of 0.01 is a cone and 0.99 nearly a cylinder; a cup, which widens upwards, stands on its +z.
+    """
+
+    parameters = (
+        Parameter("radius", "m", 0.0, np.inf),
+        Parameter("height", "m", 0.0, np.inf),
+        Parameter("taper", "", 0.0, 1.0, 0.5),
+    )
+    form_parameters = ("taper",)
+    face_names = ("+z", "-z")
+
+    def size(self, psi, options={}):  # noqa: B006 - never changed
+        return np.array([2.0 * psi[0], 2.0 * psi[0], psi[1]], dtype=float)
+
+    def psi_from_size(self, size, options={}):  # noqa: B006
+        return np.array([0.25 * (size[0] + size[1]), size[2], self.parameters[2].default], dtype=float)
+
+    def face(self, name, psi, options={}):  # noqa: B006
+        if name not in self.face_names:
+            raise self.no_such_face(name)
+        radius, height, taper = (float(value) for value in psi)
+        return Face(
+            box_face(name, (0.0, 0.0, height)).frame, Outline(0.0, 0.0, radius if name == "-z" else taper * radius)
+        )
+
+    def face_order(self, name):
+        return np.inf
+
+    def mesh(self, psi, options={}):  # noqa: B006
+        import trimesh
+
+        radius, height, taper = psi
+        profile = [(0.0, -0.5 * height), (radius, -0.5 * height), (taper * radius, 0.5 * height), (0.0, 0.5 * height)]
+        return trimesh.creation.revolve(profile, sections=SECTIONS)
+
+    def symmetry(self, psi=(), options={}):  # noqa: B006
+        return Symmetry(np.eye(3)[None], "z")

@@ -7,8 +7,8 @@ from derender.scene.parameter import Parameter
 from derender.scene.shapes import Face, Outline, Shape, box_face, shapes
 
 
-@shapes.register("frustum")
-class Frustum(Shape):
+@shapes.register("pyramid")
+class Pyramid(Shape):
     """A square pyramid with its top cut off at half the base's side."""
 
     parameters = (Parameter("base", "m", 0.0, np.inf), Parameter("height", "m", 0.0, np.inf))
