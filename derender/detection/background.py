@@ -17,8 +17,9 @@ CUT = 0.35  # share of a body's width or height in pixels along which a border c
 # first return: the borders of registered images are ragged.
 FILLED, RAGGED = 0.5, 0.03
 OUTSIDE = 0.5  # share of a body's pixels beyond the support's outline from which on it stands beyond
-FLOATS = 0.1  # metres between the support and the lowest point of what hangs over it
+FLOATS = 0.1  # metres between what bears a body and its lowest point from which on it hangs over it
 HANGS = 0.6  # share of a floating body's lower edge under which the support or what is behind it shows
+BORNE = 0.1  # share of that edge under which what shows is high enough to bear it from which on it does not hang
 FEWEST = 8  # pixels of a body that is told apart; smaller ones are as their pixels are
 DIRECTIONS = 8  # in which a body's length along the support is taken
 MARGIN = 0.01  # metres beyond the outline that still count as over it
@@ -175,8 +176,12 @@ def length(points):
 
 
 def floats(points, mask, good, jump, origin):
-    """Return whether a body hangs over the support with nothing under it."""
-    if np.quantile(points[mask][:, 2], ENDS) < FLOATS:
+    """Return whether a body hangs over the support with nothing under it.
+
+    What shows below it and is nearly as high as its lowest point may bear it, with something hidden between.
+    """
+    lowest = np.quantile(points[mask][:, 2], ENDS)
+    if lowest < FLOATS:
         return False
     lower = mask[:-1] & ~mask[1:] & good[1:]
     if not lower.any():
@@ -184,4 +189,5 @@ def floats(points, mask, good, jump, origin):
     apart = np.linalg.norm(points[1:] - points[:-1], axis=2)[lower]
     far = np.linalg.norm(points - origin, axis=2)
     lies_deeper = (far[1:] > far[:-1])[lower]
-    return float(np.mean((apart > jump[:-1][lower]) & lies_deeper)) > HANGS
+    bears = points[1:][lower][:, 2] > lowest - FLOATS
+    return float(np.mean((apart > jump[:-1][lower]) & lies_deeper)) > HANGS and bears.mean() < BORNE

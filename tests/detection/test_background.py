@@ -40,6 +40,14 @@ def test_a_carton_stands_on_the_table_and_clutter_does_not(clutter):
     assert seen.behind[label == 2].mean() > 0.9
 
 
+def test_what_seems_to_hang_over_a_carton_may_stand_on_it():
+    carton, above = (0.0, 0.05, 0.0, (0.1, 0.1, 0.12)), (0.0, -0.02, 0.17, (0.12, 0.12, 0.08))
+    seen, label = told_apart([carton, above])
+    assert seen.mask[label == 2].mean() > 0.9
+    seen, label = told_apart([above])  # a broken twin: nothing there that could bear it
+    assert seen.behind[label == 1].mean() > 0.9
+
+
 def test_a_small_thing_at_the_edge_of_the_image_stands_there():
     seen, label = told_apart([CARTON, (0.1, -0.19, 0.0, (0.08, 0.08, 0.08))])
     assert (label == 2).sum() > 100 and seen.mask[label == 2].mean() > 0.9
