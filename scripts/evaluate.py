@@ -3,6 +3,7 @@
     python scripts/evaluate.py                           every set, 40 scenes each
     python scripts/evaluate.py settled tower -n 100      some sets, more scenes
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
+    python scripts/evaluate.py frames                    labelled real frames and variants (see evaluate_frames.py)
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
     python scripts/evaluate.py trust -n 100              how many answers end trusted (see evaluate_trust.py)
     python scripts/evaluate.py dynamics -n 5             friction, restitution, mass ratios (see dynamics_figures.py)
@@ -99,11 +100,17 @@ def main():
     parser.add_argument("--method", default="auto")
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--sensor", default="kinect", help="of films")
-    parser.add_argument("--kinds", default="", help="of films, such as place,topple; default: all")
-    parser.add_argument("--keep", default="", help="folder of results of films that are not done again")
+    parser.add_argument("--kinds", default="", help="of films or variants, such as place,topple; default: all")
+    parser.add_argument("--keep", default="", help="folder of results of films or frames that are not done again")
+    parser.add_argument("--only", default="", help="of labelled frames, such as ycbv_0,tum_desk_1; default: all")
     arguments = parser.parse_args()
     if arguments.sets in (["dynamics"], ["prediction"], ["tosses"]):
         evaluate_motion(arguments)
+        return
+    if arguments.sets == ["frames"]:
+        from evaluate_frames import evaluate_frames
+
+        evaluate_frames(arguments.only, arguments.kinds, arguments.keep, arguments.method, arguments.verbose)
         return
     if arguments.sets == ["tracking"]:
         kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS

@@ -1,7 +1,7 @@
-"""The supporting plane of a depth image: RANSAC on a coarse sample, then a robust least-squares refit.
+"""The supporting plane of a depth image: planes tried on a coarse grid of points, then a robust least-squares refit.
 
-The same image has the same floor: what is background follows from it, so that two seeds with two floors would answer
-two questions. The sample and its triples are drawn from a stream of their own.
+The same image has the same floor, and its mirror image the mirrored one: what is background follows from it, so that
+two seeds with two floors would answer two questions.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,14 @@ SMALL_FLOOR = 0.06  # of the pixels: the least of a floor before a wall that has
 WALL = 0.25  # sine of the angle by which a wall faces up at most, as a level camera sees it
 ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
 LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
-SAMPLE, TRIPLES, STREAM = 1500, 300, 2026  # points looked at, planes tried through three of them, seed of both
+SAMPLE = 1500  # points looked at, about
+SIDES = (1, 2, 4, 8)  # rows and columns of these points that squares span whose corners planes are put through
+TRIPLES, STREAM = 300, 2026  # planes tried through any three of these points, and the seed of these triples
 FEET = 100  # points of what stands on the floor, at most, to which distances are taken
+
+
+class NoFloor(DerenderError):
+    """No plane holds a tenth of the pixels."""
 
 
 class Floor(NamedTuple):
@@ -57,24 +63,18 @@ def find_floor(depth, camera, tolerance=0.008, gravity=None):
     Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
     """
     points = back_project(depth, camera)
-    good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
-    if len(good) < 50:
-        what = f"the image has too few pixels with depth ({len(good)}, at least 50 are needed)"
+    count = int((np.isfinite(depth) & (depth > 0)).sum())
+    if count < 50:
+        what = f"the image has too few pixels with depth ({count}, at least 50 are needed)"
         raise DerenderError(what, remedy="check the export, or go nearer")
-    flat = points.reshape(-1, 3)
-    rng = np.random.default_rng(STREAM)
-    sample = flat[good[rng.permutation(len(good))[:SAMPLE]]]
-    normal, offset = planes_through(sample[rng.integers(len(sample), size=(TRIPLES, 3))])
+    grid = coarse_grid(points)
+    sample = grid[np.isfinite(grid[..., 2])]
+    normal, offset = planes_through(triples_of(grid, sample))
     if len(normal) == 0:
         raise DerenderError("all pixels with depth lie on one line", remedy="give a whole image")
-    best = np.argmax(scores(sample, normal, offset, tolerance, gravity)[0])
-    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge. It may
-    # be so small a part that planes are looked for once more among what does not lie on the wall.
-    off = sample[np.abs(sample @ normal[best] - offset[best]) > 3 * tolerance]
-    if len(off) >= 3:
-        more = planes_through(off[rng.integers(len(off), size=(2 * TRIPLES, 3))])
-        normal, offset = np.vstack([normal, more[0]]), np.append(offset, more[1])
+    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
     score, share, under = scores(sample, normal, offset, tolerance, gravity)
+    best = np.argmax(score)
     upward = -normal[:, 1]
     small = (share > SMALL_FLOOR) & (under < SMALL_FLOOR / 2) & (score > 0.0) & (upward[best] < WALL)
     floors = (score > FLOOR_SHARE) | small
@@ -82,6 +82,32 @@ def find_floor(depth, camera, tolerance=0.008, gravity=None):
     if floors.any():
         best = np.argmax(np.where(floors, score, -np.inf))
     return plane_through(depth, points, normal[best], offset[best], tolerance)
+
+
+def coarse_grid(points):
+    """Return (h, w, 3) some SAMPLE points of an image (H, W, 3), NaN where there is no return: every so many rows and
+    columns, as many left out at either end, so that an image's mirror image has the mirrored ones.
+    """
+    height, width = points.shape[:2]
+    step = max(1, int(np.sqrt(np.isfinite(points[..., 2]).sum() / SAMPLE)))
+    rows, columns = (np.arange((count - 1) % step // 2, count, step) for count in (height, width))
+    return points[np.ix_(rows, columns)]
+
+
+def triples_of(grid, sample):
+    """Return (N, 3, 3) triples of points to put planes through: corners of squares of the grid, which lie on one
+    surface more often than others do, and some of any three, where holes leave no squares.
+    """
+    found = []
+    for side in SIDES:
+        corners = np.stack([grid[:-side, :-side], grid[:-side, side:], grid[side:, :-side], grid[side:, side:]], axis=2)
+        corners = corners.reshape(-1, 4, 3)
+        corners = corners[np.isfinite(corners).all(axis=(1, 2))]
+        if len(corners):
+            found += [corners[:, [0, 1, 2]], corners[:, [3, 2, 1]]]
+    rng = np.random.default_rng(STREAM)
+    found.append(sample[rng.integers(len(sample), size=(TRIPLES, 3))])
+    return np.concatenate(found)
 
 
 def planes_through(triples):
@@ -154,7 +180,7 @@ def plane_through(depth, points, normal, offset, scale, weight=None):
         chosen = flat[good[inner]]
         if len(chosen) < max(20, 0.05 * len(good)):
             remedy = "say --floor none, give the plane with --floor, or crop the image"
-            raise DerenderError("no plane holds a tenth of the pixels", remedy=remedy)
+            raise NoFloor("no plane holds a tenth of the pixels", remedy=remedy)
         worth = weight[inner] / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
         centre = np.average(chosen, axis=0, weights=worth)
         _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(worth)[:, None]), full_matrices=False)

@@ -7,6 +7,7 @@ from derender.errors import DerenderError
 
 NEAR = 0.02  # metres off a given plane within which its own points are looked for
 BACKDROP, SIDE = 0.3, 0.2  # least shares of the pixels, and of three of the image's sides, that a backdrop holds
+MOST_NOISE = 0.02  # metres: where neighbouring pixels differ by more there is no surface
 FAR_BELOW = 10.0  # metres under the lowest point at which the floor lies where there is none
 
 
@@ -94,4 +95,4 @@ def pixel_noise(depth):
     second = second[np.isfinite(second)]
     if len(second) < 50:
         return 0.001
-    return float(np.clip(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 3e-4, 0.02))
+    return float(np.clip(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 3e-4, MOST_NOISE))

@@ -35,7 +35,7 @@ EDGE = 23.0  # nats against PATCH metres of a concave edge within one thing: han
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
-LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object, see `existence`
+LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object
 LEFT_PIXELS, LEFT_HEIGHT, LEFT_SHARE = 25, 0.02, 0.5  # that it has at least: pixels, metres, of its body
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
@@ -44,9 +44,6 @@ LEAST_HEIGHT = 0.012  # metres over its support
 ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying pixels
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
-# A thing's existence, see `existence`: nats at which it is as likely as not, how fast that changes (a power), the most
-# that is said, and the standard errors of that (of 18 among 19) and at even odds.
-EVEN, STEEP, MOST_SURE, SURE_ERROR, EVEN_ERROR = 27.0, 3.0, 0.95, 0.05, 0.15
 HELD = 0.01  # metres between solids that are parts of one
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 
@@ -74,17 +71,6 @@ class Cost(NamedTuple):
     numbers: np.ndarray
     misfit: np.ndarray
     normal: np.ndarray
-
-
-def existence(gain):
-    """Return (probability, standard error) that a free-form thing of so many nats is an object, not clutter or a piece.
-
-    Background would explain its pixels as well, whatever they are. So what tells is how often things of such a gain are
-    what a person calls an object: of 33 on 21 labelled real frames 1 of 11 below 22 nats, 1 of 3 up to 40 and 18 of 19
-    above it are.
-    """
-    share = 1.0 / (1.0 + (EVEN / max(gain, 1e-9)) ** STEEP)
-    return MOST_SURE * share, float(np.hypot(SURE_ERROR * share, EVEN_ERROR * 4.0 * share * (1.0 - share)))
 
 
 def take_things(seen, state, settings, reluctance=0.0):
@@ -358,6 +344,7 @@ def made_thing(seen, state, mask, gain):
     # A pixel on the silhouette shows half of itself beyond its middle.
     rim = 0.5 * float(np.median(seen.footprint[mask]))
     ends[:, :2] += [[-rim], [rim]]
-    ends[0, 2] = bottom
+    if not seen.no_floor:
+        ends[0, 2] = bottom
     size = np.maximum(ends[1] - ends[0], THINNEST)
     return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, gain)

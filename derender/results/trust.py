@@ -75,7 +75,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     """
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("no_floor"):
-        doubts.append("no surface was found that things could stand on: all is taken as background")
+        doubts.append("no surface was found that things could stand on: only what stands free of all about it is told")
     doubts += [
         f"{name} is an object with a probability of {known:.2f} only: it may be clutter or a piece of one"
         for name, (known, _) in posterior.meta.get("existence", {}).items()

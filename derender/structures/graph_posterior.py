@@ -12,8 +12,9 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import total_energy
-from derender.detection.solids.graph import names_of
+from derender.detection.solids.graph import names_of, scene_graph
 from derender.detection.solids.naming import matched_names, structure_key
+from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import (
     WHOLE_DRAWS,
@@ -51,6 +52,9 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
     """
+    if seen.no_floor:  # all is taken as it is seen: nothing for the engine to explain
+        scores = np.zeros((1, 1) if only_best else (chains, draws))
+        return [StructurePosterior(scene_graph(state, seen.floor.pose), (), scores[..., None][..., :0], scores, scores)]
     first = refine(rng, [view_of(seen, settings.temper)], seen.floor.pose, state, settings.rules, settings.tries)
     energy = total_energy(seen.image, state, settings)
     return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from derender.detection.bend import sensor_deviation
+from derender.detection.freestanding import freestanding
 from derender.detection.given_floor import read_floor
 from derender.detection.pyramid import reduced_by
-from derender.detection.search.bodies import body_hypotheses, find_bodies
+from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.observation import CORRELATED, nearest_pixels, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
@@ -15,8 +17,9 @@ from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.solids.state import State
 from derender.detection.solids.support import final_parents
-from derender.detection.things import compounds, existence, leftovers, made_thing, take_things, without_background
+from derender.detection.things import compounds, leftovers, made_thing, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.pose import inverse
@@ -40,9 +43,12 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     seen = observe(depth, camera, widest, plane, settings.may_float)
+    if seen.no_floor and settings.free_forms:
+        return State(), with_freestanding(seen)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
-        seen = observe(depth, camera, wanted, plane, settings.may_float)
+        closer = observe(depth, camera, wanted, plane, settings.may_float)
+        seen = seen if closer.no_floor else closer
     settings = settings_for(settings, seen)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
@@ -79,6 +85,15 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     state = state.ordered()
     return state, seen._replace(things=tuple(made_thing(seen, state, mask, gain / settings.temper)
                                             for mask, gain in masks))  # fmt: skip
+
+
+def with_freestanding(seen):
+    """Return the Observation of an image without a floor with what stands free of its surroundings as its things."""
+    good = seen.image.weight > 0
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * sensor_deviation(seen.image.depth))
+    masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin)
+    things = tuple(made_thing(seen, State(), mask, 0.0) for mask in masks)
+    return seen._replace(things=things, behind=good & ~np.any(masks, axis=0) if masks else good)
 
 
 def searched_well(rng, seen, hypotheses, settings, pool):
@@ -227,14 +242,15 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     missed = 0.0 if library else missed_by(seen, parts, loose)
     parts = [part.scaled(1.0 - missed) for part in parts]
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
-    if isinstance(plane, str):
+    if isinstance(plane, str) or seen.no_floor:
         parts = [without_floor(part) for part in parts]
     if progress:
         progress(1.0, f"{len(state)} solids")
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "no_floor": seen.no_floor, "interrupted": interrupted,
-            "existence": {thing_name(k): existence(thing.gain) for k, thing in enumerate(seen.things)},
+            "existence": {thing_name(k): loose.existence.of(thing.gain, seen.no_floor)
+                          for k, thing in enumerate(seen.things)},
             "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)

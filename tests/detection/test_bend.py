@@ -6,7 +6,6 @@ from table_scenes import CAMERA, seen_on_the_table
 
 from derender.detection.bend import bend_of
 from derender.detection.floor import find_floor
-from derender.detection.search.observation import observe
 from derender.scene.solids import BOX
 
 
@@ -28,13 +27,3 @@ def test_a_bent_floor_becomes_a_plane():
 def test_a_plane_stays_as_it_is(metres):
     image = bent_by(metres)
     assert not bend_of(image, find_floor(image, CAMERA), CAMERA).any()
-
-
-def test_where_there_is_no_floor_nothing_stands():
-    """Hills of twenty centimetres: no plane that holds many of their pixels is one that things could stand on."""
-    row, column = np.indices(CAMERA.shape)
-    image = 0.8 + 0.1 * np.sin(row / 17.0) * np.cos(column / 23.0) + 0.05 * np.sin(column / 9.0)
-    seen = observe(image + 0.001 * np.random.default_rng(0).standard_normal(image.shape), CAMERA)
-    assert seen.no_floor and not seen.mask.any() and seen.behind.all()
-    plane = observe(bent_by(0.003), CAMERA)
-    assert not plane.no_floor and plane.mask.any()

@@ -8,10 +8,11 @@ from table_scenes import CAMERA, seen_on_the_table
 from derender.detection.closing import closed_surface, surface_of, visible_surface
 from derender.detection.search.bodies import APART
 from derender.detection.segments import joined, one_rim
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.things import existence, held_by_another
+from derender.detection.things import held_by_another
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH
 from derender.structures.infer import infer_structure, point_estimate
@@ -119,7 +120,8 @@ def test_what_is_held_by_a_round_side_is_part_of_it():
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
-    told = np.array([existence(gain) for gain in (0.0, 10.0, 27.0, 60.0, 1e4)])
+    existence = bare_image().loose.existence  # as the built-in prior's file says
+    told = np.array([existence.of(gain) for gain in (0.0, 10.0, 27.0, 60.0, 1e4)])
     assert (np.diff(told[:, 0]) > 0.0).all() and told[-1, 0] <= 0.95
     assert told[2, 0] == pytest.approx(0.475) and told[2, 1] > told[-1, 1] > told[0, 1]
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from derender.detection.background import standing_bodies
 from derender.detection.bend import bend_of, sensor_deviation
-from derender.detection.floor import Floor, back_project, find_floor, floor_beside, plane_through
+from derender.detection.floor import Floor, NoFloor, back_project, find_floor, floor_beside, plane_through
 from derender.detection.foreground import joined_to_floor
-from derender.detection.given_floor import find_backdrop, given_floor
+from derender.detection.given_floor import MOST_NOISE, find_backdrop, given_floor, pixel_noise
 from derender.detection.local_planes import local_planes
 from derender.detection.noise import noise_of
 from derender.detection.outline import convex_outline, outline_planes
@@ -47,7 +47,7 @@ class Observation(NamedTuple):
         sensors.
     background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
     behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
-    no_floor : whether what was taken as the floor is off its plane by more than any sensor is.
+    no_floor : whether no plane holds a tenth of the pixels, or that which does is rougher than any sensor makes it.
     bend : (H, W) metres that were added to the depths to make the floor a plane, see `bend_of`; None: none.
     beyond : (H, W) metres by which points lie beyond the outline of the visible floor, negative over it.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
@@ -89,30 +89,48 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole = depth
     depth, camera, factor = reduce(whole, camera, widest)
-    floor = find_floor(depth, camera, gravity=gravity) if plane is None else given_floor(depth, camera, plane)
-    # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background as it is.
-    backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
-    seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
-    if plane is None and seen.correlation > CORRELATED:
-        bend = bend_of(depth, floor, camera)
-        depth = depth + bend
-        if bend.any():
-            normal = floor.pose[:3, 2]
-            points = back_project(depth, camera)
-            floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
-        if seen.mask.any():
-            floor = floor_beside(floor, depth, camera, seen.mask)
-        seen = tell_apart(depth, camera, factor, floor, None, rounding, floating)._replace(bend=bend)
-        if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
-            seen = without_floor(seen)
+    if plane is not None:
+        floor = given_floor(depth, camera, plane)
+        # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
+        backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
+        seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
+    else:
+        try:
+            seen = on_its_floor(depth, camera, factor, find_floor(depth, camera, gravity=gravity), rounding, floating)
+        except NoFloor:
+            if pixel_noise(depth) >= MOST_NOISE:
+                raise
+            seen = without_floor(depth, camera, factor, rounding)
     return seen._replace(single=single_pixels(whole, factor))
 
 
-def without_floor(seen):
-    """Return the Observation in which all is background: what was taken as the floor cuts through what is seen."""
+def on_its_floor(depth, camera, factor, floor, rounding, floating):
+    """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
+
+    Raises NoFloor where what was taken as the floor is rougher than any sensor makes it.
+    """
+    seen = tell_apart(depth, camera, factor, floor, None, rounding, floating)
+    if seen.correlation <= CORRELATED:
+        return seen
+    bend = bend_of(depth, floor, camera)
+    depth = depth + bend
+    if bend.any():
+        normal = floor.pose[:3, 2]
+        points = back_project(depth, camera)
+        floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
+    if seen.mask.any():
+        floor = floor_beside(floor, depth, camera, seen.mask)
+    if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
+        raise NoFloor("no plane is one that things could stand on")
+    return tell_apart(depth, camera, factor, floor, None, rounding, floating)._replace(bend=bend)
+
+
+def without_floor(depth, camera, factor, rounding):
+    """Return the Observation of an image without a plane that could be the floor: all is background as it is seen."""
+    seen = tell_apart(depth, camera, factor, given_floor(depth, camera, "none"), None, rounding)
     off = seen.image.weight > 0
     seen.image.floor[off] = seen.image.depth[off]
-    return seen._replace(mask=np.zeros_like(seen.mask), behind=off, background=1.0, no_floor=True)
+    return seen._replace(mask=np.zeros_like(off), behind=off, background=1.0, no_floor=True, correlation=1.0)
 
 
 def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):

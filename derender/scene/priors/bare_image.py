@@ -17,6 +17,29 @@ from derender.scene.support import balances
 
 
 @dataclass(frozen=True)
+class Existence:
+    """How probable it is that a free-form thing is an object, not clutter or a piece of one, by how much it explains.
+
+    Attributes
+    ----------
+    even : nats gained at which it is as likely as not. steep : power with which the odds grow with the nats.
+    most : the most that is said. error : standard error of that; error_at_even : at even odds.
+    """
+
+    even: float = 27.0
+    steep: float = 3.0
+    most: float = 0.95
+    error: float = 0.05
+    error_at_even: float = 0.15
+
+    def of(self, gain: float, no_floor: bool = False) -> tuple[float, float]:
+        """Return (probability, standard error) for a gain in nats; without a floor it is as likely as not."""
+        gain = self.even if no_floor else gain
+        share = 1.0 / (1.0 + (self.even / max(gain, 1e-9)) ** self.steep)
+        return self.most * share, math.hypot(self.error * share, self.error_at_even * 4.0 * share * (1.0 - share))
+
+
+@dataclass(frozen=True)
 class Loose:
     """What an image's solids do besides what a tree of exact contacts says.
 
@@ -32,6 +55,7 @@ class Loose:
         unexplained, where not, and of a real sensor's image.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
+    existence : of a free-form thing.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
@@ -44,6 +68,7 @@ class Loose:
     missed: tuple[float, float, float] = (0.005, 0.3, 0.2)
     second_support: float = 0.5
     within: float = 0.06
+    existence: Existence = field(default_factory=Existence)
 
 
 class MayTip:
@@ -78,12 +103,13 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
+EXISTENCE = {"even": None, "steep": None, "most": 1.0, "error": 1.0, "error_at_even": 1.0}  # and their greatest values
 NUMBERS = {"slack": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", *NUMBERS)
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", "existence", *NUMBERS)
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -103,4 +129,8 @@ def read_loose(section: Section) -> Loose:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
         found["within"] = second["within"].number("m", lower=1e-6)
+    if "existence" in section:
+        told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
+        numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
+        found["existence"] = Existence(**numbers)
     return Loose(**found)

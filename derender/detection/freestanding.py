@@ -1,0 +1,104 @@
+"""Pieces of a surface that stand free: most of their outline is an edge beyond which something farther is seen.
+
+So a person tells a thing from what is around it where no floor is known: on a shelf's board that is seen edge-on, in a
+bin, before a wall. A piece of a wall or of a floor has no such outline, and what is behind something else has the
+other side of its edges.
+"""
+
+import numpy as np
+
+from derender.compilation.cache import njit
+from derender.detection.local_planes import local_planes
+from derender.detection.segments import TIGHT, joined, segments
+
+REACH = 6  # pixels within which what lies beyond an outline is looked for: what a silhouette leaves without returns
+JOINED, FARTHER, NEARER, NOTHING, BORDER = range(5)  # what lies beyond a pixel of the outline
+SLANTED = 2.0  # widths of a pixel between neighbours of one surface that is seen at a slant
+# Of an outline: the least beyond which something farther is seen, which is more than is joined to others (to what a
+# piece stands on foremost), hidden by something nearer, or cut by the image's border; and what may be cut.
+FREE, CUT = 0.4, 0.1
+FEWEST = 40  # pixels of a piece
+LARGEST, SMALLEST = 0.6, 0.02  # metres of a piece's longest and second extent
+ENDS = 0.02  # share of a piece's points beyond the ends of its extents: flying pixels
+EDGE, THING = 770.0, 47.0  # nats of each metre of concave edge within one piece, and of one more: as in `things.py`
+
+
+def freestanding(points, good, jump, footprint, origin):
+    """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, an upright frame. good : (H, W) bool, pixels with a depth that may be a piece's.
+    jump : (H, W) metres between neighbours of one piece, at most. footprint : (H, W) metres across a pixel.
+    origin : (3,) the camera's centre.
+    """
+    normal, _, _ = local_planes(points, good, origin, jump, 2)
+    label, count, edges = segments(points, good, normal, jump, footprint)
+    if count == 0:
+        return []
+    area = np.bincount(label[label >= 0], footprint[label >= 0] ** 2, count)
+    owner = joined(points, label, count, edges, THING, EDGE, origin, area)
+    piece = np.where(label >= 0, owner[label], -1)
+    beyond = outlines(np.ascontiguousarray(piece), count, points, good, jump, footprint, origin)
+    pixels = np.bincount(piece[piece >= 0], minlength=count)
+    found = []
+    for k in np.argsort(-pixels, kind="stable"):
+        if pixels[k] < FEWEST:
+            break
+        share = beyond[k] / max(beyond[k].sum(), 1)
+        held = share[JOINED] + share[NEARER] + share[BORDER]
+        if share[FARTHER] < max(FREE, held) or share[BORDER] > CUT:
+            continue
+        low, high = np.quantile(points[piece == k] @ principal_axes(points[piece == k]), [ENDS, 1.0 - ENDS], axis=0)
+        extents = np.sort(high - low)
+        if extents[2] < LARGEST and extents[1] > SMALLEST:
+            found.append(piece == k)
+    return found
+
+
+def principal_axes(points):
+    """Return (3, 3) the axes along which points (K, 3) spread, as columns."""
+    return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
+
+
+@njit(cache=True, nogil=True)
+def outlines(piece, count, points, good, jump, footprint, origin):
+    """Return (N, 5) how many sides of the pixels of each piece's outline have what beyond them: see JOINED and so on.
+
+    piece : (H, W) int, -1 for none.
+    """
+    height, width = piece.shape
+    found = np.zeros((count, 5))
+    for j in range(height):
+        for i in range(width):
+            k = piece[j, i]
+            if k < 0:
+                continue
+            own = 0.0
+            for axis in range(3):
+                own += (points[j, i, axis] - origin[axis]) ** 2
+            for way in range(4):
+                down = 1 if way == 0 else -1 if way == 1 else 0
+                across = 1 if way == 2 else -1 if way == 3 else 0
+                what = NOTHING
+                for step in range(1, REACH + 1):
+                    v, u = j + step * down, i + step * across
+                    if v < 0 or v >= height or u < 0 or u >= width:
+                        what = BORDER
+                        break
+                    if piece[v, u] == k:
+                        what = -1
+                        break
+                    if good[v, u]:
+                        apart, other = 0.0, 0.0
+                        for axis in range(3):
+                            apart += (points[v, u, axis] - points[j, i, axis]) ** 2
+                            other += (points[v, u, axis] - origin[axis]) ** 2
+                        if apart < (TIGHT * jump[j, i] + SLANTED * step * footprint[j, i]) ** 2:
+                            what = JOINED
+                        else:
+                            what = FARTHER if other > own else NEARER
+                        break
+                if what >= 0:
+                    found[k, what] += 1.0
+    return found
