@@ -98,6 +98,10 @@ class Drawing:
             thing.usual_off = max(thing.usual_off, min(off_now, most * thing.usual_off))
             thing.usual_cost = max(thing.usual_cost, min(cost_now, most * thing.usual_cost))
 
+    def price(self, k) -> float:
+        """Return the nats of the whole image and of thing k's growth."""
+        return float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper + self.growth(k)
+
     def excess(self, k) -> float:
         """Return by how many nats the cost about thing k is above its usual one."""
         total, count, _ = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
@@ -106,9 +110,16 @@ class Drawing:
     def unexplained(self, k) -> bool:
         """Whether the cost about thing k, or the number of pixels there that are off, is above what it may be."""
         total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
+        total += self.growth(k)
         usual, usually_off = self.things[k].usual_cost * count, self.things[k].usual_off * count
         dear = total > usual * (1 + EXCESS[1]) + EXCESS[0] * DEVIATION * np.sqrt(count)
         return bool(dear or off > usually_off + EXCESS[0] * np.sqrt(usually_off + 1.0))
+
+    def growth(self, k) -> float:
+        """Return the nats by which the size that thing k is drawn with is less probable than the one that is known."""
+        thing = self.things[k]
+        grown = (self.sizes[self.planes + k] - thing.size) @ thing.ties.T / thing.ties.sum(axis=1)
+        return float(0.5 * grown @ np.linalg.solve(thing.covariance[6:, 6:], grown))
 
     def fit(self, k, expected, information, free, rounds=ROUNDS):
         """Fit thing k from where it is drawn; return (energy, curvature). free : whether its size may change."""

@@ -32,6 +32,8 @@ GIVEN_UP = 3  # frames on end for which a wrong fit is held before the thing is 
 SEARCHED = 3  # starts of a search from which a fit begins, those of least cost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 
+QUARTERS = [from_rotation_vector(0.5 * np.pi * axis) for axis in np.eye(3)]  # by which a box resembles itself
+
 
 class Seen(NamedTuple):
     """What the filter says of one frame.
@@ -211,17 +213,18 @@ class Tracker(Drawing):
         thing, index = self.things[k], self.planes + k
         wide = information.copy()
         wide[:6, :6] /= 9.0
-        best = float(cost(self.misfit, self.poses, self.sizes))
+        best = self.price(k)
         kept = self.poses[index].copy(), self.sizes[index].copy(), curvature
         owner, here = self.owner() == index, self.poses[index].copy()
         starts = [expected, *self._predictions(thing)]
+        starts += [inverse(self.view) @ here @ turn for turn in QUARTERS]
         starts += [inverse(self.view) @ pose for pose in shifts_to(self, blobs_of(self), owner, here)]
         self.loosen(True)
         ranked = self._ranked(k, [inverse(self.view) @ here, *starts])[:SEARCHED]
         for start in ranked:
             self.draw(k, start)
             bent = self.fit_from_afar(k, start, wide)
-            value = float(cost(self.misfit, self.poses, self.sizes))
+            value = self.price(k)
             if value < best - TOLERANCE:
                 best, kept = value, (self.poses[index].copy(), self.sizes[index].copy(), bent)
                 if not self.unexplained(k):

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from films import CAMERA, FPS, at, errors, film, start
 
+from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import rotation_angle
 from derender.tracking import fit
 from derender.tracking.events import events_of
 from derender.tracking.track import Recorder
-from derender.tracking.tracker import Tracker
+from derender.tracking.tracker import QUARTERS, Tracker
 
 GRAVITY = -9.81 * films.view()[:3, 2]
 
@@ -84,6 +85,34 @@ def test_a_jump_that_no_velocity_foretells_is_found_where_the_image_is_unexplain
     frames, poses = film(np.random.default_rng(3), ["box"], [BOX_A], paths)
     track = follow(frames, start(["box"], [BOX_A], poses[0])).track()
     assert errors(track, poses)[-1, 0] < 0.005
+
+
+def test_a_box_taken_for_itself_turned_by_a_quarter_and_grown_is_turned_back():
+    size = [0.06, 0.08, 0.05]
+    frames, poses = film(np.random.default_rng(3), ["box"], [size], [[at(0, 0, 0.025, (0, 0, 0.3))]] * 2)
+    tracker = Tracker(CAMERA, start(["box"], [size], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    k = tracker.planes
+    tracker.things[0].covariance[6:, 6:] = 0.001**2 * np.eye(3)
+    assert not tracker.unexplained(0)
+    tracker.poses[k], tracker.sizes[k] = poses[0][0] @ QUARTERS[2], [0.08, 0.06, 0.05]
+    cost(tracker.misfit, tracker.poses, tracker.sizes)
+    assert tracker.unexplained(0)  # the image shows the same, but nothing grows by twenty deviations
+    thing = tracker.things[0]
+    tracker._search(0, thing.pose, tracker._information(thing), np.eye(9))
+    assert not tracker.unexplained(0) and rotation_angle(poses[0][0], tracker.poses[k]) < 0.05
+
+
+@pytest.mark.parametrize("shift", [(0.03, 0.0, 0.0), (0.0, 0.0, -9.81 / FPS**2)])
+def test_the_prediction_that_the_image_shows_is_the_first_one(shift):
+    pose, speed = at(0, 0, 0.12), np.array([0.6, 0.0, -0.3])  # metres a second
+    after = at(*(pose[:3, 3] + speed / FPS + shift))
+    frames, poses = film(np.random.default_rng(4), ["box"], [[0.06] * 3], [[pose], [after]])
+    tracker = Tracker(CAMERA, start(["box"], [[0.06] * 3], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    floor, thing = films.view()[:3, :3], tracker.things[0]
+    thing.velocity, thing.acceleration = floor @ speed, floor @ np.array([0.03, 0.0, 0.0]) * FPS**2
+    tracker.see(frames[1])
+    best = tracker._ranked(0, tracker._predictions(thing))[0]
+    assert np.linalg.norm(best[:3, 3] - poses[1, 0, :3, 3]) < 0.006
 
 
 def test_what_is_hidden_is_said_to_be_and_comes_back_under_its_name():
