@@ -7,8 +7,8 @@ with them; inference gets the image and the camera. Prints the table, writes the
 
 An object is right where it overlaps a true one (one to one) by an IoU of 0.25, as in `derender eval`'s graphs; an edge
 where both its ends are right and the true object rests on it. A structure is right as a whole where it has all objects
-of the truth and no other, each with its shape and its parent. A part of an object counts as hidden where its visible
-pixels leave out more than HIDDEN of its extent at either end.
+of the truth that show in the image or carry one that does, and no other, each with its shape and its parent. A part of
+an object counts as hidden where its visible pixels leave out more than HIDDEN of its extent at either end.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from derender.cli import status_of
-from derender.evaluation.made_scenes import drawn_scene  # noqa: E402
+from derender.evaluation.made_scenes import drawn_scene, prior_document  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -45,14 +45,12 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
     twice : infer again with another seed, and say how far the two answers are apart. told : infer under the prior that
     the scenes come from, not that of bare images.
     """
-    from derender import data_path
-    from derender.document import read_document
     from derender.structures.infer import infer_structure
     from derender.structures.options import Options
 
     graph, image, label, camera = drawn_scene(seed, prior, size, sigma)
     start = time.perf_counter()
-    options = Options(prior=read_document(data_path(f"priors/{prior}.yaml")).prior) if told else None
+    options = Options(prior=prior_document(prior).prior) if told else None
     posterior = infer_structure(image, camera, options, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     truth = scene_json(graph)
@@ -61,7 +59,9 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
     record = {"seed": seed, "seconds": seconds, "truth": len(solids(truth)), "objects": [], "edges": [], "shapes": [],
               "structures": [], "intervals": []}  # fmt: skip
     answer = structures_of(posterior, truth)
-    record["structures"] = [[share, error, key == true_structure(truth)] for key, (share, error) in answer.items()]
+    true = true_structure(truth, {graph.solid_names[k] for k in np.unique(label[label >= 0])})
+    record["structures"] = [[share, error, key == true] for key, (share, error) in answer.items()]
+    record["missed"] = posterior.meta["missed"]
     if twice:
         other = structures_of(infer_structure(image, camera, options, np.random.default_rng([seed, 7])), truth)
         shares = {key: (answer.get(key, (0.0, 0.0)), other.get(key, (0.0, 0.0))) for key in {*answer, *other}}
@@ -103,9 +103,15 @@ def structures_of(posterior, truth):
     return found
 
 
-def true_structure(truth):
-    """Return the true structure in the same form."""
-    return tuple(sorted((item["name"], item["type"], item["parent"]) for item in solids(truth)))
+def true_structure(truth, seen):
+    """Return the true structure in the same form: of what is seen, by name, and what carries it."""
+    parents, shown = {item["name"]: item["parent"] for item in solids(truth)}, set()
+    for name in seen & set(parents):
+        while name in parents:
+            shown.add(name)
+            name = parents[name]
+    return tuple(sorted((item["name"], item["type"], item["parent"])
+                        for item in solids(truth) if item["name"] in shown))  # fmt: skip
 
 
 def covers(one, other):
@@ -237,6 +243,8 @@ def structure_rows(records):
     lines = [f"| structures | {len(said)} statements | likeliest said {np.mean([b[0] for b in best]):.4f}, "
              f"right {np.mean([b[1] for b in best]):.4f} | expected calibration error {expected_error(best):.4f} |",
              f"| structures at P >= {SURE} | {len(sure)} | right {np.mean(sure) if sure else np.nan:.4f} | |",
+             f"| a search that missed it | said {np.mean([r['missed'] for r in records]):.4f}, "
+             f"missed {np.mean([not any(right for _, right in each) for each in stated]):.4f} | |",
              f"| log score of the truth | mean {np.mean(score):.3f} nats | not found {np.mean(np.array(score) <= np.log(LEAST)):.3f} | |"]  # fmt: skip  # noqa: E501
     both = [r for r in records if "variation" in r]
     if both:
@@ -284,7 +292,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-n", type=int, default=300, help="scenes")
     parser.add_argument("--first", type=int, default=0, help="seed of the first scene")
-    parser.add_argument("--prior", default="tabletop", help="built-in prior")
+    parser.add_argument("--prior", default="tabletop", help="built-in prior, or a file")
     parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), help="of the images, as 64x48")
     parser.add_argument("--sigma", type=float, help="metres of noise, where it is not the prior's")
     parser.add_argument("--twice", action="store_true", help="infer with a second seed too")

@@ -267,17 +267,23 @@ def make_groups(rng, count=20):
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
 
 
+def prior_document(prior):
+    """Return the Document of a built-in prior by its name, or of a file of one."""
+    from derender import data_path
+    from derender.document import read_document
+
+    return read_document(prior if str(prior).endswith(".yaml") else data_path(f"priors/{prior}.yaml"))
+
+
 def drawn_scene(seed, prior, size=None, sigma=None):
     """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
 
     size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
     """
-    from derender import data_path
-    from derender.document import read_document
     from derender.render.likelihoods import likelihoods
     from derender.render.raycast.depth import render_depth
 
-    document = read_document(data_path(f"priors/{prior}.yaml"))
+    document = prior_document(prior)
     rng = np.random.default_rng([seed, 2026])
     graph = document.prior.sample(rng)
     camera = document.camera

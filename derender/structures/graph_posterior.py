@@ -29,6 +29,7 @@ from derender.structures.draws.refined import (
     chains_of,
     floor_pose_of,
     only_draw,
+    pixels_of,
     refine,
     structure_posterior,
     view_of,
@@ -66,7 +67,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     first : Refined of the search's best state. energy, pool : see `weighed_structures`.
     """
     if only_best:
-        return [structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])]
+        part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
+        return [replace(part, extras={**part.extras, **shown_and_left(first)})]
     made = DrawsOfOne(chains, draws)
     evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
     kept = weighed_structures(rng, first, energy, pool, settings, evidence, made)
@@ -74,7 +76,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
     parts = []
     for place, (trial, _, own, _) in enumerate(kept):
-        if place == 0:
+        if place == 0 and len(trial.state):
             drawn = made.of(rng, trial)
         elif weights[place] > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
@@ -85,12 +87,19 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         low, high = (float(end) for end in intervals[place])
         if place == 0:
             hidden = hidden_expected(rng, trial, settings.beliefs)
-            # the robust likelihood explains what is left as outliers: edges that lie a pixel beside
-            outliers = trial.sensor.likelihood.name != "gaussian"
-            left = 0 if outliers else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
-            part = replace(part, extras={**part.extras, "hidden_expected": hidden, "unexplained": left})
+            part = replace(part, extras={**part.extras, "hidden_expected": hidden, **shown_and_left(trial)})
         parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
     return parts
+
+
+def shown_and_left(trial):
+    """Return {pixels: of each solid, how many independent ones show it; unexplained: spots left that are no noise}.
+
+    What neighbouring pixels share is not told from noise by its spots.
+    """
+    worth = trial.sensor.worth
+    left = 0 if worth < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
+    return {"pixels": [float(worth * count) for count in pixels_of(trial)], "unexplained": left}
 
 
 class DrawsOfOne:

@@ -239,8 +239,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         parts = parts_about(interrupted or options.method == "map")
     except KeyboardInterrupt:
         interrupted, parts = True, parts_about(True)
-    missed = 0.0 if library else missed_by(seen, parts, loose)
-    parts = [part.scaled(1.0 - missed) for part in parts]
+    likeliest = parts[0]
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
     if isinstance(plane, str) or seen.no_floor:
         parts = [without_floor(part) for part in parts]
@@ -251,31 +250,36 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): loose.existence.of(thing.gain, seen.no_floor)
                           for k, thing in enumerate(seen.things)},
-            "missed": missed, "hidden_expected": parts[0].extras.get("hidden_expected"),
+            "hidden_expected": likeliest.extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     graph = posterior.best_graph()
     if len(looks) > 1:
         into = np.array(posterior.best_part.extras["into"])
         posterior.meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], frames, strict=True)]
-    return replace(posterior, explanation=explanation_of(graph, seen, depth, camera))
+    told = explanation_of(graph, seen, depth, camera)
+    missed = 0.0 if library else missed_by(seen, likeliest, loose.missed, told.share(depth))
+    posterior.meta["missed"] = missed
+    parts = tuple(part.scaled(1.0 - missed) for part in posterior.parts)
+    return replace(posterior, parts=parts, explanation=told)
 
 
-def missed_by(seen, parts, loose):
-    """Return the probability that the search has missed what is there; loose : what the prior says of that.
+def missed_by(seen, part, missed, explained):
+    """Return the probability that the search has missed what is there.
 
-    Of an image whose pixels are independent it has explained everything where two searches agreed, the model weighed
-    what they found, and no badly explained spots are left. Of a real sensor's nothing says so, and where no
-    floor was found nothing was searched for.
+    That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
+
+    Parameters
+    ----------
+    seen : Observation. part : the likeliest structure's, whose extras say in how many independent pixels each solid
+        shows and how many spots are unexplained. missed : Missed, what the prior says. explained : share of the pixels.
     """
-    settled, open_, sensor = loose.missed
-    if seen.no_floor:
-        return open_
+    settled = seen.agreed and not seen.no_floor and part.extras.get("unexplained", 0) == 0
+    whole = missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
-        return sensor
-    if len(parts) == 1 and parts[0].log_density.size == 1:  # one scene says no odds
-        return settled
-    return settled if seen.agreed and parts[0].extras.get("unexplained") == 0 else open_
+        whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
+    found = 1.0 - missed.few * np.exp(-np.array(part.extras.get("pixels", [])) / missed.pixels)
+    return float(1.0 - (1.0 - whole) * np.prod(found))
 
 
 def view_data(graph, into, look, frame):

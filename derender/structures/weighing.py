@@ -105,10 +105,13 @@ def blur_odds(rng, best, weighed):
 
 
 def averaged(logs, errors):
-    """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,)."""
-    count = len(logs)
-    odds = float(np.logaddexp.reduce(logs) - math.log(count))
-    spread = float(np.var(logs, ddof=1)) if count > 1 else 0.0
+    """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); minus infinity: it is 0."""
+    count, possible = len(logs), logs[np.isfinite(logs)]
+    if not len(possible):
+        return {"odds": -np.inf, "error": 0.0}
+    odds = float(np.logaddexp.reduce(possible) - math.log(count))
+    spread = float(np.var(possible, ddof=1)) if len(possible) > 1 else 0.0
+    spread += count / len(possible) - 1.0  # of how often it is not 0
     return {"odds": odds, "error": math.sqrt((float(np.mean(np.square(errors))) + spread) / count)}
 
 
@@ -127,6 +130,8 @@ def odds_at(rng, best, weighed, values, rules):
         found = climb(rng, state, chart, start, trial.sensor, SETTLING * len(places), members_of(chart, places), ())
     else:
         found = Refined(state, chart, start, trial.sensor, *load(engine_of(chart, trial.sensor), chart, start))
+    if not np.isfinite(found.log_prior):  # here it is impossible: it does not touch what bears it
+        return -np.inf, 0.0
     stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
     parts = [local_evidence(rng, found, places), local_evidence(rng, here, own_places)]
     odds = parts[0].log - parts[1].log + stands

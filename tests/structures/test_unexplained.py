@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from test_graph_posterior import camera, cube, floor_pose, observe, row
 
 from derender.detection.background import cut_off
@@ -97,15 +98,22 @@ def test_only_before_a_room_does_what_the_border_cuts_count_as_background():
 
 
 def test_no_answer_is_surer_than_the_search():
-    """What a search may have missed is more where two disagree, or something is left that no solid explains."""
-    loose = bare_image().loose
-    settled, open_, sensor = loose.missed
-    part = SimpleNamespace(extras={"unexplained": 0}, log_density=np.zeros((2, 50)))
-    left = SimpleNamespace(extras={"unexplained": 1}, log_density=np.zeros((2, 50)))
-    scored = SimpleNamespace(extras={}, log_density=np.zeros((2, 50)))  # not by the model: background, things
-    seen = SimpleNamespace(correlation=0.0, agreed=True, no_floor=False)
-    assert missed_by(seen, [part], loose) == settled < 0.01 < open_
-    assert missed_by(seen, [left], loose) == missed_by(seen, [scored], loose) == open_
-    assert missed_by(SimpleNamespace(**{**vars(seen), "agreed": False}), [part], loose) == open_
-    assert missed_by(SimpleNamespace(**{**vars(seen), "no_floor": True}), [part], loose) == open_
-    assert missed_by(SimpleNamespace(**{**vars(seen), "correlation": 0.9}), [part], loose) == sensor
+    """What a search may have missed is more where two disagree, something is left that no solid explains, solids show
+    in few pixels, or a real sensor's image is not explained."""
+    missed = bare_image().loose.missed
+
+    def told(part=None, explained=1.0, **seen):
+        part = {"unexplained": 0, "pixels": [300.0]} if part is None else part
+        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, **seen})
+        return missed_by(seen, SimpleNamespace(extras=part), missed, explained)
+
+    assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()
+    assert told({"unexplained": 1, "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
+    assert told(agreed=False) == told(no_floor=True) == pytest.approx(missed.open, abs=1e-6)
+    one = missed.few * np.exp(-30.0 / missed.pixels)
+    several = told({"unexplained": 0, "pixels": [30.0, 300.0, 30.0]})
+    assert several == pytest.approx(1.0 - (1.0 - missed.settled) * (1.0 - one) ** 2, abs=1e-6)
+    assert told(correlation=0.9) == pytest.approx(missed.sensor, abs=1e-6)
+    assert told(correlation=0.9, explained=1.0 - missed.unexplained) == pytest.approx(
+        1.0 - (1.0 - missed.sensor) / np.e, abs=1e-6
+    )

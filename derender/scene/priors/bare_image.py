@@ -5,7 +5,7 @@ sinking into each other, touching nothing) is a density about those contacts: in
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from derender.scene.codec.yaml_tree import Section
 from derender.scene.distributions import Distribution, distributions
@@ -40,6 +40,26 @@ class Existence:
 
 
 @dataclass(frozen=True)
+class Missed:
+    """How probable it is that a search has not found what is there at all, see `structures.missed`.
+
+    Attributes
+    ----------
+    settled : of an image, where two searches agreed and nothing is left unexplained. open : where not.
+    sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
+        fewer answers are right.
+    few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
+    """
+
+    settled: float = 0.005
+    open: float = 0.12
+    sensor: float = 0.1
+    unexplained: float = 0.05
+    few: float = 0.3
+    pixels: float = 10.0
+
+
+@dataclass(frozen=True)
 class Loose:
     """What an image's solids do besides what a tree of exact contacts says.
 
@@ -51,8 +71,7 @@ class Loose:
     overlap : metres by which solids may enter each other. faces : standard deviation in metres by which each face of a
         real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
-    missed : probability that a search has not found what is there at all: where two searches agreed and nothing is left
-        unexplained, where not, and of a real sensor's image.
+    missed : Missed, what a search may not have found.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     existence : of a free-form thing.
@@ -65,7 +84,7 @@ class Loose:
     faces: float = 0.003
     hanging: float = 1e-13
     tipping: float = 0.01
-    missed: tuple[float, float, float] = (0.005, 0.3, 0.2)
+    missed: Missed = field(default_factory=Missed)
     second_support: float = 0.5
     within: float = 0.06
     existence: Existence = field(default_factory=Existence)
@@ -123,8 +142,12 @@ def read_loose(section: Section) -> Loose:
             raise section["seen_from"].fault("the nearest is not nearer than the farthest", "write [0.4, 1.5]")
         found["seen_from"] = low, high
     if "missed" in section:
-        settled, open_, sensor = (item.number(lower=0.0, upper=1.0) for item in section["missed"].sequence(3))
-        found["missed"] = settled, open_, sensor
+        names = [each.name for each in fields(Missed)]
+        told = section["missed"].section().allow(*names)
+        found["missed"] = Missed(**{
+            name: told[name].number(lower=1e-9, upper=None if name == "pixels" else 1.0)
+            for name in names if name in told
+        })  # fmt: skip
     if "second_support" in section:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)

@@ -1,0 +1,54 @@
+"""A sensor's noise, its growth and outliers are fitted to each structure, not integrated over: what that changes."""
+
+import itertools
+
+import numpy as np
+import pytest
+from test_graph_posterior import camera, floor_pose, observe, row
+
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.rules import Rules
+from derender.detection.solids.state import FLOOR, State
+from derender.scene.solids import BOX, CYLINDER
+from derender.structures.draws.refined import at_mode
+from derender.structures.draws.sensor import model_depth
+from derender.structures.weighing import with_own_sensor
+
+RULES, PRIOR = Rules(0.0015), bare_image().sensor
+TRUE = {"sigma": 0.002, "sigma_growth": 0.004, "blur": 0.5, "outlier": 0.01, "missing": 0.05, "missing_edge": 0.05}
+SPREADS = np.exp(np.linspace(-0.4, 0.4, 17))
+GROWTHS = np.linspace(0.0, 0.012, 25)
+OUTLIERS = np.exp(np.linspace(-2.0, 1.5, 15))
+
+
+def integrated(refined):
+    """Return the log integral of likelihood and prior over sigma, growth and outliers, by a grid about true ones."""
+    sensor = refined.sensor
+    clean = model_depth(refined.chart, refined.values, sensor.camera)
+    logs = []
+    for spread, growth, rate in itertools.product(SPREADS, GROWTHS, OUTLIERS):
+        values = {"sigma": TRUE["sigma"] * spread, "sigma_growth": growth, "outlier": TRUE["outlier"] * rate}
+        changed = sensor.changed(**values)
+        logs.append(sensor.likelihood.log_density(sensor.observed, clean, changed.values) + changed.log_prior()
+                    + np.log(values["sigma"] * values["outlier"]))  # fmt: skip  # a grid in logarithms
+    return np.logaddexp.reduce(logs)
+
+
+@pytest.mark.slow  # ten seconds: thirteen thousand images
+@pytest.mark.parametrize("other", [(BOX, (0.08, 0.085, 0.078)), (CYLINDER, (0.09, 0.09, 0.08))])
+def test_numbers_of_the_sensor_take_about_the_same_from_every_structure(other):
+    """Fitted or integrated over, the odds of two structures are the same to a fifth of a nat."""
+    rng = np.random.default_rng(1)
+    cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    sensor, _, _ = observe(rng, cube, TRUE, camera(32, 24), "robust")
+    sensor = sensor._replace(prior=PRIOR)
+    rival = State().add(row(other[0], 0.5, 0.0, 0.0, 0.0, other[1]), UPRIGHT, False, FLOOR, 0.0)
+    modes = [with_own_sensor(rng, at_mode(rng, state, floor_pose(), sensor, RULES), [0], -1e9)
+             for state in (cube, rival)]  # fmt: skip
+    fitted = [mode.log_likelihood + mode.sensor.log_prior() for mode in modes]
+    whole = [integrated(mode) for mode in modes]
+    print(
+        fitted, whole, (fitted[0] - fitted[1]) - (whole[0] - whole[1]), modes[0].sensor.values, modes[1].sensor.values
+    )
+    assert abs((fitted[0] - fitted[1]) - (whole[0] - whole[1])) < 0.2
