@@ -274,8 +274,8 @@ def missed_by(seen, part, missed, explained):
     seen : Observation. part : the likeliest structure's, whose extras say in how many independent pixels each solid
         shows and how many spots are unexplained. missed : Missed, what the prior says. explained : share of the pixels.
     """
-    settled = seen.agreed and not seen.no_floor and part.extras.get("unexplained", 0) == 0
-    whole = missed.settled if settled else missed.open
+    settled = seen.agreed and part.extras.get("unexplained", 0) == 0
+    whole = missed.no_floor if seen.no_floor else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
     found = 1.0 - missed.few * np.exp(-np.array(part.extras.get("pixels", [])) / missed.pixels)

@@ -41,11 +41,12 @@ class Existence:
 
 @dataclass(frozen=True)
 class Missed:
-    """How probable it is that a search has not found what is there at all, see `structures.missed`.
+    """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
 
     Attributes
     ----------
-    settled : of an image, where two searches agreed and nothing is left unexplained. open : where not.
+    settled : of an image, where two searches agreed and nothing is left unexplained. open : where not. no_floor : where
+        nothing was found to stand on.
     sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
         fewer answers are right.
     few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
@@ -53,6 +54,7 @@ class Missed:
 
     settled: float = 0.005
     open: float = 0.12
+    no_floor: float = 0.5
     sensor: float = 0.1
     unexplained: float = 0.05
     few: float = 0.3
