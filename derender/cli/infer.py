@@ -8,8 +8,7 @@ import click
 from click.core import ParameterSource
 
 from derender.cli import options
-from derender.cli.bar import Bar
-from derender.cli.options import Talk, command_line
+from derender.cli.options import Bar, Talk, command_line
 
 if TYPE_CHECKING:
     from derender.camera.reading import Reading

@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from derender.cli.bar import Bar
-from derender.cli.options import Talk, command_line
+from derender.cli.options import Bar, Talk, command_line
 from derender.errors import DerenderError
 
 

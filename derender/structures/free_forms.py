@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from derender.detection.closing import surface_of
+from derender.detection.outline import convex_outline
 from derender.detection.search.bodies import APART
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, vertex_of
-from derender.detection.solids.image import CENTRE, SIZE
+from derender.detection.solids.image import CENTRE, SIZE, rotation_of
 from derender.detection.solids.state import FLOOR
+from derender.scene.shapes.thing import encode_surface
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
@@ -62,3 +63,133 @@ def _with_all(rng, part, state, names, made, noise):
             periods.append(None)
     return replace(part, graph=graph, addresses=tuple(addresses), values=np.concatenate(values, axis=2),
                    periods=tuple(periods) if part.periods else ())  # fmt: skip
+
+
+MOST_VERTICES = 700  # of what is seen; a surface of more pixels is sampled
+LEAST_FOOT = 0.005  # metres under what is seen that may be hidden
+DEEP = 0.002  # metres that a thing is deep behind each point that is seen, at least
+
+
+def closed_surface(image, mask, row, jump):
+    """Return (vertices (V, 3) in metres, the box's axes; triangles (T, 3)) of a thing, closed; None where too few show.
+
+    What is seen is joined where neighbours have no jump between them. Nothing is added before it on any ray, so drawing
+    the thing gives what was seen.
+
+    image : Image. mask : (H, W) bool. row : (ROW,) the bounding box, floor frame. jump : (H, W) metres between
+    neighbouring points of one surface, at most.
+    """
+    near, place, triangles = visible_surface(image, mask, jump)
+    turn, centre, half = rotation_of(row), row[CENTRE:SIZE], 0.5 * row[SIZE:]
+    origin = (image.origin - centre) @ turn
+    direction = direction_at(image, place) @ turn
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ways = np.where(direction > 0.0, (half - origin) / direction, (-half - origin) / direction)
+    far = np.maximum(np.nanmin(np.where(np.abs(direction) > 1e-9, ways, np.inf), axis=1), near + DEEP)
+    front = origin + near[:, None] * direction
+    back = origin + far[:, None] * direction
+    if len(triangles) < 2:
+        return None
+    count = len(front)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    open_edges = edges[~np.isin(edges @ [count, 1], edges[:, ::-1] @ [count, 1])]  # with a triangle on one side only
+    a, b = open_edges.T
+    sides = np.concatenate([np.column_stack([b, a, a + count]), np.column_stack([b, a + count, b + count])])
+    faces = np.concatenate([triangles, triangles[:, ::-1] + count, sides])
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices = np.clip(np.vstack([front, back]), -half, half)[used]
+    foot, sides = hidden_foot(vertices, -half[2])
+    return np.vstack([vertices, foot]), np.vstack([faces.reshape(-1, 3), sides + len(vertices)])
+
+
+def hidden_foot(vertices, bottom):
+    """Return (vertices (V, 3), triangles (T, 3)) of an upright prism from a height up to the lowest of the vertices.
+
+    What stands before a thing may hide its foot; none where it shows.
+    """
+    low = float(vertices[:, 2].min())
+    corners = convex_outline(np.ascontiguousarray(vertices[:, :2]))
+    if low - bottom < LEAST_FOOT or corners is None:
+        return np.empty((0, 3)), np.empty((0, 3), int)
+    count = len(corners)
+    k, after = np.arange(count), np.roll(np.arange(count), -1)
+    lower, upper = (np.column_stack([corners, np.full(count, height)]) for height in (bottom, low))
+    fan = np.column_stack([np.zeros(count - 2, int), k[1:-1], k[2:]])
+    sides = [np.column_stack([k, after, k + count]), np.column_stack([after, after + count, k + count])]
+    return np.vstack([lower, upper]), np.concatenate([fan[:, ::-1], fan + count, *sides])
+
+
+def visible_surface(image, mask, jump):
+    """Return (depth (V,), place (V, 2) in rows and columns, triangles (T, 3)) of what is seen of a thing.
+
+    Each pixel is a square of its own size, so that silhouettes lie where they are seen and not half a pixel within; of
+    more than MOST_VERTICES pixels those are joined to larger squares of which half or more is the thing's. Neighbours
+    without a jump share corners, whose depth is the mean of what the squares that meet there say, along their slopes.
+    Triangles are wound towards the camera.
+    """
+    step = max(1, int(np.ceil(np.sqrt(mask.sum() / MOST_VERTICES))))
+    height, width = (-(-count // step) for count in mask.shape)
+
+    def squares(values):
+        padded = np.pad(values, [(0, n * step - k) for n, k in zip((height, width), values.shape, strict=True)])
+        return padded.reshape(height, step, width, step).sum(axis=(1, 3))
+
+    count = squares(mask)
+    there = np.pad(count >= 0.5 * step**2, 1)
+    many = np.maximum(count, 1)
+    depth, limit = (np.pad(squares(np.where(mask, values, 0.0)) / many, 1) for values in (image.depth, step * jump))
+    middle = np.moveaxis(np.indices(there.shape), 0, -1) * step - 0.5 * (step + 1)  # rows and columns, padding included
+    points = depth[..., None] * direction_at(image, middle)
+    slopes, links = np.zeros((2, *there.shape)), []
+    for axis in (0, 1):
+        after, before = (slice(1, None), slice(None, -1)) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
+        apart = np.linalg.norm(points[after] - points[before], axis=-1)
+        link = there[after] & there[before] & (apart < np.minimum(limit[after], limit[before]))
+        rise, sides = np.where(link, depth[after] - depth[before], 0.0), np.zeros(there.shape)
+        for way in (after, before):
+            slopes[axis][way] += rise
+            sides[way] += link
+        slopes[axis] /= np.maximum(sides, 1.0)
+        links.append(link)
+    # about each corner four squares: above left, above right, below left, below right
+    about = (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:])
+    pairs = ((0, 1, links[1][:-1]), (2, 3, links[1][1:]), (0, 2, links[0][:, :-1]), (1, 3, links[0][:, 1:]))
+    group = np.broadcast_to(np.arange(4)[:, None, None], (4, height + 1, width + 1)).copy()
+    for _ in range(3):  # until the squares that are linked around a corner have one number
+        for one, other, link in pairs:
+            least = np.minimum(group[one], group[other])
+            group[one], group[other] = (np.where(link, least, group[k]) for k in (one, other))
+    corner = np.arange((height + 1) * (width + 1)).reshape(height + 1, width + 1)
+    key = 4 * corner + group
+    shown = np.stack([there[part] for part in about])
+    ways = ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
+    said = np.stack([depth[part] + down * slopes[0][part] + across * slopes[1][part]
+                     for part, (down, across) in zip(about, ways, strict=True)])  # fmt: skip
+    used, number = np.unique(key[shown], return_inverse=True)
+    found = np.bincount(number, said[shown], len(used)) / np.bincount(number, minlength=len(used))
+    place = np.column_stack(np.divmod(used // 4, width + 1)) * step - 0.5
+    numbers = np.zeros(key.shape, int)
+    numbers[shown] = number
+    inner = there[1:-1, 1:-1]
+    a, b, c, d = (each[inner] for each in (numbers[3][:-1, :-1], numbers[2][:-1, 1:], numbers[1][1:, :-1],
+                                           numbers[0][1:, 1:]))  # fmt: skip
+    return found, place, np.concatenate([np.column_stack([a, c, b]), np.column_stack([b, c, d])])
+
+
+def direction_at(image, place):
+    """Return the directions (..., 3) of an Image's rays at places (..., 2) in rows and columns, between pixels too."""
+    first = image.direction[0, 0]
+    ways = np.stack([image.direction[1, 0] - first, image.direction[0, 1] - first])
+    return first + place @ ways
+
+
+def surface_of(image, mask, row, jump):
+    """Return (text, size (3,), centre (3,) in the floor frame) of a thing's surface; the box itself where too few show.
+
+    Takes what `closed_surface` does.
+    """
+    made = closed_surface(image, mask, row, jump)
+    if made is None or not (np.ptp(made[0], axis=0) > 0).all():
+        return "", row[SIZE:].copy(), row[CENTRE:SIZE].copy()
+    text, size, centre = encode_surface(*made)
+    return text, size, row[CENTRE:SIZE] + rotation_of(row) @ centre

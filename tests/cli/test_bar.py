@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from derender.cli import bar
+from derender.cli import options as bar
 
 
 class Terminal(io.StringIO):

@@ -5,7 +5,6 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, seen_on_the_table
 
-from derender.detection.closing import closed_surface, surface_of, visible_surface
 from derender.detection.search.bodies import APART
 from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
@@ -15,6 +14,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import held_by_another
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH
+from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure, point_estimate
 from derender.structures.options import Options
 

@@ -69,7 +69,7 @@ def test_scene_graph_draws_it_through_its_mesh(plugin):
 
 def test_yaml_and_renderer_take_it(plugin, tmp_path):
     from derender.document import read_document
-    from derender.render.renderers.raycast import render_depth
+    from derender.render.raycast.depth import render_depth
 
     path = tmp_path / "scene.yaml"
     path.write_text(

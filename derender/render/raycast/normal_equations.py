@@ -1,5 +1,8 @@
 """Misfit of the blurred antialiased image, its gradient, and Gauss-Newton's normal equations: all compiled.
 
+The two large kernels, which draw the image and its derivatives, are called by their addresses: every optimiser that
+calls `cost` and `normal_equations` by name would otherwise compile them once more.
+
 A pixel costs rho(r) = r^2 / (2 sigma^2) under the normal likelihood (Eq. 6), and
 -log((exp(-r^2 / (2 sigma^2)) + exp(-limit)) / (1 + exp(-limit))) under a mixture with a broad outlier whose share makes
 the two equal at r^2 / (2 sigma^2) = `limit`. Constants are left out: differences of costs are differences of log
@@ -11,15 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.compilation.cache import njit
+from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import Canvas, new_canvas
 from derender.render.raycast.records import MOTION, Records, gather, new_records, spread
 from derender.render.raycast.sensitivity import record
 from derender.render.raycast.smooth import blur_adjoint, blur_rectangle
 
-# rows of `numbers`
+# places in `numbers` and in `calls`
 BACKGROUND, LIMIT = range(2)
+DRAW, RECORD = range(2)
 
 
 class Misfit(NamedTuple):
@@ -37,6 +41,7 @@ class Misfit(NamedTuple):
         weight of each pixel in the normal equations; scratch.
     images : (P, H * W) float64, derivatives of the blurred image by the parameters. bounds : (P, 4) int64, where not
         zero.
+    calls : (2,) int64, addresses in this process of `draw_antialiased` and `record`.
     """
 
     canvas: Canvas
@@ -55,6 +60,7 @@ class Misfit(NamedTuple):
     spare: np.ndarray
     images: np.ndarray
     bounds: np.ndarray
+    calls: np.ndarray
 
 
 def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, limit=math.inf, scene=None) -> Misfit:
@@ -65,15 +71,18 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
     blurred, weighted, scratch, weight, spare = np.zeros((5, height, width))
+    canvas, records = new_canvas(camera, len(kinds), scene), new_records(camera, len(kinds))
+    window = np.array([0, width, 0, height], np.int64)
+    poses, sizes, active = np.empty((len(kinds), 4, 4)), np.empty((len(kinds), 3)), np.empty(len(kinds), np.bool_)
     return Misfit(
-        canvas=new_canvas(camera, len(kinds), scene),
-        records=new_records(camera, len(kinds)),
+        canvas=canvas,
+        records=records,
         kinds=kinds,
         observed=np.ascontiguousarray(np.where(seen, observed, 0.0), np.float64),
         precision=np.ascontiguousarray(precision),
         numbers=np.array([background, limit], np.float64),
         taps=np.ascontiguousarray(taps, np.float64),
-        window=np.array([0, width, 0, height], np.int64),
+        window=window,
         row_costs=np.zeros(height),
         blurred=blurred,
         weighted=weighted,
@@ -82,6 +91,13 @@ def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, lim
         spare=spare,
         images=np.zeros((parameters, height * width)),
         bounds=np.zeros((parameters, 4), np.int64),
+        calls=np.array(
+            [
+                address_of(draw_antialiased, canvas, kinds, poses, sizes, 0.0, window),
+                address_of(record, canvas, records, kinds, poses, sizes, active, 0.0, window, True),
+            ],
+            np.int64,
+        ),
     )
 
 
@@ -94,7 +110,7 @@ def cost(misfit, poses, sizes):
     canvas = misfit.canvas
     height, width = misfit.observed.shape
     margin = misfit.taps.shape[0] - 1
-    draw_antialiased(canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.window)
+    call_for_nothing(misfit.calls[DRAW], canvas, misfit.kinds, poses, sizes, misfit.numbers[BACKGROUND], misfit.window)
     dirty, changed = canvas.dirty, np.empty(4, np.int64)
     if dirty[0] < dirty[1]:
         changed[0], changed[1] = max(dirty[0] - margin, 0), min(dirty[1] + margin, width)
@@ -141,8 +157,8 @@ def cost_gradient(misfit, poses, sizes, active, edges, totals):
     `cost` must have been called last for the same placement: its image and residuals are used.
     active : (N,) bool. edges : bool, see `sensitivity.record`. totals : (N, MOTION) float64, written.
     """
-    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.window, edges)  # fmt: skip
+    call_for_nothing(misfit.calls[RECORD], misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active,
+                     misfit.numbers[BACKGROUND], misfit.window, edges)  # fmt: skip
     carried = misfit.images[0].reshape(misfit.blurred.shape)
     blur_adjoint(misfit.weighted, misfit.taps, misfit.window, misfit.scratch, carried)
     totals[:] = 0.0
@@ -176,8 +192,8 @@ def normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian):
                 if motions[p, k, c] != 0.0:
                     moves[p, k] = True
                     active[k] = True
-    record(misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active, misfit.numbers[BACKGROUND],
-           misfit.window, edges)  # fmt: skip
+    call_for_nothing(misfit.calls[RECORD], misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active,
+                     misfit.numbers[BACKGROUND], misfit.window, edges)  # fmt: skip
     spread(misfit.records, motions, moves, misfit.images)
     radius = misfit.taps.shape[0] - 1
     blurred = misfit.spare

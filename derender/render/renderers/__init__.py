@@ -17,7 +17,7 @@ from derender.errors import DerenderError
 from derender.registry import suggest
 
 RENDERERS = {
-    "raycast": "derender.render.renderers.raycast",
+    "raycast": "derender.render.raycast.depth",
     "pyrender": "derender.render.renderers.opengl",
 }
 ENTRY_POINT_GROUP = "derender.renderers"
