@@ -222,7 +222,7 @@ def outcome(mutation: Mutation, copies: Queue) -> str:
     folder = copies.get()
     file = folder / "derender" / mutation.file
     whole = file.read_text()
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *mutation.tests]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "", *mutation.tests]
     environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         file.write_text(whole.replace(mutation.old, mutation.new))

@@ -57,14 +57,15 @@ class SilentWorld(SceneWorld):
         return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [None, WithoutArea])
 @pytest.mark.parametrize(
     "name, replicates",
     [
         ("relocate", 1200),
-        pytest.param("turn", 3200, marks=pytest.mark.slow),
-        pytest.param("slide", 3200, marks=pytest.mark.slow),
-        pytest.param("relocate-stack", 3200, marks=pytest.mark.slow),
+        ("turn", 3200),
+        ("slide", 3200),
+        ("relocate-stack", 3200),
     ],
 )
 def test_contacts_made_anew_keep_the_prior(name, replicates, twin):

@@ -104,6 +104,7 @@ def test_chain_agrees_with_brute_force(seed):
         assert abs(walked.mean() - shares.get(key, 0.0)) < 4.5 * error + 2e-3, key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_smc_agrees_with_brute_force(seed):
     """Structure probabilities and evidence from several independent populations, against brute force, within errors."""

@@ -203,6 +203,7 @@ EITHER = """  low:
 """
 
 
+@pytest.mark.slow
 def test_a_structure_counts_where_the_terms_allow_a_scene_of_it():
     """Terms allow one scene in sixty of the can on the deck, and none of what may not touch that on which it stands."""
     prior = read_prior_document("relations").prior
@@ -215,7 +216,7 @@ def test_a_structure_counts_where_the_terms_allow_a_scene_of_it():
         assert {graph.vertex("high").parent for graph in found} == parents
 
 
-@pytest.mark.parametrize("term", ["no-overlap", "no-overlap: {scale: 0.03}"])
+@pytest.mark.parametrize("term", ["no-overlap", pytest.param("no-overlap: {scale: 0.03}", marks=pytest.mark.slow)])
 def test_structures_weigh_what_the_terms_leave_of_them(term):
     """On the floor half of the places are taken, softly or not; a blind image leaves the prior's own shares."""
     document = read(OPENING + EITHER + BLIND + f"constraints: [{term}]\n")

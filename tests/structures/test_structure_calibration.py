@@ -106,8 +106,9 @@ def unevenness(ranks):
     return least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scenes", "thin", "in_bank"), [
-    (60, 10, 2500), pytest.param(300, 20, 20_000, marks=pytest.mark.slow)])  # fmt: skip
+    (60, 10, 2500), (300, 20, 20_000)])  # fmt: skip
 def test_jumps_are_calibrated_over_structure(scenes, thin, in_bank):
     ranks, off, against = calibration(scenes, thin, in_bank)
     print(f"unevenness {unevenness(ranks):.3g}", {k: (round(off[k], 2), round(against[k], 2)) for k in off})
@@ -116,6 +117,7 @@ def test_jumps_are_calibrated_over_structure(scenes, thin, in_bank):
     assert max(against.values()) < SEVERE
 
 
+@pytest.mark.slow
 def test_a_birth_of_wrong_density_is_not(monkeypatch):
     """A birth that forgets that a new object's place and size were drawn with a density."""
     honest = BirthDeath.log_choice
