@@ -59,6 +59,14 @@ def make_dispatcher(kernel):
     dispatcher = numba.njit(**kernel.targetoptions)(kernel.py_func)
     if kernel.entries is not None:
         dispatcher._cache = _KernelCache(kernel)
+    template = dispatcher.get_call_template
+
+    def for_any_value(arguments, keywords):
+        """Take a constant that a caller gives for any value of its type: numba would compile each apart."""
+        return template([types.unliteral(kind) for kind in arguments],
+                        {name: types.unliteral(kind) for name, kind in keywords.items()})  # fmt: skip
+
+    dispatcher.get_call_template = for_any_value
     return dispatcher
 
 
