@@ -107,6 +107,7 @@ def test_one_object_that_fills_the_image():
     assert len(found) == 1 and np.abs(found[0] - np.sort(SIZES[0])).max() < 0.015
 
 
+@pytest.mark.slow
 def test_large_images_in_millimetres_with_holes():
     depth, camera = picture(floor_pose(), 640, 480)
     depth = np.round(depth, 3)

@@ -333,6 +333,7 @@ TWINS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "twin"), TWINS)
 def test_broken_twin_fails(name, twin):
     world, replicates = ROWS[name]

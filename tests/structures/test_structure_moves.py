@@ -142,6 +142,7 @@ def test_a_tilted_solid_is_put_upright_and_the_reverse(explained):
     del top
 
 
+@pytest.mark.slow
 def test_a_box_drawn_down_to_the_floor_is_lifted_off_it():
     """Scene 22 of the towers: two pixels show what carries the lowest box that can be seen."""
     scene = scene_of("tower", 22)

@@ -1,4 +1,4 @@
-"""Guesses of solids that show given points: turned anyhow, reaching anyhow far into what is hidden, the best of many.
+"""Guesses of solids that show given points: at any angle and of any extent into what is hidden, the best of many.
 
 Hypotheses from patches and from bodies of points take what shows for most of a solid. Of a drum behind another solid a
 strip of its side and a bit of its end show, which no least-squares circle fits; of many guesses one is near enough to

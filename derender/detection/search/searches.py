@@ -21,7 +21,7 @@ ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 ON_REPAIRS = 24  # moves between structures of a search that goes on where free-form things are known
-HOPELESS = 200.0  # nats that a merged solid may cost before those about it are settled
+PRUNE_THRESHOLD = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
@@ -216,7 +216,7 @@ def unite_few(rng, image, state, settings):
                                         4.0))  # fmt: skip
             row, _, _ = min(tries, key=lambda tried: tried[1])
             new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
-            if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+            if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                 continue
             new = settle(rng, image, new, settings, 200, {len(fewer)})
             value = total_energy(image, new, settings)
@@ -252,7 +252,7 @@ def merge_all(rng, image, state, settings):
         for i, j in aligned_pairs(state):
             for spread in ((False, False, False), (True, True, True)):
                 new, changed = merge_pair(rng, image, state, settings, i, j, spread)
-                if total_energy(image, new, settings) > best + settings.temper * HOPELESS:
+                if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                     continue
                 new = settle(rng, image, new, settings, 200, changed)
                 value = total_energy(image, new, settings)

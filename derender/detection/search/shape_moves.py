@@ -50,7 +50,7 @@ def polished(rng, image, state, i, row, form, cube, settings, step=0.003, heat=2
 
 
 def shake(rng, image, state, hypotheses, settings, places):
-    """Turn a solid anyhow about the vertical, make it a little larger or smaller, and polish it from hotter."""
+    """Turn a solid to any angle about the vertical, make it a little larger or smaller, and polish it from hotter."""
     if len(state) == 0:
         return None
     i = pick(rng, places.blame[:-1])
