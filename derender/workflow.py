@@ -49,7 +49,6 @@ def infer_to_folder(
     gradient: str = "exact",
     command: str = "derender infer",
     page: bool = True,
-    timed: bool = True,
     progress: Progress | None = None,
     say: Say = silent,
     warn: Say = silent,
@@ -64,8 +63,7 @@ def infer_to_folder(
     output : folder; None: the image's name with _inferred.
     reading : how the image is read: with which camera, unit, turn and confidence.
     gradient : "exact" or "finite-difference", of method "map" with a scene given.
-    command : recorded in what is written. page : whether report.html is written, which can be made later. timed :
-        whether summary.json says how long it took, which is never twice the same.
+    command : recorded in what is written. page : whether report.html is written, which can be made later.
     progress : called with (fraction done, message). say, warn : called with a line for a person.
     frames : files of further images of the same scene, which stands still; poses : file of where all cameras stood
         (camera/poses.py), None: as the camera file says, or else they are found.
@@ -79,7 +77,7 @@ def infer_to_folder(
         options = replace(options, frames=read_frames([image, *frames], poses, reading))
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
     request = ask(image, options, prior, folder, reading, gradient, command, warn)
-    return answer(request, make_folder(folder), page, started if timed else None, progress, say, warn)
+    return answer(request, make_folder(folder), page, started, progress, say, warn)
 
 
 class Request(NamedTuple):

@@ -9,6 +9,8 @@ import numpy as np
 from derender.physics.bodies import Matter
 from derender.physics.mujoco_model import World
 
+TOLERANCE = 0.005  # metres by which contacts of real scenes are open or closed and still are contacts
+
 
 def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     """Return what physics says of a scene as `derender show --json` prints it.
@@ -37,10 +39,6 @@ def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-TOLERANCE = 0.005
-"""Metres by which contacts of real scenes are open or closed and still are contacts."""
-
-
 def gaps(matter: Matter, limit: float = 1.0) -> dict[tuple[str, str], float]:
     """Return the signed distance of each pair of bodies in metres (negative: how deep they overlap).
 
@@ -64,6 +62,6 @@ def floating(matter: Matter, tolerance: float = TOLERANCE) -> list[str]:
     return [body.name for body in matter.bodies if body.name not in held]
 
 
-def intersecting(matter: Matter, tolerance: float = TOLERANCE) -> list[tuple[str, str, float]]:
-    """Return the pairs of bodies that overlap by more than `tolerance` metres, and by how much."""
-    return [(*pair, -gap) for pair, gap in gaps(matter).items() if gap < -tolerance]
+def intersecting(matter: Matter) -> list[tuple[str, str, float]]:
+    """Return the pairs of bodies that overlap by more than TOLERANCE, and by how much, metres."""
+    return [(*pair, -gap) for pair, gap in gaps(matter).items() if gap < -TOLERANCE]

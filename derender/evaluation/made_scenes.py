@@ -38,7 +38,7 @@ def place_bridge(rng):
     return sizes, np.array(poses)
 
 
-def let_rest(sizes, poses, seconds=2.0):
+def let_rest(sizes, poses):
     """Let upright boxes come to rest where they stand; see `come_to_rest`."""
     bodies = []
     for size, pose in zip(sizes, poses, strict=True):
@@ -47,7 +47,7 @@ def let_rest(sizes, poses, seconds=2.0):
             f'<body pos="{" ".join(map(str, pose[:3, 3]))}" quat="{np.cos(yaw / 2)} 0 0 {np.sin(yaw / 2)}"><freejoint/>'
             f'<geom type="box" size="{" ".join(str(s / 2) for s in size)}"/></body>'
         )
-    return come_to_rest(bodies, seconds)
+    return come_to_rest(bodies, 2.0)
 
 
 def settled_bridge(rng):
@@ -70,11 +70,12 @@ SETS = ("settled", "noisy", "mixed", "tower", "groups", "cubes", "bridge")
 
 
 FIELD_OF_VIEW = np.radians(60.0)
+KINECT_DISPARITY = 580.0 * 0.075  # focal length in pixels times baseline in metres
 
 
-def camera_of(width, height, field_of_view=FIELD_OF_VIEW):
-    """Return the intrinsics dict of a pinhole camera with this horizontal field of view."""
-    focal = width / 2 / np.tan(field_of_view / 2)
+def camera_of(width, height):
+    """Return the intrinsics dict of the pinhole camera that sees the scenes."""
+    focal = width / 2 / np.tan(FIELD_OF_VIEW / 2)
     return {
         "fx": focal, "fy": focal, "cx": (width - 1) / 2, "cy": (height - 1) / 2, "width": width, "height": height,
     }  # fmt: skip
@@ -164,12 +165,12 @@ def stack(rng, count, low=0.04, high=0.14):
     return kinds, np.array(sizes), np.array(poses), parents
 
 
-def kinect_noise(rng, depth, label, focal=580.0, baseline=0.075):
+def kinect_noise(rng, depth, label):
     """Return the depth as a Kinect-like sensor gives it: noise 1.2 mm + 1.9 mm/m^2 (z - 0.4)^2, disparity in steps of
     1/8 pixel at the sensor's own focal length, 60 % of the edge pixels and 1 % of all lost."""
     noisy = depth + rng.normal(size=depth.shape) * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
-    disparity = np.round(focal * baseline / noisy * 8) / 8
-    noisy = focal * baseline / np.where(disparity > 0, disparity, np.nan)  # too far to tell: no return
+    disparity = np.round(KINECT_DISPARITY / noisy * 8) / 8
+    noisy = KINECT_DISPARITY / np.where(disparity > 0, disparity, np.nan)  # too far to tell: no return
     filled = np.nan_to_num(depth, nan=10.0)
     edge = np.zeros(depth.shape, bool)
     for axis in (0, 1):

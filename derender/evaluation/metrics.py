@@ -176,15 +176,14 @@ def mask_f1(
     truth: np.ndarray,
     threshold: float = 0.5,
     background: Collection[int] = (0,),
-    predicted_background: Collection[int] = (-1,),
     ignore: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Compare label images: F1 of the objects whose masks overlap (intersection over union) at least `threshold`.
 
     Parameters
     ----------
-    predicted, truth : (height, width) int, one number for each object.
-    background, predicted_background : labels that are no object (nothing, the table).
+    predicted, truth : (height, width) int, one number for each object, -1 of nothing predicted.
+    background : true labels that are no object (nothing, the table).
     ignore : (height, width) bool, pixels that count for neither (say, without a return).
 
     Returns
@@ -194,7 +193,7 @@ def mask_f1(
     if predicted.shape != truth.shape:
         raise ValueError(f"label images of {predicted.shape} and {truth.shape} pixels cannot be compared")
     keep = np.ones(truth.shape, bool) if ignore is None else ~ignore
-    said = [label for label in np.unique(predicted[keep]) if label not in predicted_background]
+    said = [label for label in np.unique(predicted[keep]) if label != -1]
     true = [label for label in np.unique(truth[keep]) if label not in background]
     overlap = np.zeros((len(said), len(true)))
     for i, a in enumerate(said):

@@ -9,8 +9,8 @@ import numpy as np
 POINTS = 1000
 
 
-def surface_points(solid: Mapping[str, Any], count: int = POINTS) -> np.ndarray:
-    """Return about `count` points spread evenly over a solid's surface, always the same ones.
+def surface_points(solid: Mapping[str, Any]) -> np.ndarray:
+    """Return about POINTS points spread evenly over a solid's surface, always the same ones.
 
     Returns
     -------
@@ -18,13 +18,13 @@ def surface_points(solid: Mapping[str, Any], count: int = POINTS) -> np.ndarray:
     """
     pose, size = np.asarray(solid["pose"], float), np.asarray(solid["size"], float)
     if solid.get("vertices") is not None:
-        local = _hull_points(np.asarray(solid["vertices"], float), count)
+        local = _hull_points(np.asarray(solid["vertices"], float), POINTS)
     elif solid["type"] == "sphere":
-        local = _fibonacci_sphere(count) * 0.5 * size[0]
+        local = _fibonacci_sphere(POINTS) * 0.5 * size[0]
     elif solid["type"] == "cylinder":
-        local = _cylinder_points(0.5 * size[0], size[2], count)
+        local = _cylinder_points(0.5 * size[0], size[2], POINTS)
     else:
-        local = _box_points(size, count)
+        local = _box_points(size, POINTS)
     return local @ pose[:3, :3].T + pose[:3, 3]
 
 

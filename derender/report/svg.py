@@ -11,6 +11,7 @@ from derender.results.table import SURE, digits
 CHAIN_COLOURS = ("#2166ac", "#d6604d", "#5aae61", "#9970ab", "#bf812d", "#35978f", "#c51b7d", "#4d4d4d")
 TRACE_POINTS = 160
 RANK_BINS = 20
+TRACE_SIZE, RANK_SIZE = (200, 34), (130, 34)  # pixels
 MOST_ABREAST = 5  # objects beside each other whose words can be read
 
 
@@ -111,13 +112,14 @@ def tree_places(objects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, flo
     return column, row, leaves
 
 
-def trace_svg(draws: np.ndarray, width: int = 200, height: int = 34) -> str:
+def trace_svg(draws: np.ndarray) -> str:
     """Return the traces of the chains.
 
     Parameters
     ----------
     draws : (chains, draws) float64.
     """
+    width, height = TRACE_SIZE
     finite = draws[np.isfinite(draws)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     span = high - low or 1.0
@@ -131,13 +133,14 @@ def trace_svg(draws: np.ndarray, width: int = 200, height: int = 34) -> str:
     return _svg(width, height, parts, "Trace of each chain")
 
 
-def rank_svg(draws: np.ndarray, width: int = 130, height: int = 34) -> str:
+def rank_svg(draws: np.ndarray) -> str:
     """Return the rank plot: how the ranks of each chain's draws among all draws spread. Level lines are good chains.
 
     Parameters
     ----------
     draws : (chains, draws) float64.
     """
+    width, height = RANK_SIZE
     chains, count = draws.shape
     flat = draws.ravel()
     ranks = np.empty(flat.size)

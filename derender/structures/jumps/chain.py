@@ -120,7 +120,7 @@ def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
     return replace(graph, vertices=tuple(placed))
 
 
-def posterior_of(words: Vocabulary, found: Sequence[Draws], seed: int | None = None, command: str = "") -> Posterior:
+def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
     """Return draws, or weighted particles, as a Posterior: one part for each structure, objects told by their places.
 
     Particles of unequal weight are not repeated: SMC hands over equal ones.
@@ -144,7 +144,7 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws], seed: int | None = N
     if evidence:
         meta["log_evidence"] = [float(x) for x in evidence]
     parts.sort(key=lambda part: -part.weight)
-    return Posterior(tuple(parts), seed, command, meta=meta)
+    return Posterior(tuple(parts), meta=meta)
 
 
 def agreement(visited: Sequence[Sequence[tuple]]) -> dict[str, Any]:
