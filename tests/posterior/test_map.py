@@ -69,6 +69,7 @@ def slopes(problem: MapProblem, values: np.ndarray, step: np.ndarray) -> np.ndar
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_gradient_by_contact_parameters():
     """Against differences in steps of about a sixth of a pixel: 5 %, the jitter of sampled corner pixels over the step.
 
@@ -102,6 +103,7 @@ def test_gauss_newton_finds_the_truth():
     assert np.mean(single) > 0.7
 
 
+@pytest.mark.slow
 def test_fixed_steps_climb_by_either_gradient():
     """Figure 5's steps of alpha = 0.05 gain most of what there is to gain from a near start, by both derivatives."""
     (problem, draw, _) = next(problems(1))
