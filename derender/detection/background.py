@@ -7,6 +7,7 @@ room behind: explained as it is seen, and no solid.
 
 import numpy as np
 
+from derender.detection.freestanding import LARGEST, outline_shares, stand_free
 from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.segments import segments
@@ -24,9 +25,9 @@ FEWEST = 8  # pixels of a body that is told apart; smaller ones are as their pix
 DIRECTIONS = 8  # in which a body's length along the support is taken
 MARGIN = 0.01  # metres beyond the outline that still count as over it
 WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and how near the edge how much of it stands
-# Over the support that the lowest point of a piece of a longer body may be: metres, and standard deviations of noise.
+# Over the support that the lowest point of a piece of a longer body may be: metres, and standard deviations of noise,
+# besides the pixel that begins there.
 FOOT, FOOT_NOISES = 0.03, 4.0
-JOINED = 0.25  # of the outline of such a piece, along which it may be joined to others
 PIECE = 60  # pixels of such a piece, at least
 LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
@@ -71,23 +72,17 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
         mask = body == k
         standing[mask] = stands(mask)
         if not standing[mask].any() and length(points[mask]) > LONG:  # something may stand against a wall
-            piece, pieces, edges = segments(points, mask, normal, jump, footprint)
-            for number in range(pieces):
+            piece, pieces, _ = segments(points, mask, normal, jump, footprint)
+            shares = outline_shares(piece, pieces, points, good, jump, footprint, origin)
+            for number in np.flatnonzero(
+                stand_free(shares) & (np.bincount(piece[piece >= 0], minlength=pieces) >= PIECE)
+            ):
                 part = piece == number
-                on_floor = np.quantile(points[part][:, 2], ENDS) < max(FOOT, FOOT_NOISES * np.median(sigma[part]))
-                whole = length(points[part]) < LONG and not at_border(part, frame)
-                whole = whole and edges[number].sum() < JOINED * outline_length(part, footprint)
-                if part.sum() >= PIECE and on_floor and whole and stands(part):
+                foot = max(FOOT, FOOT_NOISES * np.median(sigma[part])) + np.median(footprint[part])
+                on_floor = np.quantile(points[part][:, 2], ENDS) < foot
+                if on_floor and length(points[part]) < LARGEST and not at_border(part, frame) and stands(part):
                     standing[part] = True
     return standing
-
-
-def outline_length(mask, footprint):
-    """Return the metres around a body's silhouette."""
-    inner = mask.copy()
-    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        inner &= np.roll(mask, way, axis)
-    return float(footprint[mask & ~inner].sum())
 
 
 def frame_seen(good):
@@ -134,9 +129,10 @@ def cut_off(points, mask, frame, real=True):
     over = len(np.unique(columns[rows <= top + 1])) / wide
     under = len(np.unique(columns[rows >= bottom - 1])) / wide
     beside = max(len(np.unique(rows[columns <= left + 1])), len(np.unique(rows[columns >= right - 1]))) / high
-    if real and max(over, beside) > CUT:
+    long = length(points[mask])
+    if real and (over > CUT or (beside > CUT and long > WALL)):
         return True
-    return max(over, under, beside) > 0.0 and length(points[mask]) > LONG
+    return max(over, under, beside) > 0.0 and long > LONG
 
 
 def shows_top(points, normal):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import njit
 from derender.detection.pyramid import intrinsics
 from derender.errors import DerenderError
 
@@ -89,7 +90,7 @@ def coarse_grid(points):
     columns, as many left out at either end, so that an image's mirror image has the mirrored ones.
     """
     height, width = points.shape[:2]
-    step = max(1, int(np.sqrt(np.isfinite(points[..., 2]).sum() / SAMPLE)))
+    step = max(1, round(np.sqrt(np.isfinite(points[..., 2]).sum() / SAMPLE)))
     rows, columns = (np.arange((count - 1) % step // 2, count, step) for count in (height, width))
     return points[np.ix_(rows, columns)]
 
@@ -126,14 +127,26 @@ def scores(sample, normal, offset, tolerance, gravity):
     Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have some,
     the side of a box has many. Where gravity is known only level planes have a score, if there is one.
     """
-    distance = sample @ normal.T - offset  # (S, N)
-    share = (np.abs(distance) < tolerance * np.maximum(1.0, sample[:, 2] ** 2)[:, None]).mean(axis=0)
-    under = (distance < -3 * tolerance).mean(axis=0)
+    share, under = on_and_under(sample, normal, offset, tolerance).T / len(sample)
     score = share - 0.3 * under
     if gravity is not None:
         level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
         score = np.where(level, score, -1.0) if level.any() else score
     return score, share, under
+
+
+@njit(cache=True, nogil=True)
+def on_and_under(sample, normal, offset, tolerance):
+    """Return (N, 2) how many of the points (S, 3) lie on each plane, and how many far under it."""
+    found = np.zeros((len(offset), 2))
+    for k in range(len(offset)):
+        for point in sample:
+            distance = normal[k, 0] * point[0] + normal[k, 1] * point[1] + normal[k, 2] * point[2] - offset[k]
+            if abs(distance) < tolerance * max(1.0, point[2] ** 2):
+                found[k, 0] += 1.0
+            if distance < -3.0 * tolerance:
+                found[k, 1] += 1.0
+    return found
 
 
 def floor_beside(floor, depth, camera, standing):

@@ -39,21 +39,34 @@ def freestanding(points, good, jump, footprint, origin):
     area = np.bincount(label[label >= 0], footprint[label >= 0] ** 2, count)
     owner = joined(points, label, count, edges, THING, EDGE, origin, area)
     piece = np.where(label >= 0, owner[label], -1)
-    beyond = outlines(np.ascontiguousarray(piece), count, points, good, jump, footprint, origin)
+    free = stand_free(outline_shares(piece, count, points, good, jump, footprint, origin))
     pixels = np.bincount(piece[piece >= 0], minlength=count)
     found = []
     for k in np.argsort(-pixels, kind="stable"):
         if pixels[k] < FEWEST:
             break
-        share = beyond[k] / max(beyond[k].sum(), 1)
-        held = share[JOINED] + share[NEARER] + share[BORDER]
-        if share[FARTHER] < max(FREE, held) or share[BORDER] > CUT:
+        if not free[k]:
             continue
         low, high = np.quantile(points[piece == k] @ principal_axes(points[piece == k]), [ENDS, 1.0 - ENDS], axis=0)
         extents = np.sort(high - low)
         if extents[2] < LARGEST and extents[1] > SMALLEST:
             found.append(piece == k)
     return found
+
+
+def stand_free(shares):
+    """Return (N,) bool whether pieces stand free whose outlines have such shares (N, 5), see `outline_shares`."""
+    held = shares[:, JOINED] + shares[:, NEARER] + shares[:, BORDER]
+    return (shares[:, FARTHER] >= np.maximum(FREE, held)) & (shares[:, BORDER] <= CUT)
+
+
+def outline_shares(piece, count, points, good, jump, footprint, origin):
+    """Return (N, 5) the shares of each piece's outline beyond which lies what: see JOINED and so on.
+
+    piece : (H, W) int, -1 for none; the rest as of `freestanding`.
+    """
+    found = outlines(np.ascontiguousarray(piece), count, points, good, jump, footprint, origin)
+    return found / np.maximum(found.sum(axis=1, keepdims=True), 1.0)
 
 
 def principal_axes(points):
