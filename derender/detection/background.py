@@ -118,19 +118,20 @@ def along_edge(points, beyond):
     return length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY
 
 
-def cut_off(points, mask, frame, real=True):
+def cut_off(points, mask, frame, real=True, least=WALL):
     """Return whether a body is cut by the image's border so that it may go on as a wall does.
 
-    frame : first and last row and column of what the camera sees.
+    frame : first and last row and column of what the camera sees. least : metres that a body is long of which one of
+    the sides of the image may cut off the rest.
     """
     top, bottom, left, right = frame
     rows, columns = np.nonzero(mask)
     high, wide = np.ptp(rows) + 1, np.ptp(columns) + 1
     over = len(np.unique(columns[rows <= top + 1])) / wide
     under = len(np.unique(columns[rows >= bottom - 1])) / wide
-    beside = max(len(np.unique(rows[columns <= left + 1])), len(np.unique(rows[columns >= right - 1]))) / high
+    beside = max(len(np.unique(rows[columns <= left])), len(np.unique(rows[columns >= right]))) / high
     long = length(points[mask])
-    if real and (over > CUT or (beside > CUT and long > WALL)):
+    if real and (over > CUT or (beside > CUT and long > least)):
         return True
     return max(over, under, beside) > 0.0 and long > LONG
 
@@ -151,7 +152,7 @@ def is_background(points, mask, normal, behind, beyond, frame):
     mask : (H, W) bool, the pixels that show it. normal : (H, W, 3) of the surface. behind : (H, W) bool, those of the
     background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
     """
-    cut = cut_off(points, mask, frame) and not shows_top(points[mask], normal[mask])
+    cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
     if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY:
         return True
     outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, frame_seen, is_background, length
+from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length
 from derender.detection.search.observation import local_noise, observe
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
@@ -51,6 +51,22 @@ def test_what_seems_to_hang_over_a_carton_may_stand_on_it():
 def test_a_small_thing_at_the_edge_of_the_image_stands_there():
     seen, label = told_apart([CARTON, (0.1, -0.19, 0.0, (0.08, 0.08, 0.08))])
     assert (label == 2).sum() > 100 and seen.mask[label == 2].mean() > 0.9
+
+
+def test_a_carton_that_touches_a_wall_stands_before_it():
+    seen, label = told_apart([(0.0, 0.37, 0.0, (0.1, 0.1, 0.12)), (0.0, 0.45, 0.0, (1.6, 0.05, 0.7))])
+    assert seen.mask[label == 1].mean() > 0.8
+    assert seen.mask[label == 2].mean() < 0.1
+
+
+def test_what_the_side_border_cuts_goes_on_as_a_wall_does_only_where_it_is_long():
+    mask = np.zeros((40, 60), bool)
+    mask[10:30, 45:] = True
+    along, frame = np.linspace(0.0, 1.0, mask.sum()), (0, 39, 0, 59)
+    for metres, cut in ((0.15, False), (0.3, True)):
+        points = np.zeros((*mask.shape, 3))
+        points[mask, 0] = metres * along
+        assert cut_off(points, mask, frame) is cut
 
 
 def test_length_and_edge():

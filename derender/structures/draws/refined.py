@@ -130,6 +130,7 @@ def view_of(seen, temper=1.0):
         observed = observed + seen.bend
     if seen.correlation > CORRELATED or seen.things or background_share(seen) > MOST_BACKGROUND:
         as_seen = (seen.image.weight > 0) & (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN)
+        as_seen &= ~seen.floor.inliers | seen.behind  # what lies on the floor's plane tells where that is
         nearest = np.minimum(seen.image.depth, floor_depth(seen.floor.pose, camera)) - BEFORE * seen.sigma
         observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
     return View(camera, observed, effective_pixels=np.inf if temper <= 1.0 else observed.size / temper)
