@@ -15,7 +15,10 @@ NOISE = 0.004
 
 
 def observation(correlation):
-    """Return what stands for an Observation: a floor, a thing before it on the left, and a wall behind on the right."""
+    """Return what stands for an Observation: a floor, a thing before it on the left, and a wall behind on the right.
+
+    Of the floor's own pixels the upper half is taken as it is seen.
+    """
 
     plane = floor_depth(POSE, Camera(**CAMERA))
     depth = np.minimum(plane, 1.2)
@@ -24,12 +27,14 @@ def observation(correlation):
     depth[:, :6] -= 0.1
     floor = plane.copy()
     floor[:, :6], floor[:, 24:] = depth[:, :6], depth[:, 24:]
+    inliers = (plane == depth) & ~behind
+    floor[12:][inliers[12:]] += 0.001
     image = SimpleNamespace(depth=depth, floor=floor, weight=np.ones(depth.shape))
     single = depth.copy()
     single[3, 3] = single[20, 12] = np.nan
     return SimpleNamespace(
         camera=CAMERA, single=single, bend=None, correlation=correlation, things=(), behind=behind, image=image,
-        floor=SimpleNamespace(pose=POSE), sigma=np.full(depth.shape, NOISE),
+        floor=SimpleNamespace(pose=POSE, inliers=inliers), sigma=np.full(depth.shape, NOISE),
     )  # fmt: skip
 
 
@@ -39,7 +44,8 @@ def test_what_is_no_part_of_the_scene_bounds_it():
     assert view.effective_pixels == seen.single.size / 4.0
     assert np.array_equal(np.isnan(view.observed), np.isnan(seen.single))
     of_scene, returned = shown(view.observed), np.isfinite(seen.single)
-    plain = np.abs(seen.image.floor - seen.image.depth) > 1e-6
+    plain = (np.abs(seen.image.floor - seen.image.depth) > 1e-6) | seen.floor.inliers
+    assert (seen.floor.inliers & (seen.image.floor == seen.image.depth)).any()  # a sensor's floor tells where it is
     assert np.array_equal(np.isfinite(of_scene), plain & returned)
     assert np.array_equal(of_scene[plain & returned], seen.single[plain & returned])
     bounds = -view.observed[~plain & returned]
