@@ -22,6 +22,10 @@ from derender.scene.solids import BOX, SPHERE
 SIFTING, KEPT, KEEPING = 50, 3, 100
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
+# The power of (1 + r) / (1 - r) by which pixels of correlation r tell less. Of misfits as such it would be 2; those cut
+# off at their limit correlate less. On real frames solids were split along their dents with 1, small ones lost with 2.
+# What counts as independent, and the most that is believed of a correlation.
+SHARED, INDEPENDENT, MOST_CORRELATED = 1.5, 0.1, 0.75
 
 
 class Settings(NamedTuple):
@@ -88,16 +92,14 @@ class Settings(NamedTuple):
     def for_correlation(self, correlation):
         """Return the settings for an image whose neighbouring residuals have this correlation.
 
-        In an autoregressive field ((1 + r) / (1 - r))^2 pixels tell as much as one independent one. Misfits that are
-        cut off at their limit are less correlated than small ones: the power 1.5 did best on real frames (1: solids are
-        split along their dents; 2: small ones are lost).
+        In an autoregressive field ((1 + r) / (1 - r))^2 pixels tell as much as one independent one; see SHARED.
         """
         beliefs = bare_image() if self.beliefs is None else self.beliefs
         faces = beliefs.loose.faces if correlation > CORRELATED else 0.0
-        correlation = min(max(correlation, 0.0), 0.75)
-        if correlation < 0.1:
+        correlation = min(correlation, MOST_CORRELATED)
+        if correlation < INDEPENDENT:
             return self
-        factor = ((1 + correlation) / (1 - correlation)) ** 1.5
+        factor = ((1 + correlation) / (1 - correlation)) ** SHARED
         return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
                                                 faces=faces)  # fmt: skip
 
