@@ -33,6 +33,7 @@ ENOUGH, FEW, FINEST = 2500, 500, 2.0
 WIDEST = 160  # columns of the image that is searched
 RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
 AGAIN = 2  # searches more, at most, of an image of independent noise that solids do not explain
+SPECKLED = 0.8  # share of the neighbours of pixels with a depth that have one too: of fewer no surfaces can be made
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
 
@@ -44,6 +45,9 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     seen = observe(depth, camera, widest, plane, settings.may_float)
     if seen.no_floor and settings.free_forms:
+        if returns_about(seen) < SPECKLED:
+            coarser = observe(depth, camera, widest // 2, plane, settings.may_float)
+            seen = coarser if coarser.no_floor else seen
         return State(), with_freestanding(seen)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
@@ -85,6 +89,15 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     state = state.ordered()
     return state, seen._replace(things=tuple(made_thing(seen, state, mask, gain / settings.temper)
                                             for mask, gain in masks))  # fmt: skip
+
+
+def returns_about(seen):
+    """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
+    good = np.pad((seen.image.weight > 0).astype(float), 1)
+    about = good[:, :-2] + good[:, 1:-1] + good[:, 2:]
+    about = about[:-2] + about[1:-1] + about[2:] - good[1:-1, 1:-1]
+    inner = good[1:-1, 1:-1]
+    return float((about * inner).sum() / max(8.0 * inner.sum(), 1.0))
 
 
 def with_freestanding(seen):
@@ -241,7 +254,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         interrupted, parts = True, parts_about(True)
     likeliest = parts[0]
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
-    if isinstance(plane, str) or seen.no_floor:
+    if isinstance(plane, str) or (seen.no_floor and seen.things):  # an empty scene keeps its floor, far below
         parts = [without_floor(part) for part in parts]
     if progress:
         progress(1.0, f"{len(state)} solids")

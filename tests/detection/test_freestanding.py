@@ -31,6 +31,15 @@ def test_what_stands_free_is_told_though_nothing_is_known_that_bears_it():
     assert 0.2 < found.object_probability("thing_1") < 0.8
 
 
+def test_what_returns_in_dots_only_is_told_too():
+    """Images warped onto colour are dotted: here two of five pixels are lost."""
+    image = hills([(slice(30, 60), slice(40, 70), 0.5)])
+    image[np.random.default_rng(0).random(image.shape) < 0.4] = np.nan
+    graph = infer_structure(image, CAMERA, Options(method="map", seed=0)).best_graph()
+    assert graph.names == ("thing_1",)
+    assert np.allclose(np.sort(graph.body("thing_1").size())[1:], 30 / 140 * 0.5, rtol=0.1)
+
+
 def test_what_the_border_cuts_or_something_hides_does_not_stand_free():
     cut, hidden = (slice(0, 40), slice(40, 70), 0.5), (slice(60, 80), slice(60, 110), 0.6)
     hiding = [(slice(58, 70), slice(56, 116), 0.4), (slice(70, 82), slice(56, 92), 0.4),
