@@ -82,7 +82,7 @@ def verdict_of_sweeps(world, without_terms=False):
     def make(target):
         backend = CompiledBackend(target, parts)
         if without_terms:
-            backend.model = backend.model._replace(terms=None)
+            backend.model = backend.model._replace(terms_at=0)
         tuning = first_tuning(world.space, world.space.sample(np.random.default_rng(9)))
 
         def kernel(rng, state):

@@ -159,7 +159,10 @@ def test_kernel_is_invariant(name):
     assert result.worst < bound(len(result.z)), result
 
 
-@pytest.mark.parametrize("name", CASES)
+ROWS = ("window", "slide-window")  # whose steps weigh eight places: ten times the time of others
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ROWS)) for name in CASES])
 def test_broken_twin_is_caught(name):
     world, twin = CASES[name]
     make = maker(name, twin, **OPTIONS.get(name, {}))
@@ -189,6 +192,7 @@ def without_haar(unknowns, laws, members, tangent, *rest):
     return log_density + 2 * math.log(math.sin(angle / 2) / (angle / 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [WHOLE, Twin({"log_proposal": without_haar})], ids=["whole", "broken"])
 def test_independence_knows_the_measure_of_rotations(twin):
     make, broken = maker("independence", twin, inflation=2.0), twin is not WHOLE

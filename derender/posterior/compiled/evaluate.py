@@ -85,7 +85,7 @@ def evaluate(model, chain, engine):
     fill(model.places, values, chain.numbers, chain.marks, engine.parameters, False)
     moved = arrange(model.vertices, model.extents, chain.numbers, chain.pose, chain.marks, chain.relative,
                     chain.moved_pose, chain.moved_size)  # fmt: skip
-    values[NEXT, PRIOR] += log_terms(model.terms, model.vertices, chain.numbers, chain.pose)
+    values[NEXT, PRIOR] += log_terms(model, chain)
     if values[NEXT, PRIOR] == -math.inf:
         return
     if moved:
@@ -142,9 +142,7 @@ def put_all(model, chain, parameters, start):
 
 @njit(cache=True, nogil=True)
 def _log_prior_of_all(model, chain):
-    return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(
-        model.terms, model.vertices, chain.numbers, chain.pose
-    )
+    return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(model, chain)
 
 
 def load(model, chain, engine, start):

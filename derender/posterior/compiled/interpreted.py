@@ -40,7 +40,7 @@ class InterpretedBackend:
         space, size = target.space, len(target.space.addresses)
         self._called: list[Callable] = []
         unknowns, laws = laws_of(space, getattr(target, "folds", {}), self._number_of)
-        self._model = Model(unknowns, laws, np.zeros((4, size), np.int64), NO_ARRAY, NO_ARRAY, None)
+        self._model = Model(unknowns, laws, np.zeros((4, size), np.int64), NO_ARRAY, NO_ARRAY, NO_ARRAY, 0)
         places = max((int(part.options.get("count", 1)) for part in parts), default=1)
         self._chain = Chain(
             values=np.zeros((2, size + 3)), numbers=NO_ARRAY, pose=NO_ARRAY, marks=NO_ARRAY, moved_pose=NO_ARRAY,

@@ -29,14 +29,14 @@ class Model(NamedTuple):
     Attributes
     ----------
     unknowns : (5, U + 1) int64: whether it is a rotation, first value, first direction (the last column ends these
-        two), and the addresses of the prior's kernels (scene/distributions/compiled.py).
+        two), and the addresses of the prior's kernels (prior.py).
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
     places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
     vertices : (8, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, the place among
         the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
         root's; its contact code says how its numbers give its pose (poses.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
-    terms : (T, 9) float64, the constraints, see terms.py; None where there are none.
+    terms : (T, 9) float64, the constraints, see terms.py. terms_at : address of `sum_of_terms`; 0 where T is 0.
     """
 
     unknowns: np.ndarray
@@ -44,7 +44,8 @@ class Model(NamedTuple):
     places: np.ndarray
     vertices: np.ndarray
     extents: np.ndarray
-    terms: np.ndarray | None
+    terms: np.ndarray
+    terms_at: int
 
 
 class Kernels(NamedTuple):

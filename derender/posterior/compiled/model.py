@@ -20,7 +20,7 @@ from derender.posterior.compiled.layout import (
     Model,
 )
 from derender.posterior.compiled.prior import density_and_draw
-from derender.posterior.compiled.terms import table_of
+from derender.posterior.compiled.terms import sum_of_terms, table_of
 from derender.posterior.space import Space
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
@@ -60,6 +60,8 @@ def model_of(target, address: Address = address_of) -> Model:
     names = {name: n for n, name in enumerate(graph.names)}
     owners = [i for i, unknown in enumerate(space.unknowns) for _ in range(unknown.distribution.size)]
     places = [(*place_of(target, names, a), owner) for a, owner in zip(space.addresses, owners, strict=True)]
+    numbers, pose = np.empty((2, 1, SHAPES + 3)), np.empty((2, 1, 4, 4))  # as in a Chain
+    terms_at = address(sum_of_terms, terms, vertices, numbers, pose) if len(terms) else 0
     return Model(
         unknowns=unknowns,
         laws=laws,
@@ -67,6 +69,7 @@ def model_of(target, address: Address = address_of) -> Model:
         vertices=vertices,
         extents=extents,
         terms=terms,
+        terms_at=terms_at,
     )
 
 

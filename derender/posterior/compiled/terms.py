@@ -1,14 +1,13 @@
 """The prior's constraints on solids, compiled: `model.priors.terms` on a chain's own poses, number for number.
 
-A model without constraints has None in place of their table: its kernels are compiled without this file's, which takes
-four seconds less.
+`sum_of_terms` is called by its address, and only compiled for models with constraints.
 """
 
 import math
 
 import numpy as np
 
-from derender.compilation.cache import njit, overload
+from derender.compilation.cache import call_for_number, njit
 from derender.posterior.compiled.layout import KIND, NEXT, SIZES
 from derender.scene.priors.terms import AtMost, DoesNotTouch, NoFloating, NoOverlap, RestsOn
 from derender.scene.separation import penetration_of, rest_residual, separation_of
@@ -18,8 +17,8 @@ CODE, FIRST, SECOND, LENGTH, SCALE, PARENT, AXIS = range(7)  # columns of a term
 COLUMNS = AXIS + 3
 
 
-def table_of(constraints, graph) -> np.ndarray | None:
-    """Return (T, COLUMNS) float64, one row for each pair of solids that a term is of; None where there is no term.
+def table_of(constraints, graph) -> np.ndarray:
+    """Return (T, COLUMNS) float64, one row for each pair of solids that a term is of.
 
     Vertices are numbered as in the graph. A hard term has the scale 0.
 
@@ -44,19 +43,15 @@ def table_of(constraints, graph) -> np.ndarray | None:
                          *axis))  # fmt: skip
         elif not (isinstance(term, NoFloating | AtMost) and term.log_density(graph) == 0.0):  # of structures alone
             raise NotImplementedError(term.name)
-    return np.array(rows, float).reshape(-1, COLUMNS) if rows else None
+    return np.array(rows, float).reshape(-1, COLUMNS)
 
 
-def log_terms(terms, vertices, numbers, pose):
-    """Return the terms' log density of the proposed poses and extents; in compiled functions only."""
-    raise NotImplementedError
-
-
-@overload(log_terms)
-def _choose(terms, vertices, numbers, pose):
-    if not hasattr(terms, "ndim"):  # the type of None, not of an array
-        return lambda terms, vertices, numbers, pose: 0.0
-    return lambda terms, vertices, numbers, pose: sum_of_terms(terms, vertices, numbers, pose)
+@njit(cache=True, nogil=True)
+def log_terms(model, chain):
+    """Return the terms' log density of the proposed poses and extents."""
+    if model.terms_at == 0:
+        return 0.0
+    return call_for_number(model.terms_at, model.terms, model.vertices, chain.numbers, chain.pose)
 
 
 @njit(cache=True, nogil=True)
