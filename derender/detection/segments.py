@@ -19,12 +19,12 @@ NECK = 0.25  # of the side of the square as large as the smaller piece, that a c
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece
 RIM = 40  # pixels of a piece that may be the inside or the outside of another
-CLOSE = 0.03  # metres between pieces of one thing, with nothing between but what returned nothing
+CLOSE = 0.06  # metres between pieces of one thing, with nothing between but its bottom or what returned nothing
 SAME_TOP = 0.02  # metres between their highest points
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
-FILLED = (
-    1.3  # most times the pieces' outlines, seen from above, that their common outline may hold: a handle sticks out
-)
+# Most times the pieces' outlines, seen from above, that their common outline may hold, and most times as deep as wide
+# that it may be as the camera sees it: two mugs, one behind the other, are twice as deep.
+FILLED, DEEPER = 1.5, 1.4
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -154,7 +154,7 @@ def one_rim(first, second, origin):
     """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
 
     They are close, one behind the other as the camera sees them, equally high, and complement each other seen from
-    above: their common outline holds hardly more than theirs do.
+    above: their common outline holds hardly more than theirs do, and is about as wide as it is deep.
     """
     if abs(np.quantile(first[:, 2], 0.98) - np.quantile(second[:, 2], 0.98)) > SAME_TOP:
         return False
@@ -165,6 +165,10 @@ def one_rim(first, second, origin):
     a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
     apart = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
     if apart.min() > CLOSE**2:
+        return False
+    sight = np.array([away, [-away[1], away[0]]])
+    deep, wide = np.ptp(np.vstack([first, second])[:, :2] @ sight.T, axis=0)
+    if deep > DEEPER * wide:
         return False
     return outline_area(np.vstack([first, second])) < FILLED * (outline_area(first) + outline_area(second))
 

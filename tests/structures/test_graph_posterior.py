@@ -359,6 +359,15 @@ def test_a_step_s_change_of_the_prior_is_that_of_the_whole():
     assert short == 1  # the cube under the box
 
 
+def test_the_floor_is_moved_a_quarter_as_often_as_each_solid():
+    chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
+    for steps, total in ((single_steps(chart), 1.0), (block_steps(chart, 1e-6 * np.eye(len(values))), 2.0)):
+        floor = np.array([step.members[0] >= len(values) - 3 for step in steps])
+        weights = np.array([step.weight for step in steps])
+        assert weights.sum() == pytest.approx(total)
+        np.testing.assert_allclose(weights[floor].mean(), 0.25 * weights[~floor])
+
+
 def test_densities_of_what_moves_are_those_of_all():
     rng = np.random.default_rng(12)
     sensor, chart, values = observe(rng, stack(), {"sigma": 0.002}, camera(96, 72))

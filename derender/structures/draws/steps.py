@@ -28,6 +28,7 @@ ROUNDING = 1e-9  # share of a step's longest part that is none
 LATTICE = 1e-3  # metres of the first steps
 WIDER = 1.2  # times as wide as the covariance is the normal that steps are made from: few draws make one too narrow
 LOOSE, LOOSE_TURN = 5e-3, 0.1  # metres and radians of standard deviation of what the image does not hold
+FLOOR_SHARE = 0.25  # of another step's weight: moving the floor draws the whole image, and thousands of pixels hold it
 UNSEEN = 3e-3  # metres of the first steps of a side that the camera does not face
 UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all of them at most
 
@@ -146,8 +147,19 @@ def single_steps(chart, only=None):
     steps = []
     for vector, touched in zip(ways, touched_by_each(chart, np.transpose(ways)), strict=True):
         members = np.flatnonzero(vector)
-        steps.append(Step(members, vector[members][:, None], touched, 1.0 / len(ways), LATTICE, 0.4))
-    return steps
+        steps.append(Step(members, vector[members][:, None], touched, weight_of(chart, members), LATTICE, 0.4))
+    return weighted(steps, 1.0)
+
+
+def weight_of(chart, members):
+    """Return the weight of a step of these coordinates beside others of its kind."""
+    return FLOOR_SHARE if members[0] >= size_of(chart) - FLOOR_WAYS else 1.0
+
+
+def weighted(steps, total):
+    """Return the Steps with weights of this sum in the same proportions."""
+    total /= sum(step.weight for step in steps)
+    return [step._replace(weight=total * step.weight) for step in steps]
 
 
 def unseen_steps(chart, sensor, only=None):
@@ -204,14 +216,14 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
         factor = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)]))
         matrix = back[:, index] @ factor
         moving = matrix.any(axis=1)
-        step = Step(members[moving], matrix[moving], touched_by(chart, members, matrix), 1.0,
+        step = Step(members[moving], matrix[moving], touched_by(chart, members, matrix), weight_of(chart, block),
                     1.5 / np.sqrt(len(block)), 0.25)  # fmt: skip
         if center is not None and held[moving].all():
             pull = np.zeros((len(block), size))
             pull[:, members] = factor.T @ precision[index] @ tops / WIDER
             step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
         steps.append(step)
-    return [step._replace(weight=2.0 / len(steps)) for step in steps]
+    return weighted(steps, 2.0)
 
 
 def make_proposals(steps):
