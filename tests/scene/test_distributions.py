@@ -175,6 +175,26 @@ def test_compiled_twins_equal_the_readable_ones():
                 assert density(float(y), row) == pytest.approx(distribution.log_density(y), rel=1e-11, abs=1e-11)
 
 
+@pytest.mark.parametrize(
+    "name, parameters, support",
+    [
+        ("normal", (0, 1), (-math.inf, math.inf)),
+        ("gamma", (2, 1), (0.0, math.inf)),
+        ("poisson", (3,), (0.0, math.inf)),
+        ("beta", (2, 3, -1, 4), (-1.0, 4.0)),
+        ("truncated-normal", (0, 1, -2, 1), (-2.0, 1.0)),
+        ("von-mises", (0, 1, 3), (0.0, 3.0)),
+    ],
+)
+def test_the_support_holds_every_draw_and_no_more(name, parameters, support):
+    distribution, rng = distributions[name](*parameters), np.random.default_rng(3)
+    assert distribution.support == support
+    draws = [distribution.sample(rng) for _ in range(300)]
+    assert support[0] <= min(draws) and max(draws) <= support[1]
+    for outside in (support[0] - 1e-6, support[1] + 1e-6):
+        assert math.isinf(outside) or distribution.log_density(outside) == -math.inf
+
+
 WRONG = [
     ("uniform", (1, 1)),
     ("uniform", (0, math.inf)),
