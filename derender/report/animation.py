@@ -47,7 +47,7 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
 
     Raises
     ------
-    DerenderError : .mp4 where there is no ffmpeg.
+    DerenderError : .mp4 where there is no ffmpeg, or one that fails.
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":
@@ -88,7 +88,13 @@ def _write_film(path: Path, pictures: np.ndarray) -> None:
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
     with atomic_path(path) as temporary:
         wanted = ["-pix_fmt", "yuv420p", "-f", "mp4", str(temporary)]
-        subprocess.run([program, "-v", "error", "-y", *given, *wanted], input=pictures.tobytes(), check=True)
+        command = [program, "-v", "error", "-y", *given, *wanted]
+        run = subprocess.run(command, input=pictures.tobytes(), check=False, capture_output=True)
+        if run.returncode:
+            said = run.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {run.returncode}"]
+            raise DerenderError(
+                f"ffmpeg failed: {said[-1]}", path, "install an ffmpeg with H.264, or write .gif or .webp"
+            )
 
 
 def _reduced(camera: Camera) -> Camera:
