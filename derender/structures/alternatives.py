@@ -264,11 +264,20 @@ def likeliest_of_each(trials):
     """Return the highest of those trials with the same structure (cubes that hold different corners at the start)."""
     found: dict[tuple, Refined] = {}
     for trial in trials:
-        key = (tuple(trial.state.cubes), tuple(trial.state.parents), tuple(trial.state.rows[:, 0]),
-               tuple(trial.state.forms))  # fmt: skip
+        key = discrete_part(trial.state)
         if key not in found or height(trial) > height(found[key]):
             found[key] = trial
     return list(found.values())
+
+
+def discrete_part(state):
+    """Return what tells states of the same solids in the same order apart but for their numbers."""
+    return tuple(state.cubes), tuple(state.parents), tuple(state.rows[:, 0]), tuple(state.forms)
+
+
+def last_of_each(weighed):
+    """Return the Weighed of each structure that came last: those before were weighed against a former best."""
+    return list({(discrete_part(each.trial.state), each.places): each for each in weighed}.values())
 
 
 def all_seen(trial):

@@ -19,6 +19,7 @@ from derender.sampling.evidence import shares
 from derender.structures.alternatives import (
     WHOLE_DRAWS,
     from_search,
+    last_of_each,
     of_one_solid,
     whole_evidence,
 )
@@ -149,6 +150,7 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
         if best is former:  # nothing of what is there explains more
             best, others = leading(best, [*others, *additions(rng, best, settings, evidence)])
         if made is not None and best is former:
+            others = last_of_each(others)
             found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
             best, others = leading(best, found)
         if best is former:

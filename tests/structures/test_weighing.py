@@ -13,9 +13,9 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX, CYLINDER
-from derender.structures.alternatives import of_one_solid, stood_up
+from derender.structures.alternatives import last_of_each, of_one_solid, stood_up
 from derender.structures.draws.metropolis import engine_of, evaluate, load
-from derender.structures.draws.refined import at_mode, members_of, refitted
+from derender.structures.draws.refined import Refined, at_mode, members_of, refitted
 from derender.structures.draws.steps import touched_by
 from derender.structures.standing import log_standing
 from derender.structures.unions import merged
@@ -211,3 +211,13 @@ def test_a_can_that_lies_is_tried_as_a_box_that_stands():
         state.rows[0, 15] == pytest.approx(0.06) and lowest(state.rows[0]) == pytest.approx(0.0) for state in states
     )
     assert stood_up(solid(CYLINDER, (0.06, 0.06, 0.1)), 0, ("box",)) == []  # it stands already
+
+
+def test_a_structure_that_was_weighed_again_counts_as_it_was_weighed_last():
+    box, can = solid(BOX, (0.08, 0.06, 0.05)), solid(CYLINDER, (0.06, 0.06, 0.08))
+    trials = [Refined(state, None, np.zeros(0), None, 0.0, 0.0) for state in (box, can, box)]
+    both = (0,), (0,)
+    weighed = [Weighed(trial, odds, 0.1, both) for trial, odds in zip(trials, (-1.0, -2.0, -3.0), strict=True)]
+    assert [each.odds for each in last_of_each(weighed)] == [-3.0, -2.0]
+    elsewhere = weighed[0]._replace(places=None)  # against another best, with other solids moved
+    assert len(last_of_each([elsewhere, *weighed])) == 3
