@@ -153,22 +153,11 @@ def late(module: str, *names: str) -> tuple[Late, ...]:
     return tuple(Late(module, name) for name in names)
 
 
-def overload(function: Callable):
-    """As `numba.extending.overload`, made known to numba when something is compiled."""
-
-    def keep(choose):
-        overloads.append((function, choose))
-        return choose
-
-    return keep
-
-
 def when_compiling(function: Callable[[], object]) -> None:
     """Have a function called when this process first compiles a kernel, if it ever does."""
     helpers.append(function)
 
 
-overloads: list[tuple[Callable, Callable]] = []
 helpers: list[Callable[[], object]] = []
 
 

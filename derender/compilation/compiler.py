@@ -23,7 +23,7 @@ from numba.core import caching, cgutils, config, environment, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
-from numba.extending import intrinsic, overload, typeof_impl
+from numba.extending import intrinsic, typeof_impl
 
 from derender.compilation import cache as kernel_cache
 from derender.compilation.entries import read_entry
@@ -53,9 +53,6 @@ def _code(kernel, result) -> Code:
 
 def make_dispatcher(kernel):
     """Return numba's dispatcher of a kernel, with this cache."""
-    while kernel_cache.overloads:
-        function, choose = kernel_cache.overloads.pop()
-        overload(function)(choose)
     dispatcher = numba.njit(**kernel.targetoptions)(kernel.py_func)
     if kernel.entries is not None:
         dispatcher._cache = _KernelCache(kernel)
