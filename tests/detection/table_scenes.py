@@ -11,7 +11,7 @@ TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0
 SIGMA = 0.001
 
 
-def seen_on_the_table(solids, seed=0, camera=CAMERA):
+def seen_on_the_table(solids, seed=0):
     """Return a noisy depth image of (kind, x, y, size, mesh or None) that stand on the table."""
     kinds, poses, sizes, which, meshes = [PLANE], [TABLE], [np.zeros(3)], [-1], []
     for kind, x, y, size, mesh in solids:
@@ -24,5 +24,5 @@ def seen_on_the_table(solids, seed=0, camera=CAMERA):
     scene = Solids(
         np.array(kinds, np.int32), np.array(poses), np.array(sizes), np.array(which, np.int32), tuple(meshes)
     )
-    depth, _ = render_depth(scene, camera)
+    depth, _ = render_depth(scene, CAMERA)
     return depth + SIGMA * np.random.default_rng(seed).standard_normal(depth.shape)

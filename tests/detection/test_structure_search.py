@@ -221,7 +221,7 @@ def test_walks_without_an_image_follow_the_prior_of_sizes(rng):
     nothing, others = np.empty(0), np.empty((0, 16))
     for _ in range(3000):
         row = walk(rng, image, row, FREE, False, others, -1, depth, misfit, np.nan, nothing, 0.0015, 0.0, scale, 60,
-                   1.0, False, np.empty((9, 0)))  # fmt: skip
+                   1.0, False)  # fmt: skip
         row[10:13] = [0, 0, 0.5]  # without this the place would wander off for ever: its prior is flat
         values.append(np.log(row[13:16] / 0.09))
     values = np.array(values)
