@@ -14,7 +14,9 @@ from derender.results.posterior import Posterior, StructurePosterior
 
 LEAST_SIDE, MOST_ACROSS = 8, 20  # pixels of a block's side; blocks across the image's width
 LEAST_FILLED = 0.5  # share of a block's pixels that returned a depth: with fewer it is left out
-SCORED, DRAWN = 400, 50  # draws of which the blocks are scored, and of which images are drawn, at most
+# Draws of which the blocks are scored, and of which images are drawn: at most, and at least of an image with more than
+# so many pixels. To score 400 of 640 x 480 pixels took as long as to infer them; 100 do for leave-one-out.
+SCORED, DRAWN, LEAST_SCORED, LEAST_DRAWN, PIXELS = 400, 50, 100, 20, 320 * 240
 
 
 class Blocks(NamedTuple):
@@ -59,7 +61,9 @@ def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: n
         """Return (N,) mean depths over the pixels that returned one in the image; where that is missing, its own."""
         return (_sums(np.where(seen, np.where(np.isfinite(depth), depth, observed), 0.0), side) / count.clip(1))[kept]
 
-    scored, drawn = _spread(draws, SCORED // chains), _spread(draws, DRAWN // chains)
+    share = min(1.0, PIXELS / observed.size)
+    scored = _spread(draws, max(round(SCORED * share), LEAST_SCORED) // chains)
+    drawn = _spread(draws, max(round(DRAWN * share), LEAST_DRAWN) // chains)
     scores = np.empty((chains, len(scored), len(rows)))
     images = np.empty((chains, len(drawn), len(rows)))
     evaluator = None
