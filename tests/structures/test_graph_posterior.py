@@ -61,7 +61,7 @@ from derender.structures.draws.steps import (
 from derender.structures.graph_posterior import leading
 from derender.structures.weighing import Weighed
 
-UPRIGHT = 0
+UPRIGHT, FREE = 0, 1
 
 
 def floor_pose(elevation=0.7, distance=0.7):
@@ -357,6 +357,14 @@ def test_a_step_s_change_of_the_prior_is_that_of_the_whole():
         alone_change = solid_log_prior(chart, after, k) - solid_log_prior(chart, before, k)
         short += abs(alone_change - change) > 1e-3 and (touched != alone).any()
     assert short == 1  # the cube under the box
+
+
+def test_nothing_leans_on_a_support_of_negative_extent():
+    state = stack()
+    state.forms[1], state.bottoms[1] = FREE, np.nan  # the box on the cube
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    values[chart.slots[0, charts.SIZE]] = -0.1  # so that the area that it offers would be negative
+    assert solid_log_prior(chart, rows_at(chart, values), 1) == -np.inf
 
 
 def test_the_floor_is_moved_a_quarter_as_often_as_each_solid():

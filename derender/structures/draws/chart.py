@@ -255,6 +255,8 @@ def solid_log_prior(chart, rows, k):
     parent = flag[PARENT]
     if parent != FLOOR:
         on = rows[parent]
+        if min(on[13], on[14], on[15]) < LEAST_EXTENT:  # before the area that it offers is taken the logarithm of
+            return -np.inf
         if flag[HELD]:
             lifted = row.copy()
             lifted[12] = on[12]
