@@ -31,6 +31,7 @@ from derender.compilation.entries import Entries, is_private, machine
 from derender.compilation.loader import Version, fingerprint, fingerprints, load
 
 PACKAGE = Path(__file__).parent.parent
+COMMENT = re.compile(rb"#[^\n]*")  # may hold parentheses, at which a list of imports seems to end
 IMPORT = re.compile(
     rb"^(?:from\s+(derender[\w.]*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+(derender[\w.]+)"
     rb'|[^\n]* = late\(\s*"(derender[\w.]+)")',
@@ -210,9 +211,9 @@ def _read(source: Path) -> tuple[bytes, list[Path]]:
     """Return the hash of a file and the files of derender that its top level imports."""
     text = source.read_bytes() if source.exists() else b""
     found = []
-    for module, names, plain, later in IMPORT.findall(text):
+    for module, names, plain, later in IMPORT.findall(COMMENT.sub(b"", text)):
         place = os.path.join(PACKAGE, *(module or plain or later).decode().split(".")[1:])
-        words = re.findall(r"\w+", re.sub(r"#.*", "", names.decode()))
+        words = re.findall(r"\w+", names.decode())
         found += [_file_of(target) for target in (place, *(os.path.join(place, word) for word in words))]
     return hashlib.sha256(text).digest(), [file for file in found if file is not None]
 
