@@ -6,7 +6,6 @@ over everything. What a solid's coordinates cost (its sizes' and places' densiti
 so the ratio of integrals holds the Occam factor, and no price has to be set.
 """
 
-import itertools
 import math
 from functools import partial
 
@@ -16,7 +15,7 @@ from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import cube_of, spaced
 from derender.detection.solids.graph import names_of
 from derender.detection.solids.image import make_row, rotation_of
-from derender.detection.solids.interpenetration import highest, lowest, penetration
+from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.naming import matched_names, structure_key
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR
@@ -53,8 +52,6 @@ FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
-FEW_OF_TWO, SEAMS = 120, (0.4, 0.6)  # pixels in which two solids may pass for one; shares of its height, of the lower
-REST = 12  # pixels of another solid that may stand for what one leaves of two
 VERY_IMPROBABLE = 15.0  # as IMPROBABLE, of a structure that differs in all
 QUICK = 50  # steps of each temperature for one changed solid
 
@@ -172,12 +169,11 @@ def of_one_solid(rng, best, i, rules, shapes=()):
         if height(trial) > height(best) - HOPELESS and all_seen(trial):
             found.append(trial)
     pairs = []
-    propped = [] if rules.floating else [(state, []) for state in propped_up(best, i, shapes)]
-    for state, rest in [*propped, *halved(best, i, shapes)]:
-        places = [i - sum(k < i for k in rest), len(state) - 1]
+    for state in [] if rules.floating else propped_up(best, i, shapes):
+        places = [i, len(state) - 1]
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, places)
         if height(trial) > height(best) - PROPPING:
-            pairs.append((with_own_sensor(rng, trial, places, WORTHWHILE), places, [i, *rest]))
+            pairs.append((with_own_sensor(rng, trial, places, WORTHWHILE), places, [i]))
     removed = without(best, i, floor, rules)
     if height(removed) > height(best) - PROMISING:
         removed = refitted(removed)
@@ -210,41 +206,6 @@ def propped_up(best, i, shapes):
                 new = state.add(under, UPRIGHT, cube, FLOOR, 0.0)
                 new.parents[i], new.bottoms[i] = len(state), gap
                 states.append(new)
-    return states
-
-
-def halved(best, i, shapes):
-    """Return the states in which a solid that shows in few pixels is two boxes or cubes, one on the other.
-
-    What shows in hardly a pixel beside it, and stood for the rest of the two, is left out: its numbers come with each.
-    The lower takes the place of the solid, the upper is the last.
-    """
-    state, row, parent, shown = best.state, best.state.rows[i], best.state.parents[i], pixels_of(best)
-    bottom = 0.0 if parent == FLOOR else highest(state.rows[parent])
-    tall = highest(row) - bottom
-    if int(row[0]) == SPHERE or shown[i] > FEW_OF_TWO or tall < 2.0 * LEAST_TALL:
-        return []
-    near = row.copy()
-    near[13:16] += 2.0 * LEAST_TALL
-    rest = [k for k, other in enumerate(state.rows)
-            if k != i and k not in state.parents and shown[k] <= REST and penetration(near, other) > 0.0]  # fmt: skip
-    upright = state.forms[i] == UPRIGHT and int(row[0]) == BOX
-    wide = row[13:15] if upright else np.full(2, np.sqrt(np.prod(row[13:16]) / tall))
-    states = []
-    for yaw, share, cube in itertools.product((0.0,) if upright else YAWS, SEAMS, (False, True)):
-        if ("cube" if cube else "box") not in shapes:
-            continue
-        rotation = rotation_of(row) if upright else rotation_z(yaw)[:3, :3]
-        seam = bottom + share * tall
-        lower, upper = (make_row(BOX, rotation, [*row[10:12], low + 0.5 * part], [part] * 3 if cube else [*wide, part])
-                        for low, part in ((bottom, share * tall), (seam, (1.0 - share) * tall)))  # fmt: skip
-        new = changed(state, i, lower, cube)
-        new.forms[i], new.bottoms[i] = UPRIGHT, bottom
-        new = new.add(upper, UPRIGHT, cube, i, seam)
-        new.parents = [len(state) if parent == i else parent for parent in state.parents] + [i]
-        for k in reversed(rest):
-            new = new.without(k)
-        states.append((new, rest))
     return states
 
 

@@ -186,20 +186,6 @@ def test_what_hangs_in_the_air_is_given_a_hidden_support():
     assert not supported(RULES._replace(floating=True))
 
 
-def test_what_shows_in_few_pixels_may_be_two_solids_one_on_the_other():
-    """Two small cubes pass for a box that leans, and a third solid for what that leaves: the two are found and win."""
-    rng = np.random.default_rng(3)
-    two = State().add(row(BOX, 0.7, 0.0, 0.0, 0.0, (0.045,) * 3), UPRIGHT, True, FLOOR, 0.0)
-    two = two.add(row(BOX, 0.2, 0.012, -0.015, 0.045, (0.055,) * 3), UPRIGHT, True, 0, 0.045)
-    sensor, _, _ = observe(rng, two, {"sigma": 0.006}, camera(64, 48))
-    one = State().add(row(BOX, 0.4, 0.005, -0.005, 0.0, (0.06, 0.06, 0.1)), FREE, False, FLOOR, np.nan)
-    one = one.add(row(CYLINDER, 0.0, 0.04, 0.0, 0.0, (0.02, 0.02, 0.08)), UPRIGHT, False, FLOOR, 0.0)
-    best = at_mode(rng, one, floor_pose(), sensor, RULES)
-    found = max(of_one_solid(rng, best, 0, RULES, ("box", "cube")), key=lambda each: each.odds)
-    assert found.odds > 5.0 and found.trial.state.parents == [FLOOR, 0]
-    assert np.allclose(found.trial.state.rows[:, 13:16].mean(axis=1), [0.045, 0.055], atol=0.008)
-
-
 def test_a_can_that_lies_is_tried_as_a_box_that_stands():
     lying = State().add(row(CYLINDER, 0.0, 0.0, 0.0, 0.0, (0.06, 0.06, 0.1)), FREE, False, FLOOR, np.nan)
     lying.rows[0, 1:10] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]).ravel()
