@@ -184,7 +184,7 @@ MUTATIONS = [
          "spread = values[\"sigma\"]", SCORE),
         # what happens next
         ("fall angle tripled", "physics/trajectory.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
-        ("calm for .02 s", "physics/simulate.py", "CALM, CALM_SECONDS = 1e-3, 0.5", "CALM, CALM_SECONDS = 1e-3, 0.02",
+        ("calm a 25th as long", "physics/fate.py", "CALM_TIME = 4.0\n", "CALM_TIME = 0.16\n",
          PHYSICS),
     )
 ]  # fmt: skip
