@@ -168,22 +168,20 @@ def of_one_solid(rng, best, i, rules, shapes=()):
             trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
         if height(trial) > height(best) - HOPELESS and all_seen(trial):
             found.append(trial)
-    pairs = []
+    propped = []
     for state in [] if rules.floating else propped_up(best, i, shapes):
         places = [i, len(state) - 1]
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, places)
         if height(trial) > height(best) - PROPPING:
-            pairs.append((with_own_sensor(rng, trial, places, WORTHWHILE), places, [i]))
+            propped.append(with_own_sensor(rng, trial, places, WORTHWHILE))
     removed = without(best, i, floor, rules)
     if height(removed) > height(best) - PROMISING:
         removed = refitted(removed)
     candidates = [(trial, [i]) for trial in likeliest_of_each(found)]
     if height(removed) > height(best) - HOPELESS:
         candidates.append((removed, []))
-    likeliest = likeliest_of_each([trial for trial, _, _ in pairs])
-    weighed = [of_block(rng, trial, places, best, own, rules) for trial, places, own in pairs
-               if any(trial is each for each in likeliest)]  # fmt: skip
-    return weighed + weighed_blocks(rng, best, candidates, [i], rules)
+    candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
+    return weighed_blocks(rng, best, candidates, [i], rules)
 
 
 def propped_up(best, i, shapes):
