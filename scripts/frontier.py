@@ -8,7 +8,8 @@ F1 is of solids by their overlap in space (IoU .5, .75), `graph` the share of sc
 that of wrong ones among structures stated at P >= .95 (`-` where none was). `size` is the median error of a size in mm
 and, signed, the mean one; `held` the share of sizes in their 90 % intervals. Recall and precision are by silhouettes
 (IoU .5); `background` counts solids a scene that show background; `one each` is the share of free-form things that are
-one object; `explained` the share of the pixels within 3 cm. With --method map nothing is drawn: no `sure`, no `held`.
+one object, `extents` that of their extents within 10 %, `boxes` that of them whose bounding boxes overlap (IoU .5);
+`explained` the share of the pixels within 3 cm. With --method map nothing is drawn: no `sure`, no `held`.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.cli import status_of
+from derender.evaluation.convex import intersection_over_union
 from derender.evaluation.frontier_scenes import BEHIND, KINDS, make
 from derender.evaluation.metrics import compare_scenes
 from derender.report.scene_json import scene_json
@@ -29,7 +31,7 @@ from derender.structures.options import Options
 
 FEWEST = 100  # pixels of an object that is to be found; of small things SMALLEST
 SMALLEST = 15
-IOU, SURE = 0.5, 0.95
+IOU, SURE, EXTENT = 0.5, 0.95, 0.1
 
 
 class Judged(NamedTuple):
@@ -41,6 +43,8 @@ class Judged(NamedTuple):
     behind: int
     things: int
     one_each: int
+    extents: tuple
+    boxes: tuple
     explained: float
     solid_hits: tuple
     solid_said: int
@@ -61,8 +65,14 @@ def judge(posterior, scene, fewest, seconds):
                          for k in objects] for j in said]).reshape(len(said), len(objects))  # fmt: skip
     found = overlap > IOU
     shows = [np.median(label[told.label == k]) for k in said]
-    one = [bool(found[:, objects.index(k)].any()) for k in scene.free if k in objects]
+    free = [objects.index(k) for k in scene.free if k in objects]
+    one = [bool(found[:, k].any()) for k in free]
     predicted = scene_json(posterior.best_graph(), posterior)
+    pairs = [(told.names[said[j]], scene.objects[objects[k]]) for k in free for j in np.flatnonzero(found[:, k])]
+    shown = {item["name"]: item for item in predicted["objects"]}
+    extents, boxes = extents_of([(shown[name], item) for name, item in pairs])
+    free_names = {name for name, _ in pairs}
+    predicted["objects"] = [item for item in predicted["objects"] if item["name"] not in free_names]
     solids, hidden = truth_of(scene, objects)
     result = compare_scenes(predicted, solids, ignored=hidden)
     errors, held = sizes_of(result["pairs"], predicted, solids)
@@ -70,18 +80,29 @@ def judge(posterior, scene, fewest, seconds):
     counts, sure = result["objects"], drawn and posterior.best_part.weight >= SURE
     return Judged(
         len(objects), int(found.any(axis=0).sum()) if said else 0, len(said), sum(x == BEHIND for x in shows),
-        len(one), sum(one), told.share(scene.depth), (counts["0.5"]["hits"], counts["0.75"]["hits"]),
+        len(one), sum(one), extents, boxes, told.share(scene.depth), (counts["0.5"]["hits"], counts["0.75"]["hits"]),
         counts["0.5"]["predicted"], counts["truth"], bool(result["graph_exact"]), sure,
         errors, held if drawn else (), seconds)  # fmt: skip
 
 
+def extents_of(pairs):
+    """Return (whether each extent is within EXTENT, whether boxes overlap by IOU) of pairs (object said, true one)."""
+    extents, boxes = [], []
+    for said, true in pairs:
+        sizes = [[*sorted(item["size"][:2]), item["size"][2]] for item in (said, true)]
+        extents += list(np.abs(np.divide(*sizes) - 1.0) < EXTENT)
+        boxes.append(intersection_over_union({**said, "type": "box"}, {**true, "type": "box"}) > IOU)
+    return tuple(extents), tuple(boxes)
+
+
 def truth_of(scene, objects):
     """Return (truth as scene JSON, names of solids that need not be found). objects : numbers of those that do."""
-    floor = {"name": "floor", "type": "plane", "size": None, "pose": scene.table, "parent": "root"}
-    named = [{**item, "name": f"true_{k}", "parent": item["parent"] if item["parent"] == "floor" else
+    planes = [{"name": name, "type": "plane", "size": None, "pose": pose, "parent": "root"}
+              for name, pose in scene.tables.items()]  # fmt: skip
+    named = [{**item, "name": f"true_{k}", "parent": item["parent"] if item["parent"] in scene.tables else
               f"true_{item['parent']}", "supports": [f"true_{j}" for j in item["supports"]]}
              for k, item in enumerate(scene.objects) if k not in scene.free]  # fmt: skip
-    return {"objects": [floor, *named]}, [f"true_{k}" for k in range(len(scene.objects)) if k not in objects]
+    return {"objects": [*planes, *named]}, [f"true_{k}" for k in range(len(scene.objects)) if k not in objects]
 
 
 def sizes_of(pairs, predicted, truth):
@@ -109,11 +130,15 @@ def row_of(name, judged):
     hits = np.sum([each.solid_hits for each in judged], axis=0)
     errors = 1000.0 * np.array([error for each in judged for error in each.errors])
     wrong = sum(each.sure and not each.graph for each in judged)
-    cells = [*(2 * hits / max(total["solid_said"] + total["solid_true"], 1)), total["graph"] / len(judged),
+    solids = total["solid_said"] + total["solid_true"]
+    cells = [*(2 * hits / solids if solids else (1.0, 1.0)), total["graph"] / len(judged),
              ratio(wrong, total["sure"]), np.median(np.abs(errors)) if len(errors) else np.nan,
              np.mean(errors) if len(errors) else np.nan, np.mean([h for each in judged for h in each.held] or [np.nan]),
              ratio(total["found"], total["true"]), ratio(total["found"], total["said"]), total["behind"] / len(judged),
-             ratio(total["one_each"], total["things"]), total["explained"] / len(judged),
+             ratio(total["one_each"], total["things"]),
+             *(np.mean([x for each in judged for x in getattr(each, field)] or [np.nan])
+               for field in ("extents", "boxes")),
+             total["explained"] / len(judged),
              np.median([each.seconds for each in judged])]  # fmt: skip
     return f"| {name} | {len(judged)} | " + " | ".join("-" if np.isnan(x) else f"{x:.2f}" for x in cells) + " |"
 
@@ -140,7 +165,7 @@ def main(arguments=None):
     if unknown := set(given.names) - set(KINDS):
         parser.error(f"no such kind: {', '.join(sorted(unknown))}")
     print("| kind | scenes | F1 .5 | F1 .75 | graph | sure, wrong | size | bias | held | recall | precision | "
-          "background | one each | explained | seconds |\n" + "|---" * 15 + "|")  # fmt: skip
+          "background | one each | extents | boxes | explained | seconds |\n" + "|---" * 17 + "|")  # fmt: skip
     for name in given.names or KINDS:
         judged = []
         for number in range(given.first, given.first + given.n):

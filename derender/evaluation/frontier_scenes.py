@@ -38,7 +38,7 @@ KINDS = {
     "edge": Kind("a table that ends, the room's floor below it, a wall and clutter behind", "shared"),
     "empty": Kind("a bare table, some of them ending in no return", "shared"),
     "fills": Kind("one box that fills most of the view", "shared"),
-    "free": Kind("bowls, mugs and bottles among boxes", "shared"),
+    "free": Kind("bowls, mugs, bottles, L-shapes, wedges and cones among boxes", "shared"),
     "stereo": Kind("active stereo: quantised disparity, fattened edges, a slow bias", "stereo"),
     "phone": Kind("a phone's LiDAR, 256x192: smoothed, its noise shared by neighbours, scale off by 1 %", "phone",
                   size=(256, 192)),
@@ -50,20 +50,22 @@ KINDS = {
     "heap": Kind("solids thrown onto each other"),
     "boards": Kind("a board that leans on a box"),
     "bridges": Kind("a plank on two towers"),
-    "pallets": Kind("2 x 3 x 2 equal cartons with gaps of 0 to 5 mm", away=(2.0, 2.5)),
+    "pallets": Kind("2 x 3 x 2 to 3 x 3 x 3 equal cartons with gaps of 0 to 5 mm", away=(2.0, 2.5)),
     "cartons": Kind("such pallets where the carton's size is known", away=(2.0, 2.5), known=True),
+    "heights": Kind("two tables at different heights, things on both, the room's floor below them", "shared"),
 }  # fmt: skip
 
 
 class Scene(NamedTuple):
     """One scene. depth (H, W) metres, NaN where nothing returns; camera; label (H, W): number of the object, SUPPORT
-    or BEHIND; objects : as `derender show --json` has them, parents by number; free : numbers of free-form ones."""
+    or BEHIND; objects : as `derender show --json` has them, parents by number or a table's name; tables : {name: pose
+    (4, 4), table to camera}; free : numbers of free-form ones."""
 
     depth: np.ndarray
     camera: Camera
     label: np.ndarray
     objects: list
-    table: np.ndarray
+    tables: dict
     free: list
 
 
@@ -96,16 +98,30 @@ def at(x, y, z, yaw=0.0):
 
 def turned(profile):
     """Return (vertices, triangles) of a solid of revolution, its box's extents 1, and its (diameter, height)."""
-    mesh = trimesh.creation.revolve(np.array(profile), sections=40)
-    vertices = mesh.vertices - 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
-    size = np.ptp(vertices, axis=0)
-    return (np.ascontiguousarray(vertices / size), np.ascontiguousarray(mesh.faces, np.int32)), size
+    return framed(trimesh.creation.revolve(np.array(profile), sections=40))
+
+
+def framed(mesh):
+    """Return ((vertices, triangles), size (3,)) of a mesh, centred, its box's extents 1."""
+    points = mesh.vertices - 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    size = np.ptp(points, axis=0)
+    return (np.ascontiguousarray(points / size), np.ascontiguousarray(mesh.faces, np.int32)), size
 
 
 def free_form(rng):
-    """Return (mesh, size) of a bowl, a mug with a handle, or a bottle."""
+    """Return (mesh, size) of a bowl, a mug with a handle, a bottle, an L-shape, a wedge or a cone."""
     r, h = rng.uniform(0.04, 0.08), rng.uniform(0.05, 0.09)
-    kind = rng.choice(["bowl", "mug", "bottle"])
+    kind = rng.choice(["bowl", "mug", "bottle", "L", "wedge", "cone"])
+    if kind == "L":
+        foot = trimesh.creation.box([2.0 * r, 1.2 * r, 0.6 * r])
+        post = trimesh.creation.box([0.6 * r, 1.2 * r, 1.8 * r])
+        post.apply_translation([-0.7 * r, 0, 0.6 * r])
+        return framed(trimesh.util.concatenate([foot, post]))
+    if kind == "wedge":
+        corners = [[x, y, z] for x in (-r, r) for y, z in ((-0.7 * r, 0), (0.7 * r, 0), (0.7 * r, h))]
+        return framed(trimesh.Trimesh(corners).convex_hull)
+    if kind == "cone":
+        return turned([(0, 0), (r, 0), (rng.uniform(0.0, 0.4) * r, 1.5 * h), (0, 1.5 * h)])
     if kind == "bowl":
         return turned([(0, 0), (0.5 * r, 0), (r, h), (0.93 * r, h), (0.45 * r, 0.006), (0, 0.006)])
     if kind == "bottle":
@@ -116,17 +132,19 @@ def free_form(rng):
     ring = trimesh.creation.torus(0.3 * h, 0.09 * h, 24, 10)
     ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
     ring.apply_translation([r + 0.25 * h, 0, 0])
-    both = trimesh.util.concatenate([trimesh.Trimesh(vertices * size, faces), ring])
-    points = both.vertices - 0.5 * (both.vertices.min(axis=0) + both.vertices.max(axis=0))
-    size = np.ptp(points, axis=0)
-    return (np.ascontiguousarray(points / size), np.ascontiguousarray(both.faces, np.int32)), size
+    return framed(trimesh.util.concatenate([trimesh.Trimesh(vertices * size, faces), ring]))
+
+
+def bare_room():
+    """Return the Items of a room: its floor, 70 cm below the table, and a wall."""
+    return [Item(PLANE, at(0, 0, -0.7), np.zeros(3), BEHIND),
+            Item(BOX, at(0, 1.2, 0.8), np.array([6.0, 0.1, 3.0]), BEHIND)]  # fmt: skip
 
 
 def room(rng):
     """Return the Items of a table top that ends, a floor below, a wall and clutter behind."""
     top = np.array([rng.uniform(0.7, 0.9), rng.uniform(0.5, 0.6), 0.04])
-    items = [Item(BOX, at(0, 0, -0.02), top, SUPPORT), Item(PLANE, at(0, 0, -0.7), np.zeros(3), BEHIND),
-             Item(BOX, at(0, 1.2, 0.8), np.array([6.0, 0.1, 3.0]), BEHIND)]  # fmt: skip
+    items = [Item(BOX, at(0, 0, -0.02), top, SUPPORT), *bare_room()]
     for _ in range(rng.integers(2, 5)):
         size = rng.uniform(0.1, 0.4, 3) + [0.0, 0.0, 0.7]
         place = at(rng.uniform(-0.7, 0.7), rng.uniform(0.55, 0.9), 0.5 * size[2] - 0.7, rng.uniform(0, 1.5))
@@ -191,16 +209,33 @@ def leaning_board(rng):
 
 
 def stacked_cartons(rng):
-    """Return (types, sizes, poses, parents) of 2 x 3 x 2 equal cartons."""
+    """Return (types, sizes, poses, parents) of 2 x 3 x 2 to 3 x 3 x 3 equal cartons."""
     size, gap = rng.uniform((0.3, 0.2, 0.15), (0.4, 0.3, 0.3)), rng.uniform(0, 0.005)
+    long, high = rng.integers(2, 4, 2)
     turn, poses, parents = at(0, 0, 0, rng.uniform(0, 6.2)), [], []
-    for k in range(2):
-        for i in range(2):
+    for k in range(high):
+        for i in range(long):
             for j in range(3):
-                place = (np.array([i, j]) - [0.5, 1.0]) * (size[:2] + gap)
+                place = (np.array([i, j]) - [0.5 * (long - 1), 1.0]) * (size[:2] + gap)
+                parents.append("floor" if k == 0 else len(poses) - 3 * long)
                 poses.append(turn @ at(*place, (k + 0.5) * size[2]))
-                parents.append("floor" if k == 0 else len(poses) - 7)
-    return ["box"] * 12, [size] * 12, poses, parents
+    return ["box"] * len(poses), [size] * len(poses), poses, parents
+
+
+HEIGHTS = ((-0.32, 0.3), (0.32, 0.27))  # metres: middle and half the width of two tables side by side
+
+
+def on_two_tables(rng):
+    """Return (types, sizes, poses, parents, Items of the tables and the room, height of the second in metres)."""
+    rise = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.06, 0.25))
+    types, sizes, poses, parents, items = [], [], [], [], bare_room()
+    for (middle, half), height, name in zip(HEIGHTS, (0.0, rise), ("floor", "second"), strict=True):
+        items.append(Item(BOX, at(middle, 0, height - 0.02), np.array([2.0 * half, 0.55, 0.04]), SUPPORT))
+        kinds, extents, places, _ = apart(rng, rng.integers(1, 4), (half - 0.1, 0.17), some_solid)
+        types, sizes = [*types, *kinds], [*sizes, *extents]
+        poses += [at(middle, 0, height) @ place for place in places]
+        parents += [name] * len(kinds)
+    return types, sizes, poses, parents, items, rise
 
 
 def arranged(rng, name):
@@ -253,7 +288,13 @@ def make(rng, name):
     camera = Camera.from_field_of_view(*kind.size, FIELD_OF_VIEW)
     table = table_pose(rng, kind)
     items = room(rng) if name == "edge" else [Item(PLANE, np.eye(4), np.zeros(3), SUPPORT)]
-    types, sizes, poses, parents, supports, meshes = arranged(rng, name)
+    tables = {"floor": table}
+    if name == "heights":
+        types, sizes, poses, parents, items, rise = on_two_tables(rng)
+        supports, meshes = [()] * len(types), [None] * len(types)
+        tables["second"] = table @ at(0, 0, rise)
+    else:
+        types, sizes, poses, parents, supports, meshes = arranged(rng, name)
     for k, (kind_of, size, pose, mesh) in enumerate(zip(types, sizes, poses, meshes, strict=True)):
         items.append(Item(SOLIDS.get(kind_of, MESH), pose, size, k, mesh))
     with_mesh = np.array([item.mesh is not None for item in items])
@@ -269,7 +310,7 @@ def make(rng, name):
     objects = [{"type": t, "size": s, "pose": table @ p, "parent": on, "supports": others}
                for t, s, p, on, others in zip(types, sizes, poses, parents, supports, strict=True)]  # fmt: skip
     free = [k for k, mesh in enumerate(meshes) if mesh is not None]
-    return Scene(SENSORS[kind.sensor](rng, depth), camera, label, objects, table, free)
+    return Scene(SENSORS[kind.sensor](rng, depth), camera, label, objects, tables, free)
 
 
 def smooth_noise(rng, shape, reach):

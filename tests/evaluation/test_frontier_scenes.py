@@ -16,13 +16,13 @@ def test_labels_are_of_the_objects_and_a_seed_gives_the_same_scene(kind):
     assert scene.depth.shape == scene.label.shape == scene.camera.shape
     assert scene.label.min() >= BEHIND and scene.label.max() < len(scene.objects)
     for item in scene.objects:
-        assert item["parent"] == "floor" or scene.objects[item["parent"]]["pose"] is not item["pose"]
+        assert item["parent"] in scene.tables or scene.objects[item["parent"]]["pose"] is not item["pose"]
 
 
 @pytest.mark.parametrize("kind", ["boards", "pallets"])
 def test_what_leans_or_is_stacked_touches_and_does_not_interpenetrate(kind):
     scene = make(np.random.default_rng(3), kind)
-    up = np.linalg.inv(scene.table)
+    up = np.linalg.inv(scene.tables["floor"])
     rows = [make_row(BOX, (up @ o["pose"])[:3, :3], (up @ o["pose"])[:3, 3], o["size"]) for o in scene.objects]
     apart = [penetration(a, b) for k, a in enumerate(rows) for b in rows[:k]]
     assert max(apart) < 1e-6 and (kind == "pallets" or max(apart) > -1e-6)
