@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from derender.detection.solids.beliefs import MOST, bare_image
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE, make_row
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.sizes import CUBE, FIRST, HIGH, LOW, NODES
@@ -14,45 +14,57 @@ TRIES = 400  # solids of the prior that are put down behind what is seen
 MARGIN = 0.01  # metres by which all of one has to lie behind what is seen in front of it
 LEAST_DEPTH = 1e-3  # metres before the camera: what lies nearer, or behind it, is not in the image
 GRID = np.array([[a, b, c] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) for c in (-1.0, 0.0, 1.0)])
+LEAST_STEEPNESS = 1e-3  # sine at which a ray meets the floor: below, a pixel's area has no bound
 LEAST_AREA = 1e-4  # square metres of hidden floor that are worth a look
 
 
 def hidden_expected(rng, refined, beliefs=None):
     """Return the expected number of solids on the floor that nothing would show, given a structure's scene.
 
-    Solids of the prior are put on the parts of the floor that what stands in front hides from the camera; those count
-    whose corners all lie behind it, in the image, and that enter nothing. Each such place has the prior's density.
+    Solids of the prior are put on the parts of the floor that what stands in front hides from the camera, no farther
+    away than floor is seen; those count whose corners all lie behind it, in the image, and that enter nothing. How
+    many there are on a square metre is what the prior says, were that one look at a floor, and what this floor shows.
     """
     beliefs = bare_image() if beliefs is None else beliefs
     camera, floor = refined.sensor.camera, refined.chart.floor
     depth = model_depth(refined.chart, refined.values, camera)
     bare = floor_depth(floor, camera)
-    hidden = np.argwhere((depth < bare - MARGIN) & np.isfinite(bare))
-    if len(hidden) == 0 or len(refined.state) == 0:
+    seen = np.isfinite(bare) & (depth >= bare - LEAST_DEPTH) & np.isfinite(refined.sensor.returned)
+    if not seen.any() or len(refined.state) == 0:
         return 0.0
-    rows, columns = hidden.T
-    z = bare[rows, columns]
-    up = floor[:3, 2]
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(z))], axis=1)
-    area = z**2 / (camera.fx * camera.fy) / np.maximum(np.abs(ray @ up), 1e-3)  # of floor in each pixel
+    shown = float(floor_areas(np.argwhere(seen), bare, floor, camera).sum())
+    hidden = np.argwhere((depth < bare - MARGIN) & (bare <= bare[seen].max()))
+    area = floor_areas(hidden, bare, floor, camera)
     total = float(area.sum())
     if total < LEAST_AREA:
         return 0.0
-    chosen = rng.choice(len(z), size=TRIES, p=area / total)
-    places = (ray[chosen] * z[chosen, None] - floor[:3, 3]) @ floor[:3, :3]
+    rows, columns = hidden[rng.choice(len(hidden), size=TRIES, p=area / total)].T
+    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(TRIES)], axis=1)
+    places = (ray * bare[rows, columns, None] - floor[:3, 3]) @ floor[:3, :3]
     drawn = drawn_rows(rng, places, beliefs)
     drawn = drawn[out_of_sight(drawn, floor, camera, depth)]
     for view in refined.sensor.others:
-        shown = model_depth(refined.chart, refined.values, view.camera, view.into)
-        drawn = drawn[out_of_sight(drawn, view.into @ floor, view.camera, shown)]
+        there = model_depth(refined.chart, refined.values, view.camera, view.into)
+        drawn = drawn[out_of_sight(drawn, view.into @ floor, view.camera, there)]
     count = sum(all(penetration(row, other) <= 0.0 for other in refined.state.rows) for row in drawn)
-    return rate_on_floor(beliefs, len(refined.state)) * total * count / TRIES
+    return rate_on_floor(beliefs, len(refined.state), shown) * total * count / TRIES
 
 
-def rate_on_floor(beliefs, count):
-    """Return the solids that the prior expects on one more square metre, so many being there."""
-    count = min(count, MOST - 1)
-    return float(np.exp(beliefs.on_floor[count + 1] - beliefs.on_floor[count]))
+def floor_areas(pixels, depth, floor, camera):
+    """Return (n,) the square metres of floor, met at a depth (H, W), in each pixel of (n, 2) rows and columns."""
+    rows, columns = pixels.T
+    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))], axis=1)
+    steepness = np.maximum(np.abs(ray @ floor[:3, 2]), LEAST_STEEPNESS)
+    return depth[rows, columns] ** 2 / (camera.fx * camera.fy) / steepness
+
+
+def rate_on_floor(beliefs, count, area):
+    """Return how many solids are expected on one more square metre of a floor that shows so many on so much area.
+
+    The rate is exponential about the prior's: the gamma distribution of a rate, after `count` were counted.
+    """
+    prior = float(np.exp(beliefs.on_floor[1] - beliefs.on_floor[0]))
+    return (1.0 + count) / (1.0 / prior + area)
 
 
 def drawn_rows(rng, places, beliefs):

@@ -1,6 +1,7 @@
 """Solids that nothing shows: what is said to be out of sight changes no pixel, and the prior's are drawn as it says."""
 
 import numpy as np
+import pytest
 from test_graph_posterior import camera, floor_pose, row
 
 from derender.detection.solids.beliefs import bare_image
@@ -10,7 +11,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.hidden import drawn_extents, drawn_rows, hidden_expected, out_of_sight
+from derender.structures.hidden import drawn_extents, drawn_rows, hidden_expected, out_of_sight, rate_on_floor
 
 VIEW = camera(96, 72)
 
@@ -46,11 +47,19 @@ def test_more_is_expected_behind_a_higher_box_and_nothing_where_all_is_seen():
         def __init__(self, state):
             self.state = state
             self.chart, self.values = make_chart(state, floor_pose(), Rules(0.0015))
-            self.sensor = Sensor(VIEW, np.zeros((72, 96)), None, {})
+            self.sensor = Sensor(VIEW, model_depth(self.chart, self.values, VIEW), None, {})
 
     low, high = (hidden_expected(rng, Found(wide_box(height))) for height in (0.06, 0.3))
     assert 0.0 <= low < 0.5 * high
     assert hidden_expected(rng, Found(State())) == 0.0
+
+
+def test_what_a_floor_shows_corrects_how_many_solids_the_prior_expects_on_it():
+    beliefs = bare_image()
+    prior = rate_on_floor(beliefs, 0, 0.0)
+    assert abs(prior - 24.0) < 1e-6  # a square metre, as data/priors/bare-image.yaml says
+    assert rate_on_floor(beliefs, 4, 4.0 / prior) == pytest.approx(prior)  # as many as expected
+    assert rate_on_floor(beliefs, 6, 1e4) == pytest.approx(7e-4, rel=1e-2)
 
 
 def test_extents_are_drawn_as_their_table_says():
