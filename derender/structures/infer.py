@@ -306,14 +306,19 @@ def explanation_of(graph, seen, depth, camera):
     """Return what a scene says of each pixel of the image as it came, an Explanation."""
     from derender.results.explanation import explain
 
-    rows, columns = (nearest_pixels(after, 1, before, seen.factor)
-                     for after, before in zip(depth.shape, seen.mask.shape, strict=True))  # fmt: skip
     camera = whole_camera(camera, depth.shape)
     bent = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
     for thing in seen.things:
         bent &= ~thing.mask
-    behind, bent = (mask[rows[:, None], columns] for mask in (seen.behind, bent))
+    behind, bent = (of_whole_image(mask, seen, depth.shape) for mask in (seen.behind, bent))
     return explain(graph, depth, camera, seen.floor.sigma, behind, bent)
+
+
+def of_whole_image(mask, seen, shape):
+    """Return what is known of each pixel of an Observation's image, (h, w), of the image (H, W) as it came."""
+    rows, columns = (nearest_pixels(after, 1, before, seen.factor)
+                     for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
+    return mask[rows[:, None], columns]
 
 
 def whole_camera(camera, shape):
@@ -328,7 +333,8 @@ def whole_camera(camera, shape):
 def likelihood_of(parts, seen, depth, camera, temper):
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
-    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene.
+    That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene:
+    to what it shows of the scene, not to what is known to lie behind it, or far away.
     """
     from derender.structures.draws.sensor import image_likelihood, too_far
 
@@ -337,5 +343,6 @@ def likelihood_of(parts, seen, depth, camera, temper):
         return best.extras["likelihood"]
     camera = whole_camera(camera, depth.shape)
     worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
-    name, numbers = image_likelihood(camera, depth, best.best()[0].solids(), worth)
+    other = too_far(depth) | of_whole_image(seen.behind, seen, depth.shape)
+    name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), worth)
     return {"type": name, **numbers}
