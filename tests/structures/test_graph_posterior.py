@@ -116,6 +116,18 @@ def test_chart_starts_at_the_state():
     np.testing.assert_allclose(spun[3, 10:], state.rows[3, 10:], atol=1e-12)
 
 
+@pytest.mark.parametrize("tilt, stands", [(0.0, True), (2.0, True), (-2.0, True), (4.0, False)])
+def test_what_tilts_as_a_floor_does_stands_upright_and_what_tilts_more_may_turn(tilt, stands):
+    turned = rotation_z(0.4)[:3, :3] @ rotation_x(np.radians(tilt))[:3, :3]
+    state = State().add(make_row(BOX, turned, [0, 0, 0.05], [0.1, 0.12, 0.1]), UPRIGHT, False, FLOOR, 0.0)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    assert bool(chart.flags[0, charts.VERTICAL]) == stands
+    started = rows_at(chart, values)[0, 1:10].reshape(3, 3)
+    np.testing.assert_allclose(started, rotation_z(0.4)[:3, :3] if stands else turned, atol=1e-3)
+    np.testing.assert_allclose(started @ started.T, np.eye(3), atol=1e-12)
+    assert not stands or started[2, 2] == 1.0
+
+
 def test_what_stands_on_a_support_rises_with_it_and_stays_in_place():
     chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     before = rows_at(chart, values)

@@ -23,6 +23,7 @@ KIND, VERTICAL, PARENT, HELD, EQUAL = range(5)  # columns of Chart.flags
 X, Y, Z, TURN, SIZE, SLOTS = 0, 1, 2, 3, 6, 9  # columns of Chart.slots
 FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
 
+MOST_TILT = np.radians(3.0)  # of what stands upright: a search lets it tilt as real floors do, twice their deviation
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
 LEAST_EXTENT = 0.004  # metres: thinner solids are noise, whatever a prior says
 EIGHTH = np.sqrt(0.5) - 1e-9  # cosine of an eighth of a turn, to rounding
@@ -60,6 +61,19 @@ class Chart(NamedTuple):
     structural: float
 
 
+def upright_within(row, angle):
+    """Return whether a solid's own z axis is the floor's up or down to an angle in radians."""
+    return abs(row[9]) >= np.cos(angle)
+
+
+def levelled(rotation):
+    """Return the rotation (3, 3) nearest to one, to first order, whose z axis is exactly up or down."""
+    up = np.array([0.0, 0.0, np.copysign(1.0, rotation[2, 2])])
+    along = rotation[:, 0] - rotation[2, 0] * np.array([0.0, 0.0, 1.0])
+    along /= np.linalg.norm(along)
+    return np.column_stack([along, np.cross(up, along), up])
+
+
 def make_chart(state, floor_pose, rules):
     """Return (Chart, coordinates (D,)) of a State. rules : Rules."""
     from derender.detection.solids.graph import order_of
@@ -78,9 +92,11 @@ def make_chart(state, floor_pose, rules):
     for k in range(count):
         row, kind = state.rows[k], int(state.rows[k][0])
         support = support_of(state, k, parents[k])
-        vertical = state.forms[k] != FREE and kind != SPHERE
+        vertical = state.forms[k] != FREE and kind != SPHERE and upright_within(rows[k], MOST_TILT)
         held = support is not None and (vertical or kind == SPHERE)
         flags[k] = kind, vertical, parents[k] if support is None else support, held, state.cubes[k]
+        if vertical:
+            rows[k, 1:10] = levelled(rows[k, 1:10].reshape(3, 3)).ravel()
         if kind == SPHERE:  # a sphere may be turned as one likes: so that its contact needs no turn
             rows[k, 1:10] = np.diag([1.0, -1.0, -1.0]).ravel()
         free(k, X, row[10])
