@@ -10,12 +10,15 @@ This is for steps to be made from: what a walk meets corrects it, and nothing th
 
 import numpy as np
 
+from derender.compilation.cache import call_for_nothing, njit
 from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
-from derender.render.blur import blur, blur_radius
-from derender.render.raycast.engine import propose_state, settle_state
-from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, PAD
+from derender.render.blur import blur
+from derender.render.raycast.engine import propose_in, settle_in
+from derender.render.raycast.lane_names import LANES
+from derender.render.raycast.region import DRAWN, SCORED
+from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH
 from derender.render.raycast.views import engine_of_view
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
@@ -66,50 +69,95 @@ class ImageCurvature:
 
     def __init__(self, engine, chart, sensor, values) -> None:
         self.engine, self.chart, self.values, self.into = engine, chart, values, sensor.into
-        self.blur = sensor.values["blur"]
-        self.reach = blur_radius(self.blur)
-        self.pixels = slice(PAD, PAD + sensor.observed.shape[1])
-        self.base = engine.images[DEPTH + CURRENT][: len(sensor.observed), self.pixels].copy()
-        self.weight = np.sqrt(weights(sensor, blur(self.base.astype(float), self.blur))).astype(np.float32)
-        count = len(chart.flags)
-        self.rows = np.empty((count, ROW))
-        self.poses, self.sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+        height, width = sensor.observed.shape
+        pixels = slice(PAD, PAD + width)
+        self.weight = np.zeros(engine.images.shape[1:], np.float32)
+        base = engine.images[DEPTH + CURRENT][:height, pixels].astype(float)
+        self.weight[:height, pixels] = np.sqrt(weights(sensor, blur(base, sensor.values["blur"])))
         # half a pixel at the depth of each coordinate's solid
         self.apart = np.full(len(values), FLOOR_APART)
         floor = sensor.into @ chart.floor
         for slot, row in zip(chart.slots, chart.base, strict=True):
             depth = floor[2, :3] @ row[10:13] + floor[2, 3]
-            self.apart[slot[slot >= 0]] = APART * max(depth, 0.1) / sensor.camera.fx
-
-    def moved(self, touched, values):
-        """Return (H, W) the clean depth at other coordinates of which only the solids `touched` know."""
-        indices = np.flatnonzero(touched)
-        place_rows(self.chart, values, self.rows)
-        camera_poses(self.chart, values, self.rows, self.poses, self.sizes)
-        poses = self.into @ self.poses[indices]
-        propose_state(self.engine, np.int64(len(indices)), indices, poses, self.sizes[indices])
-        seen = self.engine.images[DEPTH + CANDIDATE][: len(self.base), self.pixels].copy()
-        settle_state(self.engine, CURRENT)
-        return seen
+            far = APART * max(depth, 0.1) / sensor.camera.fx
+            self.apart[slot[slot >= 0]] = far
+            turns = slot[TURN:SIZE]
+            self.apart[turns[turns >= 0]] = far / (0.5 * np.linalg.norm(row[13:15]))
 
     def derivatives(self, members):
-        """Return (n, H W) float32, the image's derivatives by the coordinates `members` in deviations of the noise."""
-        size, turns = len(self.values), self.chart.slots[:, TURN:SIZE]
-        images = np.zeros((len(members), *self.base.shape), np.float32)
-        units = np.eye(size)[:, members]
-        for image, member, touched in zip(images, members, touched_by_each(self.chart, units), strict=True):
-            apart = self.apart[member]
-            if member in turns:
-                apart /= 0.5 * np.linalg.norm(self.chart.base[np.argwhere(turns == member)[0, 0], 13:15])
-            shift = apart * np.eye(size)[member]
-            change = self.moved(touched, self.values + shift) - self.moved(touched, self.values - shift)
-            if change.any():  # only there, and as far as the blur carries it, the derivative is not 0
-                where = tuple(
-                    slice(max(along[0] - self.reach, 0), along[-1] + self.reach + 1)
-                    for along in (np.flatnonzero(change.any(axis=axis)) for axis in (1, 0))
-                )
-                image[where] = blur(change[where], self.blur) * (self.weight[where] / np.float32(2.0 * apart))
-        return images.reshape(len(members), -1)
+        """Return (n, K) float32, the image's derivatives by the coordinates `members` in deviations of the noise, of
+        all pixels at which one is not 0."""
+        members = np.asarray(members, np.int64)
+        touched = touched_by_each(self.chart, np.eye(len(self.values))[:, members])
+        images = np.zeros((len(members), *self.weight.shape), np.float32)
+        top, bottom = write_derivatives(self.engine, self.chart, self.values, np.ascontiguousarray(self.into), members,
+                                        self.apart[members], touched, self.weight, images)  # fmt: skip
+        return images[:, top:bottom].reshape(len(members), -1)
+
+
+@njit(cache=True, nogil=True)
+def write_derivatives(engine, chart, values, into, members, apart, touched, weight, images):
+    """Write the blurred image's derivatives by some coordinates: differences of two renders on either side.
+
+    Parameters
+    ----------
+    engine : EngineState at `values` (D,), as it is again afterwards. into : (4, 4), see Sensor.
+    members : (n,) int64, the coordinates. apart : (n,), how far to either side. touched : (n, 1 + N) bool, which of the
+        floor and the solids each moves.
+    weight : (H, P) float32, by which each pixel is multiplied. images : (n, H, P) float32 of zeros, padded as the
+        engine's; written.
+
+    Returns the first row in which one is not 0, and the row after the last.
+    """
+    settings, count = engine.settings, len(chart.flags)
+    height, width = settings[HEIGHT], settings[WIDTH]
+    current, candidate = engine.images[DEPTH + CURRENT], engine.images[DEPTH + CANDIDATE]
+    change, trial = np.zeros(weight.shape, np.float32), values.copy()
+    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
+    seen, indices = np.zeros((count + 1, 4, 4)), np.empty(count + 1, np.int64)
+    first, last = height, np.int64(0)
+    for n in range(len(members)):
+        left, right, top, bottom = width, np.int64(0), height, np.int64(0)
+        for way in (np.float32(1.0), np.float32(-1.0)):
+            trial[members[n]] = values[members[n]] + way * apart[n]
+            place_rows(chart, trial, rows)
+            camera_poses(chart, trial, rows, poses, sizes)
+            moved = np.int64(0)
+            for k in range(count + 1):
+                if touched[n, k]:
+                    indices[moved] = k
+                    for i in range(4):
+                        for j in range(4):
+                            seen[moved, i, j] = 0.0
+                            for m in range(4):
+                                seen[moved, i, j] += into[i, m] * poses[k, m, j]
+                    for i in range(3):
+                        sizes[moved, i] = sizes[k, i]
+                    moved += 1
+            propose_in(engine, moved, indices, seen, sizes)
+            for number in range(settings[REGIONS]):
+                drawn, scored = engine.regions[DRAWN, number], engine.regions[SCORED, number]
+                begin = 0 if drawn[0] == 0 else drawn[0] + PAD  # with the replicated edges
+                end = (drawn[1] if drawn[1] < width else width + LANES) + PAD
+                for row in range(drawn[2], drawn[3]):
+                    for column in range(begin, end):
+                        change[row, column] += way * (candidate[row, column] - current[row, column])
+                left, right = min(left, scored[0]), max(right, scored[1])
+                top, bottom = min(top, scored[2]), max(bottom, scored[3])
+            settle_in(engine, CURRENT)
+        trial[members[n]] = values[members[n]]
+        if left >= right:
+            continue
+        right = left + (right - left + LANES - 1) // LANES * LANES
+        call_for_nothing(settings[BLUR], change, images[n], engine.strip, engine.taps, left + PAD, right + PAD, top,
+                         bottom, height)  # fmt: skip
+        for row in range(top, bottom):
+            for column in range(left + PAD, right + PAD):
+                images[n, row, column] *= weight[row, column] / np.float32(2.0 * apart[n])
+            for column in range(change.shape[1]):
+                change[row, column] = 0.0
+        first, last = min(first, top), max(last, bottom)
+    return min(first, last), last
 
 
 def weights(sensor, base):

@@ -223,13 +223,14 @@ def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
     members = list(range(len(values)) if only is None else only)
     found = [(values.copy(), *load(engine, chart, values))]
     moves, count = single_steps(chart, only), max(steps // APART, 1)
-    singles, spread = len(moves), np.zeros(0)
+    singles, blocks = len(moves), []
     for temperature in (*temperatures, *COLD):
         if temperature >= 1.0:
-            if not len(spread):
+            if not blocks:
                 load(engine, chart, values)
                 spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
-            moves = [*moves[:singles], *block_steps(chart, spread / temperature, only)]
+                blocks = block_steps(chart, spread, only)
+            moves = [*moves[:singles], *(each._replace(matrix=each.matrix / np.sqrt(temperature)) for each in blocks)]
         moves, (draws,) = stretch(rng, [(engine, chart, values)], moves, temperature, 0.1, count, APART)
         if temperature >= 1.0:
             best = int(np.argmax(draws.densities.sum(axis=1)))

@@ -210,13 +210,15 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     held = np.sqrt(np.diag(covariance)) < loose[members]
     precision = back.T @ np.linalg.inv(covariance + shrink**2 * np.eye(len(members))) @ back
     blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
-    steps = []
-    for block in filter(None, blocks):
-        index = [place[m] for m in block]
-        factor = np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)]))
-        matrix = back[:, index] @ factor
-        moving = matrix.any(axis=1)
-        step = Step(members[moving], matrix[moving], touched_by(chart, members, matrix), weight_of(chart, block),
+    indices = [[place[m] for m in block] for block in blocks if block]
+    factors = [np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)])) for index in indices]
+    matrices = [back[:, index] @ factor for index, factor in zip(indices, factors, strict=True)]
+    moves = np.zeros((size, sum(map(len, indices))))
+    moves[members] = np.hstack(matrices)
+    by_column, steps = np.split(touched_by_each(chart, moves), np.cumsum([len(index) for index in indices])), []
+    for index, factor, matrix, touched in zip(indices, factors, matrices, by_column, strict=False):
+        block, moving = members[index], matrix.any(axis=1)
+        step = Step(members[moving], matrix[moving], touched.any(axis=0), weight_of(chart, block),
                     1.5 / np.sqrt(len(block)), 0.25)  # fmt: skip
         if center is not None and held[moving].all():
             pull = np.zeros((len(block), size))
