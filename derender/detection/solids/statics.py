@@ -105,15 +105,14 @@ def shares_of_load(rows, k, reach, friction=FRICTION):
             continue
         across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
         across /= np.linalg.norm(across)
-        ways = (across, -across, np.cross(normal, across), -np.cross(normal, across))
-        for point in points:
-            for way in ways:
-                force = normal + friction * way
-                columns.append([*force, *(np.cross(point - row[10:13], force) / row[13:16].max())])
-                carriers.append(other)
+        other_way = np.cross(normal, across)
+        force = np.tile(normal + friction * np.array([across, -across, other_way, -other_way]), (len(points), 1))
+        turning = np.cross(np.repeat(points - row[10:13], 4, axis=0), force) / row[13:16].max()
+        columns.append(np.hstack([force, turning]))
+        carriers += [other] * len(force)
     if not columns:
         return {}
-    matrix, weight = np.array(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     ridge = np.sqrt(RIDGE) * np.eye(matrix.shape[1])
     forces, _ = nnls(np.vstack([matrix, ridge]), np.concatenate([weight, np.zeros(len(ridge))]))
     # the ridge alone lets a share of the weight go
