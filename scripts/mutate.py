@@ -143,8 +143,8 @@ MUTATIONS = [
         ("jumps: smc's leaves", "structures/jumps/smc.py", "density - math.log(len(words.leaves(graph)))", "density",
          JUMPS),
         # weights of structures of a bare image
-        ("merge: one box's evidence only", "structures/unions.py", "of_block(rng, trial, [place], best, [i, j], rules)",
-         "of_block(rng, trial, [place], best, [i], rules)", WEIGHTS),
+        ("merge: one box's evidence only", "structures/unions.py", "Block(best, [i, j], rules)",
+         "Block(best, [i], rules)", WEIGHTS),
         ("odds at draws: no standing", "structures/weighing.py", "odds = parts[0].log - parts[1].log + stands",
          "odds = parts[0].log - parts[1].log", (*FLUSH, *WEIGHTS)),
         ("removal weighed by height", "structures/weighing.py", "found.log - own.log + stands",

@@ -30,7 +30,6 @@ from derender.structures.draws.refined import (
     at_mode,
     floor_pose_of,
     height,
-    local_evidence,
     near_evidence,
     pixels_of,
     refined_at,
@@ -38,7 +37,7 @@ from derender.structures.draws.refined import (
     without_unseen,
 )
 from derender.structures.standing import log_standing
-from derender.structures.weighing import NEAR_ERROR, Weighed, of_block, with_own_sensor
+from derender.structures.weighing import NEAR_ERROR, Block, Weighed, of_block, with_own_sensor
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
@@ -181,7 +180,8 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     if height(removed) > height(best) - HOPELESS:
         candidates.append((removed, []))
     candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
-    return weighed_blocks(rng, best, candidates, [i], rules)
+    own = Block(best, [i], rules)
+    return [of_block(rng, trial, places, own, rules) for trial, places in candidates]
 
 
 def propped_up(best, i, shapes):
@@ -205,18 +205,6 @@ def propped_up(best, i, shapes):
                 new.parents[i], new.bottoms[i] = len(state), gap
                 states.append(new)
     return states
-
-
-def weighed_blocks(rng, best, candidates, own_places, rules):
-    """Return the Weighed of (Refined, places) that differ from the best in the solids `own_places` of it."""
-    weighed, own = [], None
-    for trial, places in candidates:
-        each = of_block(rng, trial, places, best, own_places, rules, own)
-        if own is None and each.error != NEAR_ERROR:  # the best's own integral is wanted: take one for all
-            own = local_evidence(rng, best, own_places)
-            each = of_block(rng, trial, places, best, own_places, rules, own)
-        weighed.append(each)
-    return weighed
 
 
 def likeliest_of_each(trials):

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from derender.compilation.threads import in_threads
+from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.greedy import total_energy
 from derender.detection.solids.graph import names_of, scene_graph
 from derender.detection.solids.naming import matched_names, structure_key
@@ -41,9 +41,9 @@ from derender.structures.unexplained import SURELY, additions, nearer_than_expla
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure
 
-ROUNDS = 4  # in which each solid is tried otherwise, and then one more where something is unexplained, at most
+ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
-AHEAD = 4  # solids whose changes are weighed side by side: in vain for those after one that leads to a better structure
+AHEAD = THREADS  # solids whose changes are weighed side by side, in vain after one that leads to a better structure
 WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
 # Structures less probable than the best by more than this many nats are not reported; how many are, at most.
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
@@ -133,7 +133,7 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
     made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
     """
     rules, shapes = settings.rules, settings.shapes
-    best, others = leading(first, from_search(rng, first, pool, energy, rules, evidence))
+    best, others = first, []
     for _ in range(MOST_MERGES):
         former = best
         best, others = leading(best, [*others, *merges(rng, best, rules)])
@@ -144,11 +144,10 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
         best, others = leading(best, [*others, *recuts(rng, best, rules)])
         if best is former:
             break
-    for _ in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
-        former = best
-        best, others = one_solid_each(rng, best, others, rules, shapes)
-        if best is former:  # nothing of what is there explains more
-            best, others = leading(best, [*others, *additions(rng, best, settings, evidence)])
+    for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
+        former, others = one_solid_each(rng, best, others, rules, shapes)
+        met = [] if number else from_search(rng, former, pool, energy, rules, evidence)
+        best, others = leading(former, [*others, *met, *additions(rng, former, settings, evidence)])
         if made is not None and best is former:
             others = last_of_each(others)
             found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
@@ -172,15 +171,21 @@ def draws_of(rng, made, refined):
 
 
 def one_solid_each(rng, best, others, rules, shapes):
-    """Return the likeliest and the others once each solid of it has been tried otherwise."""
-    k = 0
-    while k < len(best.state):  # it may lose one on the way
-        ahead = range(k, min(k + AHEAD, len(best.state)))
+    """Return the likeliest and the others once each solid of it has been tried otherwise, all against the same best.
+
+    Where a change leads to a better one, all solids are tried again, ROUNDS times at most.
+    """
+    k, left, tries = 0, len(best.state), ROUNDS * len(best.state)
+    while left > 0 and tries > 0:
+        count = len(best.state)
+        ahead = [(k + n) % count for n in range(min(AHEAD, left))]
         tasks = [partial(of_one_solid, best=best, i=i, rules=rules, shapes=shapes) for i in ahead]
         for weighed in in_threads(rng, tasks):
-            k, against = k + 1, best
+            k, left, tries, against = k + 1, left - 1, tries - 1, best
             best, others = leading(best, [*others, *weighed])
             if best is not against:  # what the next solids' changes were weighed against
+                best = with_sensor_refitted(rng, best)
+                left = len(best.state)
                 break
     return best, others
 

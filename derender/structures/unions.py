@@ -27,7 +27,7 @@ from derender.structures.alternatives import (
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
-from derender.structures.weighing import of_block, with_own_sensor
+from derender.structures.weighing import Block, of_block, with_own_sensor
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
@@ -77,7 +77,7 @@ def merged(rng, best, i, j, rules):
         trial = with_own_sensor(rng, trial, [place], WORTHWHILE)
     if height(trial) <= height(best) - HOPELESS:
         return None
-    return of_block(rng, trial, [place], best, [i, j], rules)
+    return of_block(rng, trial, [place], Block(best, [i, j], rules), rules)
 
 
 def recuts(rng, best, rules):

@@ -10,6 +10,7 @@ Structures that differ in more are weighed by the integral over everything. The 
 structure that comes near; those whose odds are open are integrated over them too (`over_blur`).
 """
 
+import functools
 import math
 from functools import partial
 from typing import Any, NamedTuple
@@ -56,21 +57,38 @@ class Weighed(NamedTuple):
     places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
 
-def of_block(rng, trial, places, best, own_places, rules, own=None):
+class Block:
+    """Some solids of a structure with the others at their mode: its integrals, each made once."""
+
+    def __init__(self, refined, places, rules) -> None:
+        self.refined, self.places = refined, tuple(places)
+        self.apart = log_standing(refined.state, rules) + refined.sensor.log_prior()  # what no integral holds
+        self._evidence: Any = None
+
+    @functools.cached_property
+    def near(self):
+        """The log integral as `near_evidence` has it."""
+        return near_evidence(self.refined, self.places) + self.apart
+
+    def evidence(self, rng):
+        """Return the Evidence over the solids' coordinates."""
+        if self._evidence is None:
+            self._evidence = local_evidence(rng, self.refined, self.places)
+        return self._evidence
+
+
+def of_block(rng, trial, places, own, rules):
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
 
-    places, own_places : indices of those solids in it and in the best. own : Evidence of the best's, where known.
+    places : indices of those solids in it. own : Block of those of the best.
     """
-    both = tuple(places), tuple(own_places)
-    stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
-    stands += trial.sensor.log_prior() - best.sensor.log_prior()
-    odds = near_evidence(trial, places) - near_evidence(best, own_places) + stands
-    if odds < -IMPROBABLE:
-        return Weighed(trial, odds, NEAR_ERROR, both)
-    own = local_evidence(rng, best, own_places) if own is None else own
-    found = local_evidence(rng, trial, places)
-    error = math.hypot(found.standard_error, own.standard_error)
-    return Weighed(trial, found.log - own.log + stands, error, both)
+    block = Block(trial, places, rules)
+    both = block.places, own.places
+    if block.near - own.near < -IMPROBABLE:
+        return Weighed(trial, block.near - own.near, NEAR_ERROR, both)
+    found, held = block.evidence(rng), own.evidence(rng)
+    error = math.hypot(found.standard_error, held.standard_error)
+    return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
 
 
 def made_sure(rng, best, others, drawn, rules):
@@ -83,25 +101,27 @@ def made_sure(rng, best, others, drawn, rules):
         return others
     draws = drawn(rng)
     chosen = draws[np.linspace(0, len(draws) - 1, PLACES + 2).round().astype(int)[1:-1]]
-    tasks = [
-        partial(odds_at, best=best, weighed=others[k], values=values, rules=rules) for k in close for values in chosen
-    ]
+    blocks = list(dict.fromkeys(others[k].places[1] for k in close))  # of the best, in which several may differ
+    own = in_threads(rng, [partial(integrals, best=best, places=places, draws=chosen) for places in blocks])
+    own = dict(zip(blocks, own, strict=True))
+    tasks = [partial(odds_at, best=best, weighed=others[k], values=values, own=held, rules=rules)
+             for k in close for values, held in zip(chosen, own[others[k].places[1]], strict=False)]  # fmt: skip
     found = np.array(in_threads(rng, tasks)).reshape(len(close), len(chosen), 2)
-    open_ = in_threads(rng, [partial(blur_odds, best=best, weighed=others[k]) for k in close])
+    open_ = in_threads(rng, [partial(over_blur, refined=others[k].trial, solids=others[k].places[0]) for k in close])
     others = list(others)
-    for k, each, (more, error) in zip(close, found, open_, strict=True):
-        told = averaged(each[:, 0], each[:, 1])
-        odds, error = told["odds"] + more, math.hypot(told["error"], error)
+    for k, each, over in zip(close, found, open_, strict=True):
+        told, held = averaged(each[:, 0], each[:, 1]), own[others[k].places[1]][-1]
+        odds = told["odds"] + over.log - held.log
+        odds += others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
+        error = math.hypot(told["error"], over.standard_error, held.standard_error)
         others[k] = others[k]._replace(odds=odds, error=error)
     return others
 
 
-def blur_odds(rng, best, weighed):
-    """Return (log odds, error) that a blur which is not known adds to those of a structure against the best."""
-    both = [over_blur(rng, each, list(places))
-            for each, places in zip((weighed.trial, best), weighed.places, strict=True)]  # fmt: skip
-    believed = weighed.trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
-    return both[0].log - both[1].log + believed, math.hypot(both[0].standard_error, both[1].standard_error)
+def integrals(rng, best, places, draws):
+    """Return the Evidences over some solids of the best with all else at draws (n, D), and last `over_blur` of them."""
+    held = [local_evidence(rng, best._replace(values=values.copy()), places) for values in draws]
+    return [*held, over_blur(rng, best, places)]
 
 
 def averaged(logs, errors):
@@ -115,8 +135,11 @@ def averaged(logs, errors):
     return {"odds": odds, "error": math.sqrt((float(np.mean(np.square(errors))) + spread) / count)}
 
 
-def odds_at(rng, best, weighed, values, rules):
-    """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best."""
+def odds_at(rng, best, weighed, values, own, rules):
+    """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best.
+
+    own : Evidence over the best's solids that differ, there.
+    """
     trial, (places, own_places) = weighed.trial, weighed.places
     here = best._replace(values=values.copy())
     rows = np.empty((len(best.state), ROW))
@@ -133,9 +156,8 @@ def odds_at(rng, best, weighed, values, rules):
     if not np.isfinite(found.log_prior):  # here it is impossible: it does not touch what bears it
         return -np.inf, 0.0
     stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
-    parts = [local_evidence(rng, found, places), local_evidence(rng, here, own_places)]
-    odds = parts[0].log - parts[1].log + stands
-    return odds, math.hypot(parts[0].standard_error, parts[1].standard_error)
+    other = local_evidence(rng, found, places)
+    return other.log - own.log + stands, math.hypot(other.standard_error, own.standard_error)
 
 
 def with_own_sensor(rng, trial, places, least):

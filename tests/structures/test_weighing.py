@@ -19,7 +19,7 @@ from derender.structures.draws.refined import Refined, at_mode, members_of, refi
 from derender.structures.draws.steps import touched_by
 from derender.structures.standing import log_standing
 from derender.structures.unions import merged
-from derender.structures.weighing import Weighed, averaged, made_sure, of_block, with_own_sensor
+from derender.structures.weighing import Block, Weighed, averaged, made_sure, of_block, with_own_sensor
 
 RULES = Rules(0.0015)
 ROUNDS, COUNT, FREEDOM = 7, 2000, 8.0
@@ -149,7 +149,7 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
         rng, solid(BOX, (0.08,) * 3, cube=True), {"sigma": 0.01, "blur": 0.5}, camera(32, 24)
     )
     modes = [at_mode(rng, solid(BOX, (0.08,) * 3, cube=cube), floor_pose(), sensor, RULES) for cube in (True, False)]
-    first = of_block(rng, modes[1], [0], modes[0], [0], RULES)
+    first = of_block(rng, modes[1], [0], Block(modes[0], [0], RULES), RULES)
     far = first._replace(odds=-20.0)
     draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
     again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
