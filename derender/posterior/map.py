@@ -12,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.ascent.descent import cost_at, costs_at, equations_at, fixed_step, levenberg
+from derender.posterior.ascent.descent import Ascent, Cost, fixed_steps, levenberg
 from derender.posterior.ascent.placement import new_placement
 from derender.registry import suggest
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import new_misfit
-from derender.render.raycast.records import MOTION
 from derender.scene.graph import SceneGraph
 
 METHODS = ("gauss-newton", "gradient")
@@ -26,6 +25,7 @@ COARSE_ROWS = 16  # of the image that a start is looked for in
 LATTICE, GENERATORS = 24, (1, 5, 11, 7)  # points of the scan, and their rank-1 lattice in up to four parameters
 KEPT = 2  # places of the scan that are descended from
 COARSE_STEPS, COARSE_STEPS_ALONE = 4, 12  # with a scan before, and without
+COARSE_GAIN = 5.0  # nats; a smaller one ends a descent on the coarse image
 DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 
 
@@ -66,7 +66,7 @@ class MapProblem:
 
     def __init__(self, graph: SceneGraph, addresses: Sequence[str], camera, observed, *, sigma=0.005, blur=1.0,
                  background=10.0, limit=math.inf, ranges=None, edges=True) -> None:  # fmt: skip
-        self.graph, self.addresses, self.edges = graph, tuple(addresses), edges
+        self.graph, self.addresses = graph, tuple(addresses)
         self.placement, self.values, self.domain = new_placement(graph, self.addresses)
         count = len(self.addresses)
         for address, (low, high) in (ranges or {}).items():
@@ -80,12 +80,13 @@ class MapProblem:
         self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
         scene = graph.solids()
         kinds = scene.kind
-        self._fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit, scene)
+        fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit, scene)
         factor = max(1, min(camera.width, camera.height) // COARSE_ROWS)
         small = camera.downscaled(factor)
         means, deviations = _blocks(np.where(seen, observed, np.nan), spread, factor)
         taps = blur_taps(blur / factor)
-        self._coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit, scene)
+        coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit, scene)
+        self._fine, self._coarse = Cost(fine, self.placement, edges), Cost(coarse, self.placement)
 
     def scene(self, values: np.ndarray) -> SceneGraph:
         """Return the graph with these (P,) values."""
@@ -93,18 +94,13 @@ class MapProblem:
 
     def log_density(self, values: np.ndarray) -> float:
         """Return Eq. 6's log likelihood on the antialiased image."""
-        poses, sizes = self._scratch()
-        values = np.array(values, np.float64)
-        return self._constant - cost_at(self._fine, self.placement, values, poses, sizes)
+        return self._constant - float(self._fine.at(np.atleast_2d(values))[0])
 
     def slope(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the gradient (P,) of the log density at `values` and its Gauss-Newton precision (P, P)."""
-        poses, sizes = self._scratch()
-        count = len(self.addresses)
-        motions, gradient, hessian = np.zeros((count, len(poses), MOTION)), np.zeros(count), np.zeros((count, count))
         values = np.array(values, np.float64)
-        cost_at(self._fine, self.placement, values, poses, sizes)
-        equations_at(self._fine, self.placement, values, poses, sizes, motions, self.edges, gradient, hessian)
+        self._fine.at(values[None])
+        gradient, hessian = self._fine.equations(values)
         return -gradient, hessian
 
     def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -136,24 +132,13 @@ class MapProblem:
         return [self._newton(start, iterations, tolerance, explore) for start in starts]
 
     def _newton(self, start, iterations, tolerance, explore) -> Maximum:
-        count = len(self.addresses)
         values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
-        path, costs = np.zeros((iterations + 1, count)), np.zeros(iterations + 1)
-        scratch = np.zeros(count), np.zeros((count, count))
-        _, accepted, _ = levenberg(  # type: ignore[call-arg]
-            self._fine,
-            self.placement,
-            values,
-            *self.domain,
-            iterations,
-            tolerance,
-            self.edges,
-            path,
-            costs,
-            *scratch,
-        )
-        densities = self._constant - costs[: accepted + 1]
-        return Maximum(values, float(densities[-1]), path[: accepted + 1].copy(), densities, before + accepted)
+        return self._maximum(levenberg(self._fine, values, self.domain, iterations, tolerance), before)
+
+    def _maximum(self, ascent: Ascent, before: int = 0) -> Maximum:
+        """Return where an ascent ended. before : steps taken before its own."""
+        path, densities = ascent.path, self._constant - ascent.costs
+        return Maximum(path[-1], float(densities[-1]), path, densities, before + len(path) - 1)
 
     def _explore(self, start) -> tuple[np.ndarray, int]:
         """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
@@ -168,29 +153,13 @@ class MapProblem:
         if count <= len(GENERATORS) and np.all(np.isfinite(length)):
             shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length
             places, steps = low + length * (shares - np.floor(shares)), COARSE_STEPS
-        costs = costs_at(self._coarse, self.placement, np.ascontiguousarray(places))
-        path, heights = np.zeros((steps + 1, count)), np.zeros(steps + 1)
-        matrices = np.zeros(count), np.zeros((count, count))
-        ends = []
-        for number in np.argsort(costs)[:KEPT]:
-            values = places[number].copy()
-            height, accepted, _ = levenberg(  # type: ignore[call-arg]
-                self._coarse, self.placement, values, *self.domain, steps, 5.0, True, path, heights, *matrices
-            )
-            ends.append((height, accepted, values))
-        _, accepted, values = min(ends, key=lambda end: end[0])
-        return values, accepted
+        order = np.argsort(self._coarse.at(places))[:KEPT]
+        ends = [levenberg(self._coarse, places[number], self.domain, steps, COARSE_GAIN) for number in order]
+        best = min(ends, key=lambda end: end.costs[-1])
+        return best.path[-1], len(best.path) - 1
 
-    def _fixed(self, start, iterations, step, difference) -> Maximum:
-        values, domain = np.array(start, np.float64), self.domain
-        path, costs = np.zeros((iterations + 1, len(values))), np.zeros(iterations + 1)
-        fixed_step(self._fine, self.placement, values, *domain, iterations, step, self.edges, difference, path, costs)
-        densities = self._constant - costs
-        return Maximum(path[-1], float(densities[-1]), path, densities, iterations)
-
-    def _scratch(self):
-        count = len(self._fine.kinds)
-        return np.zeros((count, 4, 4)), np.zeros((count, 3))
+    def _fixed(self, start, iterations, length, difference) -> Maximum:
+        return self._maximum(fixed_steps(self._fine, start, self.domain, iterations, length, difference))
 
 
 def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 from derender.render.blur import blur, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
-from derender.render.raycast.normal_equations import cost, cost_gradient, new_misfit, normal_equations
+from derender.render.raycast.normal_equations import cost, new_misfit, normal_equations
 from derender.render.raycast.records import MOTION, new_records, spread
 from derender.render.raycast.sensitivity import record
 from derender.scene.solids import Solids
@@ -67,20 +67,6 @@ class SmoothLikelihood:
         """Return Eq. 6's log density, missing pixels left out."""
         _, poses, sizes = _arrays(solids)
         return self._constant - cost(self.misfit, poses, sizes)
-
-    def gradient(self, solids: Solids, active=None) -> tuple[float, np.ndarray]:
-        """Return (log likelihood, its derivative (N, 9) by every solid's motion), in one pass.
-
-        A motion is a twist (v, w) about the camera's centre, in metres and radians, and the growth of the three
-        extents.
-        A parameter that moves several solids rigidly collects the sum of their twists' rows (Eqs. 7-9).
-        """
-        _, poses, sizes = _arrays(solids)
-        totals = np.zeros((len(poses), MOTION))
-        active = np.ones(len(poses), bool) if active is None else np.asarray(active, bool)
-        value = cost(self.misfit, poses, sizes)
-        cost_gradient(self.misfit, poses, sizes, active, True, totals)
-        return self._constant - value, -totals
 
     def equations(self, poses, sizes, motions) -> tuple[float, np.ndarray, np.ndarray]:
         """Return (cost, gradient (P,), Gauss-Newton Hessian (P, P)) by parameters with these motions (P, N, 9)."""

@@ -1,13 +1,21 @@
-"""Ascent of the likelihood of one structure, compiled: Levenberg-Marquardt and the paper's fixed steps."""
+"""Ascent of the likelihood of one structure: Levenberg-Marquardt and the paper's fixed steps.
+
+The images and their derivatives are compiled; the few steps on the way are not.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.posterior.ascent.placement import bring, find_motions, place
-from derender.render.raycast.normal_equations import cost, cost_gradient, normal_equations
+from derender.posterior.ascent.placement import Domain, Placement, find_motions, place
+from derender.render.raycast.normal_equations import Misfit, cost, normal_equations
 from derender.render.raycast.records import MOTION
+
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6  # of the Hessian's diagonal: at the start, and its limits
+AFTER_FAILURE = 1e-2  # least damping after a step that did not lower the cost: smaller ones would fail again
+FLAT, SINGULAR = 1e-6, 1e-10  # shares of the largest diagonal element taken for one that is 0, and added to all
 
 
 @njit(cache=True, nogil=True)
@@ -43,158 +51,109 @@ def solve_positive(matrix, vector, held, step):
 
 
 @njit(cache=True, nogil=True)
-def cost_at(misfit, placement, values, poses, sizes):
-    """Minus the log likelihood, up to a constant."""
-    place(placement, values, poses, sizes)
-    return cost(misfit, poses, sizes)
-
-
-@njit(cache=True, nogil=True)
-def costs_at(misfit, placement, places):
-    """Return the costs (S,) at places (S, P)."""
-    solids = misfit.kinds.shape[0]
-    poses, sizes, found = np.empty((solids, 4, 4)), np.empty((solids, 3)), np.empty(places.shape[0])
+def _costs_at(misfit, placement, places, poses, sizes, costs):
     for n in range(places.shape[0]):
-        found[n] = cost_at(misfit, placement, places[n], poses, sizes)
-    return found
+        place(placement, places[n], poses, sizes)
+        costs[n] = cost(misfit, poses, sizes)
 
 
 @njit(cache=True, nogil=True)
-def equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian):
-    """Write gradient (P,) and Gauss-Newton Hessian (P, P) of the cost where `cost_at` has been called last."""
+def _equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian):
     find_motions(placement, values, motions)
     normal_equations(misfit, poses, sizes, motions, edges, gradient, hessian)
 
 
-@njit(cache=True, nogil=True)
-def differences_at(misfit, placement, values, poses, sizes, scale, step, gradient):
-    """Write the gradient by central differences of the cost with steps `step * scale[p]`: for comparison."""
-    for p in range(values.shape[0]):
-        h, kept = step * scale[p], values[p]
-        values[p] = kept + h
-        after = cost_at(misfit, placement, values, poses, sizes)
-        values[p] = kept - h
-        gradient[p] = (after - cost_at(misfit, placement, values, poses, sizes)) / (2.0 * h)
-        values[p] = kept
+class Cost:
+    """Minus the log likelihood of a structure's numbers, up to a constant, and its derivatives.
 
-
-@njit(cache=True, nogil=True)
-def levenberg(
-    misfit,
-    placement,
-    values,
-    lower,
-    upper,
-    period,
-    iterations,
-    tolerance,
-    edges,
-    path,
-    costs,
-    gradient,
-    hessian,
-):
-    """Minimise by Levenberg-Marquardt, in place, and return (cost, accepted states, tried steps).
-
-    values : (P,) float64, start and end. lower, upper, period : the domain.
-    iterations : most steps to try. tolerance : nats; a smaller gain ends it. path : (iterations + 1, P) and costs :
-    (iterations + 1,), written: the accepted states. gradient, hessian : those of the last state.
+    edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
     """
-    count, solids = values.shape[0], misfit.kinds.shape[0]
-    poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))
-    motions = np.empty((count, solids, MOTION))
-    step, trial, held = np.zeros(count), np.empty(count), np.zeros(count, np.bool_)
-    damped = np.empty((count, count))
-    bring(values, lower, upper, period)
-    value = cost_at(misfit, placement, values, poses, sizes)
-    equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian)
-    path[0], costs[0] = values, value
-    accepted, tried, damping = 0, 0, 1e-3
-    while tried < iterations:
-        largest = 1e-12
-        for p in range(count):
-            held[p] = period[p] == 0.0 and (
-                (values[p] <= lower[p] and gradient[p] > 0.0) or (values[p] >= upper[p] and gradient[p] < 0.0)
-            )
-            largest = max(largest, hessian[p, p])
-        damped[:] = hessian
-        for p in range(count):
-            damped[p, p] += damping * max(hessian[p, p], 1e-6 * largest) + 1e-10 * largest
-        if not solve_positive(damped, gradient, held, step):
-            damping = max(damping * 10.0, 1e-3)
-            tried += 1
+
+    def __init__(self, misfit: Misfit, placement: Placement, edges: bool = True) -> None:
+        self._arrays, self._edges = (misfit, placement), edges
+        count, solids = len(placement.vertex), len(misfit.kinds)
+        self._placed = np.empty((solids, 4, 4)), np.empty((solids, 3))
+        self._motions = np.empty((count, solids, MOTION))
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Return the costs (S,) at places (S, P)."""
+        costs = np.empty(len(places))
+        _costs_at(*self._arrays, np.ascontiguousarray(places, np.float64), *self._placed, costs)  # type: ignore[call-arg]
+        return costs
+
+    def equations(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return gradient (P,) and Gauss-Newton Hessian (P, P) at values (P,), the last at which the cost was asked."""
+        gradient, hessian = np.empty(len(values)), np.empty((len(values), len(values)))
+        _equations_at(*self._arrays, values, *self._placed, self._motions, self._edges, gradient, hessian)  # type: ignore[call-arg]
+        return gradient, hessian
+
+    def differences(self, values: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the gradient (P,) by central differences of these steps (P,): for comparison."""
+        costs = self.at(np.concatenate([values + np.diag(steps), values - np.diag(steps)])).reshape(2, -1)
+        return (costs[0] - costs[1]) / (2.0 * steps)
+
+
+class Ascent(NamedTuple):
+    """path : (T + 1, P) the states on the way, from the start in the domain on. costs : (T + 1,) theirs."""
+
+    path: np.ndarray
+    costs: np.ndarray
+
+
+def levenberg(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, tolerance: float) -> Ascent:
+    """Minimise by Levenberg-Marquardt from `start` (P,), in at most `iterations` steps tried.
+
+    tolerance : nats; a smaller gain ends it.
+    """
+    values = domain.bring(start)
+    value = cost.at(values[None])[0]
+    gradient, hessian = cost.equations(values)
+    path, costs, damping, step = [values], [value], DAMPING, np.zeros(len(values))
+    for _ in range(iterations):
+        outward = ((values <= domain.lower) & (gradient > 0.0)) | ((values >= domain.upper) & (gradient < 0.0))
+        diagonal = np.diag(hessian)
+        largest = max(diagonal.max(), 1e-12)
+        damped = hessian + np.diag(damping * np.maximum(diagonal, FLAT * largest) + SINGULAR * largest)
+        if not solve_positive(damped, gradient, (domain.period == 0.0) & outward, step):
+            damping = max(damping * 10.0, DAMPING)
             continue
-        for p in range(count):
-            trial[p] = values[p] + step[p]
-        bring(trial, lower, upper, period)
-        foreseen = 0.0
-        for p in range(count):
-            curved = 0.0
-            for q in range(count):
-                curved += hessian[p, q] * step[q]
-            foreseen -= step[p] * (gradient[p] + 0.5 * curved)
-        tried += 1
-        trial_value = cost_at(misfit, placement, trial, poses, sizes)
-        if trial_value < value:
-            gained = value - trial_value
-            values[:] = trial
-            accepted += 1
-            damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), 1e-7)
-            value = trial_value
-            equations_at(misfit, placement, values, poses, sizes, motions, edges, gradient, hessian)
-            path[accepted], costs[accepted] = values, value
+        foreseen = -float(step @ (gradient + 0.5 * hessian @ step))
+        trial = domain.bring(values + step)
+        gained = value - cost.at(trial[None])[0]
+        if gained > 0.0:
+            values, value = trial, value - gained
+            damping = max(damping * (0.1 if gained > 0.5 * foreseen else 0.5), LEAST_DAMPING)
+            gradient, hessian = cost.equations(values)
+            path.append(values)
+            costs.append(value)
             if gained < tolerance:
                 break
+        elif foreseen < tolerance or damping > MOST_DAMPING:
+            break
         else:
-            if foreseen < tolerance or damping > 1e6:
-                break
-            damping = max(damping * 8.0, 1e-2)
-    return value, accepted, tried
+            damping = max(damping * 8.0, AFTER_FAILURE)
+    return Ascent(np.array(path), np.array(costs))
 
 
-@njit(cache=True, nogil=True)
-def fixed_step(misfit, placement, values, lower, upper, period, iterations, step, edges, difference, path, costs):
+def fixed_steps(cost: Cost, start: np.ndarray, domain: Domain, iterations: int, length: float,
+                difference: float = 0.0) -> Ascent:  # fmt: skip
     """Ascend the log density by steps of fixed length along its gradient in unit coordinates, as in Figure 5.
 
-    Each parameter is measured by its range (an angle by its period), the gradient is normalised: then alpha, `step`,
+    Each parameter is measured by its range (an angle by its period), the gradient is normalised: then alpha, `length`,
     is a length. The paper does not say what its alpha multiplies. Of nine readings (the plain gradient with sigma from
     1 cm to 1 m or its mean over pixels, unit length in ranges or in radians, each number by itself) those with unit
     length climb most, nine tenths of the way in 12 steps; plain gradients leap past the top and end below the start;
     none comes within 3 nats in 100 ascents, as steps of fixed length end in a circle about the top.
     difference : 0, or the step of central differences in unit coordinates.
-    path, costs : as in `levenberg`, (iterations + 1, ...).
     """
-    count, solids = values.shape[0], misfit.kinds.shape[0]
-    poses, sizes = np.empty((solids, 4, 4)), np.empty((solids, 3))
-    motions, totals = np.empty((count, solids, MOTION)), np.empty((solids, MOTION))
-    gradient, scale, active = np.empty(count), np.empty(count), np.ones(solids, np.bool_)
-    for p in range(count):
-        scale[p] = period[p] if period[p] > 0.0 else min(upper[p] - lower[p], 1.0)
-    for n in range(iterations + 1):
-        bring(values, lower, upper, period)
-        place(placement, values, poses, sizes)
-        if difference > 0.0:
-            costs[n] = cost_at(misfit, placement, values, poses, sizes)
-            differences_at(misfit, placement, values, poses, sizes, scale, difference, gradient)
-        else:
-            find_motions(placement, values, motions)
-            for k in range(solids):
-                active[k] = np.any(motions[:, k] != 0.0)
-            costs[n] = cost_at(misfit, placement, values, poses, sizes)
-            cost_gradient(misfit, poses, sizes, active, edges, totals)
-            for p in range(count):
-                gradient[p] = 0.0
-                for k in range(solids):
-                    for c in range(MOTION):
-                        gradient[p] += motions[p, k, c] * totals[k, c]
-        path[n] = values
-        length = 0.0
-        for p in range(count):
-            length += (gradient[p] * scale[p]) ** 2
-        length = math.sqrt(length)
-        if length == 0.0:
-            path[n:] = values
-            costs[n:] = costs[n]
+    scale = np.where(domain.period > 0.0, domain.period, np.minimum(domain.upper - domain.lower, 1.0))
+    path, costs = [domain.bring(start)], []
+    for _ in range(iterations + 1):
+        values = path[-1]
+        costs.append(cost.at(values[None])[0])
+        gradient = scale * (cost.differences(values, difference * scale) if difference else cost.equations(values)[0])
+        steepness = np.linalg.norm(gradient)
+        if steepness == 0.0:
             break
-        for p in range(count):
-            values[p] -= step * scale[p] * scale[p] * gradient[p] / length
+        path.append(domain.bring(values - length * scale * gradient / steepness))
+    return Ascent(np.array(path[: len(costs)]), np.array(costs))

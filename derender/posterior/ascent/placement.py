@@ -6,7 +6,6 @@ slack, and the way sizes enter through (u, v) need no derivative of their own. T
 differenced.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -32,19 +31,10 @@ class Domain(NamedTuple):
 
     def bring(self, values: np.ndarray) -> np.ndarray:
         """Return the nearest values inside."""
-        moved = np.array(values, np.float64)
-        bring(moved, *self)
-        return moved
-
-
-@njit(cache=True, nogil=True)
-def bring(values, lower, upper, period):
-    """Move values to their domain: wrapped where periodic, clipped elsewhere."""
-    for p in range(values.shape[0]):
-        if period[p] > 0.0:
-            values[p] -= period[p] * math.floor(values[p] / period[p])
-        else:
-            values[p] = min(max(values[p], lower[p]), upper[p])
+        around = self.period > 0.0
+        period = np.where(around, self.period, 1.0)
+        turned = values - period * np.floor(values / period)
+        return np.where(around, turned, np.clip(values, self.lower, self.upper))
 
 
 STEP = 1e-6  # of the differences: metres, radians, or shares

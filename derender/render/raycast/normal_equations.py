@@ -17,9 +17,9 @@ import numpy as np
 from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import Canvas, new_canvas
-from derender.render.raycast.records import MOTION, Records, gather, new_records, spread
+from derender.render.raycast.records import MOTION, Records, new_records, spread
 from derender.render.raycast.sensitivity import record
-from derender.render.raycast.smooth import blur_adjoint, blur_rectangle
+from derender.render.raycast.smooth import blur_rectangle
 
 # places in `numbers` and in `calls`
 BACKGROUND, LIMIT = range(2)
@@ -148,22 +148,6 @@ def compare_rows(misfit, top, bottom):
                 misfit.weight[row, column] = weight
                 misfit.weighted[row, column] = weight * r
         misfit.row_costs[row] = total
-
-
-@njit(cache=True, nogil=True)
-def cost_gradient(misfit, poses, sizes, active, edges, totals):
-    """Write the derivative of the cost by every active solid's motion, in one pass (reverse mode).
-
-    `cost` must have been called last for the same placement: its image and residuals are used.
-    active : (N,) bool. edges : bool, see `sensitivity.record`. totals : (N, MOTION) float64, written.
-    """
-    call_for_nothing(misfit.calls[RECORD], misfit.canvas, misfit.records, misfit.kinds, poses, sizes, active,
-                     misfit.numbers[BACKGROUND], misfit.window, edges)  # fmt: skip
-    carried = misfit.images[0].reshape(misfit.blurred.shape)
-    blur_adjoint(misfit.weighted, misfit.taps, misfit.window, misfit.scratch, carried)
-    totals[:] = 0.0
-    gather(misfit.records, misfit.images[0], totals)
-    misfit.images[0] = 0.0
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})  # sums may be taken in any order: that is all it allows

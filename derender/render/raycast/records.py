@@ -1,4 +1,4 @@
-"""A sparse Jacobian of a depth image by the motions of solids, and its products with vectors from either side."""
+"""A sparse Jacobian of a depth image by the motions of solids, and its products with motions."""
 
 from typing import NamedTuple
 
@@ -35,16 +35,6 @@ def new_records(camera, solids: int) -> Records:
         np.zeros((size, MOTION)),
         np.zeros(1, np.int64),
     )
-
-
-@njit(cache=True, nogil=True)
-def gather(records, weights, totals):
-    """Reverse mode: totals[solid] += sum of weights[pixel] * form. weights : (H * W,), totals : (N, MOTION) float64."""
-    for m in range(records.filled[0]):
-        weight = weights[records.pixel[m]]
-        total, form = totals[records.solid[m]], records.form[m]
-        for c in range(MOTION):
-            total[c] += weight * form[c]
 
 
 @njit(cache=True, nogil=True)

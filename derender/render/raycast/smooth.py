@@ -1,4 +1,4 @@
-"""The blur of Eq. 6 and its adjoint in compiled float64, inside a rectangle: what gradients are carried through."""
+"""The blur of Eq. 6 in compiled float64, inside a rectangle, also of derivatives."""
 
 from derender.compilation.cache import njit
 
@@ -32,42 +32,3 @@ def blur_rectangle(image, taps, rectangle, scratch, blurred):
             tap, above, below = taps[k], max(row - k, 0), min(row + k, height - 1)
             for column in range(c0, c1):
                 blurred[row, column] += tap * (scratch[above, column] + scratch[below, column])
-
-
-@njit(cache=True, nogil=True)
-def blur_adjoint(image, taps, window, scratch, result):
-    """Write the transpose of the blur applied to `image`, taken as zero outside a window.
-
-    What edge replication spread is gathered again. image, scratch, result : (H, W) float64, different arrays; result is
-    written in the window and the blur's margin around it. window : (4,) int64, columns and rows, ends excluded.
-    """
-    height, width = image.shape
-    radius = taps.shape[0] - 1
-    c0, c1, r0, r1 = window[0], window[1], window[2], window[3]
-    left, right = max(c0 - radius, 0), min(c1 + radius, width)
-    top, bottom = max(r0 - radius, 0), min(r1 + radius, height)
-    for row in range(top, bottom):
-        scratch[row, c0:c1] = 0.0
-        result[row, left:right] = 0.0
-    for row in range(r0, r1):
-        for column in range(c0, c1):
-            scratch[row, column] += taps[0] * image[row, column]
-        for k in range(1, radius + 1):
-            tap, above, below = taps[k], max(row - k, 0), min(row + k, height - 1)
-            for column in range(c0, c1):
-                value = tap * image[row, column]
-                scratch[above, column] += value
-                scratch[below, column] += value
-    for row in range(top, bottom):
-        for column in range(c0, c1):
-            result[row, column] += taps[0] * scratch[row, column]
-        for k in range(1, radius + 1):
-            tap = taps[k]
-            for column in range(max(c0, k), c1):
-                result[row, column - k] += tap * scratch[row, column]
-            for column in range(c0, min(c1, width - k)):
-                result[row, column + k] += tap * scratch[row, column]
-            for column in range(c0, min(c1, k)):
-                result[row, 0] += tap * scratch[row, column]
-            for column in range(max(c0, width - k), c1):
-                result[row, width - 1] += tap * scratch[row, column]
