@@ -233,9 +233,13 @@ def _times(value: float | None, factor: float) -> float | None:
 
 
 def _check_names(animate: str | None, settle: str | None, output: str | None, many: bool) -> None:
-    """Refuse names of files that could not be written, before anything is computed."""
+    """Refuse files that could not be written, before anything is computed."""
     if animate is not None and Path(animate).suffix.lower() not in ANIMATIONS:
         raise DerenderError("not the name of an animation", animate, "choose from " + " ".join(ANIMATIONS))
+    if animate is not None and Path(animate).suffix.lower() == ".mp4":
+        from derender.report.animation import film_writer
+
+        film_writer(animate)
     if settle is not None and Path(settle).suffix.lower() not in (".yaml", ".yml"):
         raise DerenderError("a scene is written as .yaml", settle, "give a name that ends in .yaml")
     if many and (animate or settle):

@@ -78,11 +78,17 @@ def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
         imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
 
 
-def _write_film(path: Path, pictures: np.ndarray) -> None:
-    """Write pictures (T, height, width, 3) uint8 as H.264, by ffmpeg."""
+def film_writer(path: str | Path) -> str:
+    """Return the program that writes films; DerenderError where there is none."""
     program = shutil.which("ffmpeg")
     if program is None:
         raise DerenderError("films need ffmpeg, which is not here", path, "install ffmpeg, or write .gif or .webp")
+    return program
+
+
+def _write_film(path: Path, pictures: np.ndarray) -> None:
+    """Write pictures (T, height, width, 3) uint8 as H.264, by ffmpeg."""
+    program = film_writer(path)
     pictures = pictures[:, : pictures.shape[1] // 2 * 2, : pictures.shape[2] // 2 * 2]
     size = f"{pictures.shape[2]}x{pictures.shape[1]}"
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(FRAMES_PER_SECOND), "-i", "-"]
