@@ -9,7 +9,10 @@ CAMERA ?=
 OUT ?= demo
 JOBS ?= 2
 
-.PHONY: help demo test test-all test-bounds lint bench figures eval build clean osmesa
+# Modules are compiled to bytecode when they are first imported: most of what is installed never is.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
+.PHONY: help demo test tests test-all test-bounds lint bench figures eval build clean osmesa
 .DEFAULT_GOAL := help
 
 help:  ## Say what there is
@@ -18,10 +21,13 @@ help:  ## Say what there is
 demo: .venv/installed osmesa  ## See one depth image become a scene graph; IMAGE=frame.png CAMERA=camera.json for your own
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh scripts/demo.sh "$(OUT)" "$(IMAGE)" "$(CAMERA)"
 
-test: .venv/developed osmesa lint  ## Check style, types and tests
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+test: .venv/developed osmesa  ## Check style, types and tests, side by side
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=line lint tests
 
-test-all: .venv/developed osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
+tests: .venv/developed
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+
+test-all: .venv/complete osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m ''
 	$(BIN)/python scripts/calibrate.py -n 500 --jobs $(JOBS) --strict -o figures/calibration.png
 
@@ -33,7 +39,7 @@ lint: .venv/developed  ## Check style and types only
 	$(BIN)/ruff check derender tests scripts
 	$(BIN)/mypy
 
-bench: .venv/developed osmesa  ## Measure speed beside pyrender, Embree and scipy
+bench: .venv/complete osmesa  ## Measure speed beside pyrender, Embree and scipy
 	$(BIN)/python scripts/benchmark.py
 	$(BIN)/python scripts/mixing.py
 	$(BIN)/python scripts/waiting.py
@@ -44,7 +50,7 @@ figures: .venv/developed osmesa  ## Draw the paper's figures from our own runs, 
 eval: .venv/developed  ## Measure structure inference on made and real frames
 	$(BIN)/python scripts/evaluate.py
 
-build: .venv/developed  ## Build wheel and sdist into dist/
+build: .venv/complete  ## Build wheel and sdist into dist/
 	$(BIN)/python -m build
 
 clean:  ## Remove what the other targets made
@@ -59,13 +65,17 @@ clean:  ## Remove what the other targets made
 
 .venv/installed: .venv/made pyproject.toml
 	@echo "Installing derender into .venv ..."
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(INSTALL) -e .
 	@touch $@
 
 .venv/developed: .venv/made pyproject.toml
 	@echo "Installing derender and what its tests need into .venv ..."
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(INSTALL) -e '.[dev]'
 	@touch $@ .venv/installed
+
+.venv/complete: .venv/developed
+	$(INSTALL) -e '.[dev,dev-all]'
+	@touch $@
 
 osmesa:
 	@sh scripts/get_osmesa.sh

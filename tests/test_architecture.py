@@ -1,6 +1,7 @@
 """The house rules that a test can hold: imports point one way, --help is quick, the README names everything."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -29,16 +30,17 @@ def room(module):
     return ROOMS.index(parts[1]) if len(parts) > 1 and parts[1] in ROOMS else 0
 
 
+@functools.cache
 def imports(path):
-    """Yield (line, module) of every import in a file, those inside functions too."""
+    """Return (line, module) of every import in a file, those inside functions too."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: import by the full name"
-            for alias in node.names:
-                yield node.lineno, f"{node.module}.{alias.name}"
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
 
 
 FILES = sorted(PACKAGE.rglob("*.py"))

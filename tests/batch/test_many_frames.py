@@ -59,6 +59,7 @@ def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
     assert other.returncode == 1 and "were made with other options (--quick)" in other.stderr
 
 
+@pytest.mark.slow
 def test_frames_that_come_are_done_until_ctrl_c(frames, tmp_path):
     command = [
         sys.executable,
@@ -86,6 +87,7 @@ def test_frames_that_come_are_done_until_ctrl_c(frames, tmp_path):
     assert "late,done" in (tmp_path / "out" / "results.csv").read_text()
 
 
+@pytest.mark.slow
 def test_a_signal_to_the_whole_group_finishes_what_is_in_work_and_fails_no_frame(frames, tmp_path):
     for name in "abcdefgh":
         (tmp_path / f"{name}.npy").write_bytes((frames / "frames" / "a.npy").read_bytes())

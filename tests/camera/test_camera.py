@@ -185,7 +185,7 @@ def test_a_missing_file_is_named(tmp_path):
         read_camera(tmp_path / "nowhere.json")
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_mutated_file_never_gives_a_traceback(data, tmp_path):
     text = data.draw(st.sampled_from([case[0] for case in CASES.values()] + [BOP_SCENE])).encode()

@@ -255,7 +255,7 @@ def mutate(draw, content):
     return bytes(content)
 
 
-@settings(max_examples=500, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_mutated_file_never_gives_a_traceback(data, tmp_path):
     path = tmp_path / "image"

@@ -134,6 +134,7 @@ def test_what_is_no_bag_is_told_in_a_line(tmp_path):
         find_frames([str(empty)], "out")
 
 
+@pytest.mark.slow
 def test_infer_takes_a_bag_as_many_frames_and_one_of_them(realsense, tmp_path):
     (tmp_path / "flat.bag").unlink(missing_ok=True)
     flat = write_bag(tmp_path / "flat.bag", [

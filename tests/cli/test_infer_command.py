@@ -30,7 +30,8 @@ def infer(*arguments):
 
 def test_writes_everything(folder, tmp_path):
     out = tmp_path / "out"
-    result = infer(folder / "sample_000.npz", "--scene", "figure-5", "--draws", 300, "--seed", 1, "-o", out)
+    result = infer(folder / "sample_000.npz", "--scene", "figure-5", "--draws", 300, "--seed", 1, "-v", "-o", out)
+    assert " s\nwrote" in result.stderr
     assert "yellow.contact.theta" in result.stdout and "R-hat" in result.stdout
     summary = json.loads((out / "summary.json").read_text())
     assert summary["seed"] == 1 and summary["version"] and summary["command"]
@@ -48,6 +49,7 @@ def test_writes_everything(folder, tmp_path):
     assert np.linalg.norm(truth[:3, 3] - found[:3, 3]) < 0.01
 
 
+@pytest.mark.slow
 def test_the_truth_beside_the_image_is_not_read(folder, tmp_path):
     """The same image alone in a folder gives the same draws."""
     alone = tmp_path / "sample_000.npz"
@@ -67,7 +69,6 @@ def test_strict_doubts_too_few_draws(folder, tmp_path):
     quiet = infer(*arguments, "-q")
     assert quiet.return_value is None
     assert quiet.stderr.startswith("not to be trusted: ")  # whoever asks for silence is not to be misled
-    assert " s\nwrote" in infer(*arguments, "-v").stderr
 
 
 def test_without_a_camera_it_says_what_it_takes(tmp_path):
@@ -95,6 +96,7 @@ def test_a_camera_of_another_size_is_told(folder, tmp_path):
         infer(folder / "sample_000.npz", "--scene", "figure-5", "--camera", camera, "-o", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_an_image_with_holes_is_fine(folder, tmp_path):
     from derender.camera.depth_file import read_depth
 
@@ -146,6 +148,7 @@ def test_options_that_say_nothing_here_are_told(tmp_path):
     assert result.stderr.count("says nothing here") == 2
 
 
+@pytest.mark.slow
 def test_an_older_result_is_replaced_as_a_whole_or_not_at_all(folder, tmp_path, monkeypatch):
     from derender.report import result_folder
 

@@ -56,6 +56,7 @@ def test_the_table_has_a_row_for_each_object(scene):
     assert lines[3].startswith("floor")
 
 
+@pytest.mark.slow
 def test_an_inferred_scene_is_scored_under_the_prior_and_the_sensor_that_inference_had(scene):
     drawn = np.load("sample_000.npz")
     assert CliRunner().invoke(infer, ["sample_000.npz", "-o", "out", "--draws", "20", "-q"]).exit_code == 0

@@ -96,6 +96,7 @@ def test_simulate_a_posterior(capsys):
     assert "P(stable) = " in run(capsys, "simulate", "out", "--draws", "8")[1]
 
 
+@pytest.mark.slow
 def test_simulate_draws_an_animation(capsys, folder):
     from PIL import Image
 

@@ -115,6 +115,7 @@ def test_what_was_compiled_is_called_without_numba(package):
     assert cold[-1] == "True" and warm[-1] == "False" and cold[:-1] == warm[:-1]
 
 
+@pytest.mark.slow
 def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_path):
     elsewhere, home = tmp_path / "elsewhere", tmp_path / "home"
     assert run(package, NUMBA_CACHE_DIR=str(elsewhere))[0] == ["42", "False"]
@@ -126,6 +127,7 @@ def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_
     assert list(home.rglob("*.nbc"))
 
 
+@pytest.mark.slow
 def test_where_nothing_can_be_written_it_compiles_each_time(package, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
@@ -167,6 +169,7 @@ except Exception as error:
     assert run(package)[0] == ["TypingError", "[]"]
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
     (package / "probe.py").write_text(
         PROBE.replace(
@@ -192,6 +195,7 @@ def inner""",
     assert run(package)[0] == ["42", "False"]
 
 
+@pytest.mark.slow
 def test_what_was_loaded_can_be_compiled_into_another(package):
     """The bitcode of an entry is parsed only then."""
     (package / "probe.py").write_text(
@@ -370,6 +374,7 @@ def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
     assert not (tmp_path / "it-was-run").exists()
 
 
+@pytest.mark.slow
 def test_other_packages_caches_stand_as_numba_writes_them(tmp_path):
     """A function of someone else's, cached by a process that has derender's kernels, is read by one that has not."""
     (tmp_path / "theirs.py").write_text("import numba\n\n@numba.njit(cache=True)\ndef double(x):\n    return 2.0 * x\n")

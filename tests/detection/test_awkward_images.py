@@ -139,6 +139,7 @@ def test_a_given_floor_is_taken_as_it_is():
         assert graph.down() == pytest.approx(-normal, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_without_a_floor_nothing_rests():
     depth, camera = picture(floor_pose())
     above = picture(floor_pose(), noise=0.0)[0] < picture(floor_pose(), count=0, noise=0.0)[0] - 0.003
@@ -200,6 +201,7 @@ def test_a_reduced_sharp_image_has_its_edges_where_the_small_camera_sees_them(wi
     assert np.sum(np.abs(seen - ideal) > 0.01) <= 1  # at an edge of little depth, which a plane may cross
 
 
+@pytest.mark.slow
 def test_without_a_floor_a_table_that_fills_the_image_is_background():
     depth, camera = picture(floor_pose())
     posterior = infer_structure(depth, camera, Options(method="map", floor="none"), np.random.default_rng(0))
@@ -212,6 +214,7 @@ def test_without_a_floor_a_table_that_fills_the_image_is_background():
         assert min(np.abs(np.sort(size[:2]) - np.delete(each, k)).max() for each in found for k in range(3)) < 0.005
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [{"distance": 0.9, "elevation": 20.0}, {"distance": 1.0, "elevation": 89.9}])
 def test_a_large_image_of_a_rough_sensor_shows_whole_solids(place):
     """A wall 4 m away, of which the sensor's likelihood would know nothing; from above, edges would cut boxes."""
@@ -240,6 +243,7 @@ def test_a_wall_behind_the_objects_is_no_object(walls):
     assert_both_boxes(answer(depth, camera))
 
 
+@pytest.mark.slow
 def test_a_wide_box_with_floor_behind_it_is_no_wall():
     floor = floor_pose(distance=1.5, elevation=30.0)
     size = np.array([0.7, 0.4, 0.3])

@@ -98,6 +98,7 @@ def test_what_nothing_explains_appears():
     assert total_energy(seen.image, new, Settings()) - least < 0.2 * (started - least)
 
 
+@pytest.mark.slow
 def test_what_shows_in_few_pixels_may_have_another_shape():
     """The search may take a small ball or can for a box: the weights then say what it is."""
     scene = seen_from_afar(0)

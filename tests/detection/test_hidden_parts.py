@@ -105,6 +105,7 @@ def test_the_rim_of_a_disc_is_found_where_a_part_is_hidden():
     assert rim_circle(disc[:2], step) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_pieces_on_both_sides_of_what_hides_it_are_one_box(seed):
     """Of a box 67 pixels show, beside and above another: three small solids explained them, each of them well."""

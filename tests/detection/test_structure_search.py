@@ -258,6 +258,7 @@ def test_three_stacked_cubes_are_found_with_their_graph(rng):
     assert graph.degrees_of_freedom() == 6 + 3 * 3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_answer():
     scene = make_scene(np.random.default_rng(5), "settled")
     first, _ = point_estimate(np.random.default_rng(1), scene["depth"], scene["camera"])

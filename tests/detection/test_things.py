@@ -36,6 +36,7 @@ def scene():
     return image, infer_structure(image, CAMERA, Options(seed=0, chains=2, draws=4))
 
 
+@pytest.mark.slow
 def test_a_bowl_is_one_thing_and_a_box_a_box(scene):
     _, found = scene
     graph = found.best_graph()
@@ -47,6 +48,7 @@ def test_a_bowl_is_one_thing_and_a_box_a_box(scene):
     assert found.parts[0].values.shape[2] == len(found.parts[0].addresses)
 
 
+@pytest.mark.slow
 def test_the_thing_explains_what_is_seen_of_it(scene):
     image, found = scene
     told = found.explanation

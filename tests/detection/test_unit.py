@@ -35,6 +35,7 @@ def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
     assert unit_of(table_in_a_hall) == 1.0
 
 
+@pytest.mark.slow
 def test_every_length_of_a_posterior_is_converted():
     """With balls, cans and boxes that lie, lean and stand: each draw is the same scene, larger."""
     scene = make_scene(np.random.default_rng([70000, SETS.index("mixed")]), "mixed")

@@ -74,6 +74,7 @@ def test_a_slide_tells_friction_and_nothing_of_restitution():
     assert interval[1, 1] - interval[1, 0] > 0.5
 
 
+@pytest.mark.slow
 def test_a_bounce_tells_restitution_and_little_of_friction():
     rng = np.random.default_rng(2)
     mean, interval = told(identify(bounce(0.6, rng), rng, draws=50), rng)

@@ -47,6 +47,7 @@ def test_poses_are_told_in_the_first_cameras_axes_and_errors_in_the_bodys():
     np.testing.assert_allclose(moved.covariances[0, 0, :3, :3], turn @ still.covariances[0, 0, :3, :3] @ turn.T)
 
 
+@pytest.mark.slow
 def test_a_slide_says_its_friction_in_track_json_and_in_draws(tmp_path):
     (tmp_path / "track.json").write_text(json.dumps({"objects": [], "parameters": {}}))
     lines = materials_to_folder(track(sliding()), tmp_path, 0, "test")

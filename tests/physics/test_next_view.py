@@ -84,6 +84,7 @@ def test_all_candidates_look_at_the_scene_from_above_the_floor():
     assert min(moved for *_, moved in candidates(graph)) < 0.1
 
 
+@pytest.mark.slow
 def test_the_best_view_of_a_hidden_depth_is_not_the_one_that_hid_it():
     views = next_views(posterior("width"), CAMERA, LIKELIHOOD, np.random.default_rng(3))
     here = min(views, key=lambda view: view.moved)
@@ -94,6 +95,7 @@ def test_the_best_view_of_a_hidden_depth_is_not_the_one_that_hid_it():
     assert best.nats["structure"] == 0.0  # there is one alone
 
 
+@pytest.mark.slow
 def test_the_command_writes_poses_that_infer_takes(tmp_path):
     found = posterior("width")
     depth, _ = render_depth(found.best_graph().solids(), CAMERA)

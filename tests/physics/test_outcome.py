@@ -147,6 +147,7 @@ def test_interventions_do_what_they_say(graph):
     assert added.stable and added.matter.bodies[-1].name == "new" and ("new", "green") in added.matter.supports
 
 
+@pytest.mark.slow
 def test_probabilities_have_errors_and_stop_when_known(graph):
     chance = probability([graph] * 400, "falls", until=0.08, tilt="21deg", seed=3, duration=1.0)
     assert 10 <= chance.draws < 60 and 0 < chance.probability < 1 and chance.error <= 0.08

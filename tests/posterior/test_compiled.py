@@ -31,7 +31,7 @@ def both(world, names, cycle=False):
     return target, parts, CompiledBackend(target, parts, cycle), InterpretedBackend(target, parts, cycle)
 
 
-@pytest.mark.parametrize("cycle", [False, True])
+@pytest.mark.parametrize("cycle", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_same_random_numbers_same_steps(world, cycle):
     """Step by step, at several temperatures: the same kernel, the same decision, the same values to rounding."""
     target, parts, compiled, plain = both(world, EVERY, cycle)
@@ -97,6 +97,7 @@ def verdict_of_sweeps(world, without_terms=False):
     return verdict(world, make, 250, steps=1, until_caught=without_terms)
 
 
+@pytest.mark.slow
 def test_scene_posterior_is_invariant(world):
     """The invariance test of the kernels, on images, through the compiled sweep."""
     result = verdict_of_sweeps(world)
@@ -117,6 +118,7 @@ ROBUST = TOWER.replace(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [BLURRED, ROBUST], ids=["blurred", "robust"])
 def test_likelihood_numbers_change_in_between(text):
     """Numbers that mean to draw or score the image anew, and rows of steps: those of the interpreted mixture."""

@@ -147,11 +147,15 @@ OPTIONS = {"slide": {"scale": 2.0}, "independence": {"inflation": 0.4}}
 MORE = {"slide": 2, "slide-window": 2, "window": 3}
 
 
+LONG = ("window", "slide-window", "relocate", "relocate-stack")  # whose steps weigh many places, or work out contacts
+LONG_LAST = [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in CASES]
+
+
 def test_every_kernel_is_here():
     assert set(CASES) == set(kernels.names())
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", LONG_LAST)
 def test_kernel_is_invariant(name):
     make = maker(name, **OPTIONS.get(name, {}))
     result = verdict(WORLDS[CASES[name][0]](), make, MORE.get(name, 1) * REPLICATES, steps=4)
@@ -159,10 +163,7 @@ def test_kernel_is_invariant(name):
     assert result.worst < bound(len(result.z)), result
 
 
-ROWS = ("window", "slide-window")  # whose steps weigh eight places: ten times the time of others
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in ROWS)) for name in CASES])
+@pytest.mark.parametrize("name", LONG_LAST)
 def test_broken_twin_is_caught(name):
     world, twin = CASES[name]
     make = maker(name, twin, **OPTIONS.get(name, {}))
@@ -170,6 +171,7 @@ def test_broken_twin_is_caught(name):
     assert result.worst > bound(len(result.z)), f"passed with {result.worst:.1f}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["resimulate", "drift", "window"])
 def test_kernel_is_invariant_on_rotations(name):
     result = verdict(WORLDS["floating"](), maker(name), REPLICATES, steps=4)
@@ -177,6 +179,7 @@ def test_kernel_is_invariant_on_rotations(name):
     assert result.worst < bound(len(result.z)), result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["relocate", "relocate-stack"])
 def test_relocation_without_proposal_ratio_is_caught(name):
     twin = Twin({"mixture_density": lambda *_: 1.0})
@@ -201,6 +204,7 @@ def test_independence_knows_the_measure_of_rotations(twin):
     assert (result.worst > bound(len(result.z))) == broken, result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 def test_mixture_of_all_is_invariant(world):
     made = []
@@ -215,7 +219,7 @@ def test_mixture_of_all_is_invariant(world):
     assert result.worst < bound(len(result.z)), result
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", LONG_LAST)
 def test_temperature_tempers(name):
     """At temperature 0 the prior is what a kernel keeps: started from the prior, moments stay the prior's, and what the
     image says holds nothing up: rows of places nearly always give another one."""

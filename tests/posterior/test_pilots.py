@@ -28,6 +28,7 @@ def two_modes():
     return Narrow(unknowns, [Block("a.contact", (0,))], lambda values: values**2)
 
 
+@pytest.mark.slow
 def test_pilots_find_every_mode():
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
@@ -66,6 +67,7 @@ def test_restarts_turn_an_object_back():
     np.testing.assert_allclose(singles["red"].evaluate(places[0]), densities[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [9, 90])
 def test_pilots_find_the_tower_in_the_image(seed):
     """Cubes that hide half of each other: one at a wrong angle costs thousands of nats and is hard to turn back."""

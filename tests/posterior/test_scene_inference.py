@@ -34,7 +34,7 @@ def image_of(text, seed=4):
     return world, truth, world.target(rng, truth).images.observed
 
 
-@pytest.mark.parametrize("method", ["mcmc", "smc"])
+@pytest.mark.parametrize("method", ["mcmc", pytest.param("smc", marks=pytest.mark.slow)])
 def test_posterior_of_two_numbers_by_quadrature(method):
     """Means, spreads and correlation against a sum over a 160 x 160 grid; errors judged by their own MCSE."""
     world, _, image = image_of(TWO_NUMBERS)
@@ -67,6 +67,7 @@ def test_posterior_of_two_numbers_by_quadrature(method):
             assert abs(drawn.mean() - expected) < bound(len(tests)) * diagnostics.mean_mcse(drawn), name
 
 
+@pytest.mark.slow
 def test_a_wrong_posterior_is_seen():
     """The quadrature test's twin: chains on another image disagree with this one's grid by many standard errors."""
     world, _, image = image_of(TWO_NUMBERS)
@@ -81,6 +82,7 @@ def test_a_wrong_posterior_is_seen():
     assert abs(means[0].mean() - means[1].mean()) > bound(5) * error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
 def test_same_bytes_for_any_jobs(text):
     world, _, image = image_of(text)
@@ -89,6 +91,7 @@ def test_same_bytes_for_any_jobs(text):
     np.testing.assert_array_equal(one.posterior.parts[0].log_likelihood, two.posterior.parts[0].log_likelihood)
 
 
+@pytest.mark.slow
 def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     from derender.sampling import chains
 

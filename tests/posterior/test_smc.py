@@ -18,6 +18,7 @@ class Narrow(World):
     noise = 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken, share", [(False, 0.5), (False, 0.25), (True, 0.5)])
 def test_evidence_is_the_integral(broken, share, monkeypatch):
     """A place in [-1, 1] seen through its square: the mean of estimates is it; a twin resamples wrongly."""

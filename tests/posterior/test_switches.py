@@ -46,6 +46,7 @@ def found(text, **options):
     return infer_structure(depth, document.camera, options).best_graph()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("allowed", [False, True])
 def test_solids_enter_each_other_only_where_that_is_allowed(allowed):
     graph = found(CROSS, may_overlap=allowed)
@@ -58,6 +59,7 @@ def test_solids_enter_each_other_only_where_that_is_allowed(allowed):
         assert len(graph.names) > 3 and deepest < 0.002  # one bar is cut in two by the other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("allowed", [False, True])
 def test_a_solid_hangs_in_the_air_only_where_that_is_allowed(allowed):
     """Nine millimetres over the floor; over a larger gap something that is not seen may stand, at a price."""

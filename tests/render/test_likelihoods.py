@@ -20,7 +20,7 @@ CASES = [
     ("robust", {}),
     ("robust", {"effective_pixels": 4.0}),
     ("robust", {"sigma_growth": 0.004, "outlier": 0.1}),
-    ("robust", {"sigma_growth": 0.004, "effective_pixels": 9.0, "sigma": 0.02}),
+    pytest.param("robust", {"sigma_growth": 0.004, "effective_pixels": 9.0, "sigma": 0.02}, marks=pytest.mark.slow),
 ]
 # A step of 0.5 m: pixels at an edge and away from one; 3 x 6 pixels.
 CLEAN = np.array([[1.0, 1.0, 1.0, 1.5, 1.5, 1.5]] * 3)
@@ -116,6 +116,7 @@ def posterior_width(name, values, camera, seed):
     return np.sqrt(weight @ (shifts - mean) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gaussian", "robust"])
 def test_the_posterior_is_as_wide_on_a_finer_image_when_effective_pixels_say_so(name):
     coarse, fine = Camera(75, 75, 39.5, 29.5, 80, 60), Camera(150, 150, 79.5, 59.5, 160, 120)

@@ -46,7 +46,7 @@ def test_each_kind_agrees_with_textbook_formulas(kind):
 
 def test_meshes_agree_with_textbook_formulas():
     rng = np.random.default_rng(4)
-    for trial in range(6):
+    for trial in range(3):
         agree(random_solids(rng, 1, (MESH,)), CAMERAS[trial % 3])
 
 
@@ -60,7 +60,7 @@ def test_mixed_scenes_agree():
 def test_solids_partly_or_wholly_behind_the_camera(kind):
     rng = np.random.default_rng(20 + kind)
     shown = 0
-    for trial in range(150):
+    for trial in range(60):
         solids = random_solids(rng, 1, (kind,), nearest=-0.3)
         solids.pose[:, 2, 3] = rng.uniform(-0.15, 0.15)
         inside_out = -solids.pose[0, :3, :3].T @ solids.pose[0, :3, 3]

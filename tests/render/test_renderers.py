@@ -98,7 +98,7 @@ def test_pyrender_and_raycast_agree_away_from_silhouettes():
     rng = np.random.default_rng(1)
     pyrender, raycast = find_renderer("pyrender"), find_renderer("raycast")
     compared = 0
-    for index in range(200):
+    for index in range(60):
         camera = CAMERAS[index % 3 if index % 20 else 3]
         solids = random_scene(rng, rng.integers(1, 7))
         depth, label = pyrender.render_depth(solids, camera)
@@ -108,7 +108,7 @@ def test_pyrender_and_raycast_agree_away_from_silhouettes():
         assert np.array_equal(label[sure], other_label[sure])
         assert np.abs(depth - other_depth)[sure].max(initial=0) < 1e-4
         compared += sure.sum()
-    assert compared > 1e6
+    assert compared > 3e5
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -209,6 +209,7 @@ def test_a_thousand_draws_leak_nothing():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000  # kilobytes
 
 
+@pytest.mark.slow
 @needs_opengl
 @pytest.mark.skipif(os.environ.get("PYOPENGL_PLATFORM") == "egl", reason="is what is being tested")
 def test_egl_draws_the_same_where_it_is_installed(tmp_path):

@@ -68,7 +68,7 @@ def test_choosing_an_object_marks_it_everywhere(text, tmp_path):
     assert told["left"] == [] and told["view"] == ["can", "cube", "ball", None]
 
 
-@pytest.mark.parametrize("width", [390, 768, 1280])
+@pytest.mark.parametrize("width", [390, *(pytest.param(width, marks=pytest.mark.slow) for width in (768, 1280))])
 def test_the_page_is_no_wider_than_its_window(text, tmp_path, width):
     """Chromium's window is never narrower than 500 pixels, a frame's is; what is wider inside says that it goes on."""
     needed()

@@ -16,6 +16,7 @@ def chains(correlation, draws, rng, count=2):
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation, draws", [(0.97, 100), (0.9, 300)])
 def test_so_many_draws_as_are_said_would_do(correlation, draws):
     """Of chains that are run as long as was said most hold the limits, with not twenty times as many as needed."""

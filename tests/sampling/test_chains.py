@@ -127,6 +127,7 @@ def _run_with_checkpoints(folder):
     run_chain(plan(sampler=Walk(), draws=20_000, folder=folder, checkpoint_seconds=-1, resume=True), 0, NEVER, SILENT)
 
 
+@pytest.mark.slow
 def test_killed_at_random_fifty_times(tmp_path):
     """kill -9 while checkpoints are written as fast as they can be: the file that is left can always be resumed."""
     whole = run_chain(plan(draws=2000), 0, NEVER, SILENT)

@@ -26,6 +26,7 @@ def test_compiled_and_readable_forms_are_one():
     assert metropolis.adapted_scale(1.0, 1.0, 0.0, 100.0) == math.exp(metropolis.MOST_CHANGE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("impossible", [0.0, 0.8])
 @pytest.mark.parametrize("broken", [False, True])
 def test_annealing_estimates_the_mean_weight(impossible, broken):

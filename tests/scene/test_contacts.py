@@ -148,7 +148,7 @@ def test_at_the_ends_of_u_and_v_the_outlines_touch_in_an_edge_or_a_point():
 
 def test_beyond_the_range_of_x_they_do_not_touch():
     rng = np.random.default_rng(7)
-    for _ in range(300):
+    for _ in range(100):
         parent, child = random_outline(rng), random_outline(rng)
         theta = rng.uniform(0, 2 * math.pi)
         half = interpreted(polygon.reach)(theta, *polygon.sides(parent, child))

@@ -101,6 +101,7 @@ def test_the_parts_of_an_open_box_fill_it_once():
     assert np.array_equal(count, (~hollow).astype(int))
 
 
+@pytest.mark.slow
 def test_what_an_open_box_holds_rests_on_its_bottom_and_is_seen():
     cube = Vertex("cube", "cube", {"side": 0.05}, "tote", on("tote", theta=0.0, u=0.5, v=0.5))
     graph = tote(cube=cube)

@@ -78,6 +78,7 @@ def inside(solid, points):
     return (np.abs(local) < 0.5 * size).all(axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first, second", [(BOX, BOX), (BOX, CYLINDER), (CYLINDER, CYLINDER), (SPHERE, CYLINDER)])
 def test_depth_agrees_with_sampled_points(first, second):
     """Points found in both solids mean depth; a depth well above their spacing means that such points are found."""

@@ -240,6 +240,7 @@ def test_grammar_frequencies_match_their_probabilities():
     assert chi_square(counts, probabilities, draws) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_grammar_that_forgets_who_bears_nothing_is_seen():
     class Broken(GrammarPrior):
         def log_density(self, graph):  # the zeros of the leaves are left out
@@ -422,6 +423,7 @@ constraints: [no-overlap, {does-not-touch: {objects: [a, b], margin: 2 cm}}]
         assert prior.log_density(graph.with_numbers({"b.contact.x": x})) == -math.inf
 
 
+@pytest.mark.slow
 def test_at_most_so_many_objects_keeps_the_proportions_of_the_rest():
     prior = read_prior_document("tabletop").prior
     rng = np.random.default_rng(0)

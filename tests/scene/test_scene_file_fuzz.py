@@ -107,7 +107,7 @@ def test_the_unmutated_files_are_right(name, tmp_path):
     assert read_everything(TEXTS[name], tmp_path)
 
 
-@settings(max_examples=600, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=200, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(sorted(TEXTS)), st.lists(mutation, min_size=1, max_size=2))
 def test_mutated_files_never_give_a_traceback(tmp_path_factory, name, mutations):
     text = TEXTS[name]

@@ -125,6 +125,7 @@ def found():
     return infer_structure(depth, CAMERA, Options(draws=20), np.random.default_rng(0)), truth
 
 
+@pytest.mark.slow
 def test_a_bridge_in_an_image_is_found_as_one(found):
     posterior, truth = found
     graph = posterior.best_graph()
@@ -135,6 +136,7 @@ def test_a_bridge_in_an_image_is_found_as_one(found):
     assert not compare_scenes(scene_json(without), scene_json(truth))["graph_exact"]
 
 
+@pytest.mark.slow
 def test_every_reader_keeps_the_second_support(found, tmp_path):
     posterior, _ = found
     graph = posterior.best_graph()
@@ -150,6 +152,7 @@ def test_every_reader_keeps_the_second_support(found, tmp_path):
     assert f"also on {plank.supports[0]}" in text and f"also {plank.supports[0]} " in text
 
 
+@pytest.mark.slow
 def test_a_bridge_stands_in_simulation_because_of_its_second_support(found):
     from derender.physics.bodies import matter_of_graph
     from derender.physics.simulate import judge, simulate

@@ -168,6 +168,7 @@ CHOICES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "row"), [(name, row) for name, rows in CHOICES.items() for row in rows])
 def test_choices_are_drawn_as_their_density_says(name, row):
     """And a constant factor would be seen."""
@@ -226,6 +227,7 @@ class Drifting(Twin):
         return choice._replace(steps={key: abs(step) for key, step in choice.steps.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in moves.names() if moves[name].even])
 def test_even_moves_step_either_way_alike(name):
     apart, worst = evenness(moves[name])
@@ -385,6 +387,7 @@ def measured_jacobian(move, words, graph, choice, applied):
     return math.log(abs(np.linalg.det(matrix))) + HAAR * ((turned is not None) - (origin is not None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["reparent", "change-face", "change-shape"])
 def test_jacobian_of_hanging_a_solid_elsewhere(name):
     """Differences of all nine numbers of a posed box give the determinant (1e-4: steps of 1e-6)."""

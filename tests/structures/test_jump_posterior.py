@@ -88,7 +88,8 @@ def words_with_hypotheses(prior, truth):
     return Vocabulary(prior, HypothesisProposal(guesses, 0.5) if guesses else None)
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
 def test_chain_agrees_with_brute_force(seed):
     prior, truth, image = observed(seed)
     shares, errors, _, effective = reference(seed)
@@ -105,7 +106,7 @@ def test_chain_agrees_with_brute_force(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [3, 5])
 def test_smc_agrees_with_brute_force(seed):
     """Structure probabilities and evidence from several independent populations, against brute force, within errors."""
     prior, truth, image = observed(seed)

@@ -89,6 +89,7 @@ def test_killed_at_random(whole, tmp_path):
     np.testing.assert_array_equal(again.log_likelihood[:60], whole[0].log_likelihood)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["mcmc", "smc"])
 def test_any_number_of_jobs_draws_the_same(whole, method):
     alone = dict(enumerate(whole)) if method == "mcmc" else workers.run(plan(method)).records

@@ -188,6 +188,7 @@ def test_every_move_has_its_row():
     assert {name for name, _ in TWINS} == set(moves.names())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROWS)
 def test_leaves_the_prior_as_it_is(name):
     world, replicates = ROWS[name]
@@ -196,6 +197,7 @@ def test_leaves_the_prior_as_it_is(name):
     assert worst < limit
 
 
+@pytest.mark.slow
 def test_the_mixture_leaves_the_frequencies_of_structures():
     """A long chain over the prior visits structures as often as the prior draws them (to 4 standard errors)."""
     words = Vocabulary(prior_of("grammar"))

@@ -61,6 +61,7 @@ def infer(text, seed=3):
     return infer_scene(world.document, image, world.document.camera, FEW, seed=seed).posterior.best_part, truth
 
 
+@pytest.mark.slow
 def test_objects_that_do_not_touch_keep_their_distance():
     constraint = "constraints: [does-not-touch: {objects: [a, b], margin: 3 cm}]\n"
     gaps = {}
@@ -82,6 +83,7 @@ def _triangle(gap):
     return np.where(t < 1, 0.5 * np.clip(t, 0, 1) ** 2, 1 - 0.5 * (2 - np.clip(t, 1, 2)) ** 2)
 
 
+@pytest.mark.slow
 def test_a_second_support_ends_where_the_first_does():
     part, _ = infer(BRIDGE)
     free, _ = infer(BRIDGE.replace("    supports: [right]\n", ""))
@@ -216,7 +218,8 @@ def test_a_structure_counts_where_the_terms_allow_a_scene_of_it():
         assert {graph.vertex("high").parent for graph in found} == parents
 
 
-@pytest.mark.parametrize("term", ["no-overlap", pytest.param("no-overlap: {scale: 0.03}", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("term", ["no-overlap", "no-overlap: {scale: 0.03}"])
 def test_structures_weigh_what_the_terms_leave_of_them(term):
     """On the floor half of the places are taken, softly or not; a blind image leaves the prior's own shares."""
     document = read(OPENING + EITHER + BLIND + f"constraints: [{term}]\n")

@@ -34,6 +34,7 @@ def test_what_parts_later_is_followed_back_from_where_it_is_seen_apart():
     assert len({len(row) for row in track.states}) == 1
 
 
+@pytest.mark.slow
 def test_a_film_that_is_explained_is_gone_through_once_from_its_first_frame():
     frames, poses = parting()
     asked = []
