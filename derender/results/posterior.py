@@ -144,9 +144,10 @@ class Posterior:
         return self.best_part.best()[0]
 
     def object_probability(self, name: str) -> float:
-        """Return the probability that an object of this name is there; a structure that was missed may well have it,
-        so that it is taken to have it as often as those that were found."""
-        return self._probability(lambda graph: name in graph.names) * self._existence(name)[0]
+        """Return the probability that an object of this name is there: in the structures that were found, and in what
+        a search may have missed as often as the prior says, see `Missed`."""
+        kept = 1.0 - self.meta.get("missed", 0.0) * self.meta.get("wrong_if_missed", 0.0)
+        return self._probability(lambda graph: name in graph.names) * self._existence(name)[0] * kept
 
     def _existence(self, name: str) -> tuple[float, float]:
         """Return the probability that a free-form thing of the structures is an object at all, and its error."""

@@ -37,11 +37,12 @@ from derender.structures.draws.refined import (
     without_unseen,
 )
 from derender.structures.standing import log_standing
-from derender.structures.weighing import NEAR_ERROR, Block, Weighed, of_block, with_own_sensor
+from derender.structures.weighing import NEAR_ERROR, Block, Weighed, discrete_part, of_block, with_own_sensor
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
 WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed again
+LONGER = 1.4  # times as long as a cube is a box tried on one side
 YAWS = tuple(np.radians([0.0, 30.0, 60.0]))  # in which a solid that was round is tried as a box
 PROPPING = 200.0  # nats below the best at which what hangs in the air is not given a support: that costs some too
 NARROWER, BEHIND = 0.7, 0.3  # times as wide as what it bears is a support, and how far behind its middle it may be
@@ -75,7 +76,7 @@ def changes(best, i):
     row, form = state.rows[i], state.forms[i]
     found = []
     if int(row[0]) == BOX and state.cubes[i]:
-        found.append(changed(state, i, row, cube=False))
+        found += [changed(state, i, each, cube=False) for each in (row, *longer(row, best.chart.floor))]
     elif int(row[0]) == BOX:
         origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
         for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
@@ -88,6 +89,21 @@ def changes(best, i):
             new.parents[i], new.bottoms[i] = parent, height
             found.append(new)
     return found
+
+
+def longer(row, floor):
+    """Return the rows (2, ROW) of a box that is longer along one of its sides, the face that the camera sees held.
+
+    How far it goes on behind that face may be open: then the walk from a cube stops at what the cube's edges explain.
+    floor : (4, 4) pose, floor frame to camera.
+    """
+    eye = -floor[:3, :3].T @ floor[:3, 3]
+    rows = np.array([row, row])
+    for axis, new in enumerate(rows):
+        along, more = rotation_of(row)[:, axis], (LONGER - 1.0) * row[13 + axis]
+        new[13 + axis] += more
+        new[10:13] -= 0.5 * more * np.sign(along @ (eye - row[10:13])) * along
+    return rows
 
 
 def changed(state, i, row, cube):
@@ -217,16 +233,6 @@ def likeliest_of_each(trials):
     return list(found.values())
 
 
-def discrete_part(state):
-    """Return what tells states of the same solids in the same order apart but for their numbers."""
-    return tuple(state.cubes), tuple(state.parents), tuple(state.rows[:, 0]), tuple(state.forms)
-
-
-def last_of_each(weighed):
-    """Return the Weighed of each structure that came last: those before were weighed against a former best."""
-    return list({(discrete_part(each.trial.state), each.places): each for each in weighed}.values())
-
-
 def all_seen(trial):
     """Whether every solid of a Refined shows or carries something: one that does neither could be anywhere at all."""
     return len(without_unseen(trial.state, trial)) == len(trial.state)
@@ -255,10 +261,10 @@ def whole_evidence(rng, refined):
     return log_evidence(rng, refined.chart, refined.sensor, refined.values, found, members)
 
 
-def from_search(rng, best, pool, energy, rules, evidence):
+def from_search(rng, best, pool, energy, rules):
     """Return the Weighed of structures that the search met, more than one step from the best.
 
-    pool : (state, energy) of them. energy : the best one's. evidence : as `whole_evidence`, for the best.
+    pool : (state, energy) of them. energy : the best one's.
     """
     names = names_of(best.state)
     seen = {structure_key(best.state, names), *one_step_away(best, names)}
@@ -272,13 +278,13 @@ def from_search(rng, best, pool, energy, rules, evidence):
         if key not in seen:
             seen.add(key)
             near.append(state)
-    return weighed_whole(rng, best, near, rules, QUICK, evidence)
+    return weighed_whole(rng, best, near, rules, QUICK)
 
 
-def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
+def weighed_whole(rng, best, states, rules, steps):
     """Return the Weighed of those states that are not hopeless, by integrals over everything.
 
-    steps : of each temperature for each solid. evidence : as `whole_evidence`, for the best.
+    steps : of each temperature for each solid.
     """
     trials = [with_own_sensor(rng, trial, range(len(trial.state)), WORTHWHILE)
               for trial in climbed(rng, best, states, rules, steps, PROMISING)]  # fmt: skip
@@ -287,9 +293,9 @@ def weighed_whole(rng, best, states, rules, steps, evidence=whole_evidence):
         return []
     everyone = (best, *trials)
     near = [evidence_of(near_evidence(each), NEAR_ERROR) for each in everyone]
-    first = int(np.argmax([each.log for each in near]))  # the best of all, as it seems: `evidence` is to be of that
-    likely = [k for k in range(len(near)) if near[k].log > near[first].log - VERY_IMPROBABLE]
-    tasks = [partial(evidence if k == first else whole_evidence, refined=everyone[k]) for k in likely]
+    first = max(each.log for each in near)
+    likely = [k for k in range(len(near)) if near[k].log > first - VERY_IMPROBABLE]
+    tasks = [partial(whole_evidence, refined=everyone[k]) for k in likely]
     if len(likely) > 1:
         for k, found in zip(likely, in_threads(rng, tasks), strict=True):
             near[k] = found

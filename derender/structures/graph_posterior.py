@@ -17,13 +17,9 @@ from derender.detection.solids.naming import matched_names, structure_key
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import (
-    WHOLE_DRAWS,
     from_search,
-    last_of_each,
     of_one_solid,
-    whole_evidence,
 )
-from derender.structures.draws.metropolis import log_evidence
 from derender.structures.draws.refined import (
     WARM,
     at_mode,
@@ -39,7 +35,7 @@ from derender.structures.draws.refined import (
 from derender.structures.hidden import hidden_expected
 from derender.structures.unexplained import SURELY, additions, nearer_than_explained, spots
 from derender.structures.unions import merges, recuts
-from derender.structures.weighing import Weighed, made_sure
+from derender.structures.weighing import Weighed, made_sure, surest, surest_of_each
 
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
@@ -71,8 +67,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
         return [replace(part, extras={**part.extras, **shown_and_left(first)})]
     made = DrawsOfOne(chains, draws)
-    evidence = made.evidence if chains * draws >= WHOLE_DRAWS else whole_evidence
-    kept = weighed_structures(rng, first, energy, pool, settings, evidence, made)
+    kept = weighed_structures(rng, first, energy, pool, settings, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
     parts = []
@@ -116,20 +111,14 @@ class DrawsOfOne:
             self.made = refined, chains_of(rng, refined, self.chains, self.count)
         return self.made[1]
 
-    def evidence(self, rng, refined):
-        """Return its Evidence from these draws."""
-        members = list(range(len(refined.values)))
-        return log_evidence(rng, refined.chart, refined.sensor, refined.values, self.of(rng, refined), members)
 
-
-def weighed_structures(rng, first, energy, pool, settings, evidence=whole_evidence, made=None):
+def weighed_structures(rng, first, energy, pool, settings, made=None):
     """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
 
     The likeliest comes first, with odds 0 and no error: those of the others are of their odds against it. A solid has
     the same name in all.
 
     first : Refined of the search's best state. energy : the search's of it. pool : (state, energy) that it came by.
-    evidence : of the first, see `whole_evidence`.
     made : DrawsOfOne, by which odds that are close are made sure; None: they are left as they are.
     """
     rules, shapes = settings.rules, settings.shapes
@@ -146,10 +135,10 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
             break
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         former, others = one_solid_each(rng, best, others, rules, shapes)
-        met = [] if number else from_search(rng, former, pool, energy, rules, evidence)
-        best, others = leading(former, [*others, *met, *additions(rng, former, settings, evidence)])
+        met = [] if number else from_search(rng, former, pool, energy, rules)
+        best, others = leading(former, [*others, *met, *additions(rng, former, settings)])
         if made is not None and best is former:
-            others = last_of_each(others)
+            others = surest_of_each(others)
             found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
             best, others = leading(best, found)
         if best is former:
@@ -157,11 +146,15 @@ def weighed_structures(rng, first, energy, pool, settings, evidence=whole_eviden
         best = with_sensor_refitted(rng, best)
     names = names_of(best.state)
     found = {structure_key(best.state, names): (best, 0.0, names, 0.0)}
-    for other in sorted(others, key=lambda each: each.places is None):  # those against this best before those of others
+    alike: dict[tuple, list] = {}
+    for other in others:
         own = matched_names(other.trial.state, best.state, names)
-        key = structure_key(other.trial.state, own)
-        if key not in found or (other.places is not None and other.odds > found[key][1]):
-            found[key] = (other.trial, other.odds, own, other.error)
+        alike.setdefault(structure_key(other.trial.state, own), []).append((other, own))
+    for key, pairs in alike.items():
+        if key not in found:
+            chosen = surest([other for other, _ in pairs])
+            own = next(own for other, own in pairs if other is chosen)
+            found[key] = (chosen.trial, chosen.odds, own, chosen.error)
     return sorted(found.values(), key=lambda each: -each[1])
 
 
@@ -201,4 +194,5 @@ def leading(best, others):
     rest = [each for each in others if each is not leader]
     rest = [each._replace(odds=each.odds - leader.odds, error=float(np.hypot(each.error, leader.error)), places=None)
             for each in rest]  # fmt: skip
-    return leader.trial, [*rest, Weighed(best, -leader.odds, leader.error)]
+    back = None if leader.places is None else leader.places[::-1]
+    return leader.trial, [*rest, Weighed(best, -leader.odds, leader.error, back)]

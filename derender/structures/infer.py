@@ -272,7 +272,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         posterior.meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], frames, strict=True)]
     told = explanation_of(graph, seen, depth, camera)
     missed = 0.0 if library else missed_by(seen, likeliest, loose.missed, told.share(depth))
-    posterior.meta["missed"] = missed
+    posterior.meta.update(missed=missed, wrong_if_missed=loose.missed.wrong)
     parts = tuple(part.scaled(1.0 - missed) for part in posterior.parts)
     return replace(posterior, parts=parts, explanation=told)
 

@@ -24,7 +24,6 @@ from derender.structures.alternatives import (
     QUICK,
     likeliest_of_each,
     weighed_whole,
-    whole_evidence,
 )
 from derender.structures.draws.refined import at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
@@ -89,11 +88,11 @@ def window_sums(image, side):
     return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
-def additions(rng, best, settings, evidence=whole_evidence):
+def additions(rng, best, settings):
     """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
 
-    Others may have given way to explain what it shows, so all move and all are integrated over. evidence : of the best,
-    see `whole_evidence`. Nothing is proposed where neighbouring pixels err together: a sensor's bends look like that.
+    Others may have given way to explain what it shows, so all move and all are integrated over. Nothing is proposed
+    where neighbouring pixels err together: a sensor's bends look like that.
     """
     if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0:
         return []
@@ -108,7 +107,7 @@ def additions(rng, best, settings, evidence=whole_evidence):
         trials = in_threads(rng, [partial(climb, state=state) for state in states])
         trials = likeliest_of_each([trial for trial in trials if height(trial) > height(best) - PROMISING])
         candidates += sorted(trials, key=height, reverse=True)[:WEIGHED]
-    return weighed_whole(rng, best, [trial.state for trial in candidates], settings.rules, QUICK, evidence)
+    return weighed_whole(rng, best, [trial.state for trial in candidates], settings.rules, QUICK)
 
 
 def with_one_more(rng, image, state, points, settings):

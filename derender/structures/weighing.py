@@ -38,6 +38,7 @@ from derender.structures.standing import log_standing
 # even if it is as wrong as it ever was, and that is taken as its error.
 IMPROBABLE, NEAR_ERROR = 9.0, 2.0
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
+APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES = 4  # of the rest, drawn for odds that are close
 SETTLING = 30  # steps of each temperature for each solid that changes, where the rest is drawn
 
@@ -89,6 +90,33 @@ def of_block(rng, trial, places, own, rules):
     found, held = block.evidence(rng), own.evidence(rng)
     error = math.hypot(found.standard_error, held.standard_error)
     return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
+
+
+def surest(alike):
+    """Return that of some Weighed of one structure, in the order in which they were weighed, which tells its odds.
+
+    One that was integrated over before one that was only looked at, and of those the last one against the present best
+    if any is, for others were weighed against a former. Unless another is likelier by more than the errors of both:
+    then that is a better mode, which holds most of the integral.
+    """
+    weighed = [each for each in alike if each.error != NEAR_ERROR] or list(alike)
+    likeliest = max(weighed, key=lambda each: each.odds)
+    last = [each for each in weighed if each.places is not None][-1:] or [likeliest]
+    apart = APART * math.hypot(likeliest.error, last[0].error)
+    return likeliest if likeliest.odds > last[0].odds + apart else last[0]
+
+
+def surest_of_each(weighed):
+    """Return the Weighed of each structure and of each number of shared solids that `surest` chooses."""
+    alike: dict[tuple, list] = {}
+    for each in weighed:
+        alike.setdefault((discrete_part(each.trial.state), each.places), []).append(each)
+    return [surest(some) for some in alike.values()]
+
+
+def discrete_part(state):
+    """Return what tells states of the same solids in the same order apart but for their numbers."""
+    return tuple(state.cubes), tuple(state.parents), tuple(state.rows[:, 0]), tuple(state.forms)
 
 
 def made_sure(rng, best, others, drawn, rules):

@@ -12,14 +12,27 @@ from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
+from derender.render.raycast.state import taps_of
 from derender.scene.solids import BOX, CYLINDER
-from derender.structures.alternatives import last_of_each, of_one_solid, stood_up
-from derender.structures.draws.metropolis import engine_of, evaluate, load
+from derender.structures.alternatives import longer, of_one_solid, stood_up
+from derender.structures.draws.metropolis import engine_of, evaluate, load, with_blurs_drawn
 from derender.structures.draws.refined import Refined, at_mode, members_of, refitted
+from derender.structures.draws.sensor import model_depth
 from derender.structures.draws.steps import touched_by
+from derender.structures.graph_posterior import leading
 from derender.structures.standing import log_standing
 from derender.structures.unions import merged
-from derender.structures.weighing import Block, Weighed, averaged, made_sure, of_block, with_own_sensor
+from derender.structures.weighing import (
+    NEAR_ERROR,
+    Block,
+    Weighed,
+    averaged,
+    made_sure,
+    of_block,
+    surest,
+    surest_of_each,
+    with_own_sensor,
+)
 
 RULES = Rules(0.0015)
 ROUNDS, COUNT, FREEDOM = 7, 2000, 8.0
@@ -199,11 +212,56 @@ def test_a_can_that_lies_is_tried_as_a_box_that_stands():
     assert stood_up(solid(CYLINDER, (0.06, 0.06, 0.1)), 0, ("box",)) == []  # it stands already
 
 
-def test_a_structure_that_was_weighed_again_counts_as_it_was_weighed_last():
+def weighed(state, odds, error=0.1, places=((0,), (0,))):
+    return Weighed(Refined(state, None, np.zeros(0), None, 0.0, 0.0), odds, error, places)
+
+
+def test_a_structure_that_was_weighed_again_counts_by_its_surest_odds():
     box, can = solid(BOX, (0.08, 0.06, 0.05)), solid(CYLINDER, (0.06, 0.06, 0.08))
-    trials = [Refined(state, None, np.zeros(0), None, 0.0, 0.0) for state in (box, can, box)]
-    both = (0,), (0,)
-    weighed = [Weighed(trial, odds, 0.1, both) for trial, odds in zip(trials, (-1.0, -2.0, -3.0), strict=True)]
-    assert [each.odds for each in last_of_each(weighed)] == [-3.0, -2.0]
-    elsewhere = weighed[0]._replace(places=None)  # against another best, with other solids moved
-    assert len(last_of_each([elsewhere, *weighed])) == 3
+    assert [each.odds for each in surest_of_each([weighed(box, -3.1), weighed(can, -2.0), weighed(box, -3.0)])] == [
+        -3.0, -2.0]  # fmt: skip
+    better = [weighed(box, -1.0), weighed(box, -3.0)]
+    assert surest(better).odds == -1.0, "the last was climbed to a worse mode"
+    assert surest([weighed(box, -3.0), weighed(box, -1.0, NEAR_ERROR)]).odds == -3.0, "looked at, not integrated"
+    former = weighed(box, -2.9, places=None)
+    assert surest([weighed(box, -3.0), former]).odds == -3.0, "weighed against another best"
+    assert surest([weighed(box, -11.0, NEAR_ERROR), former._replace(odds=-1.3)]).odds == -1.3
+    assert len(surest_of_each([former, weighed(box, -3.0)])) == 2
+
+
+def test_a_best_that_is_beaten_is_weighed_by_the_same_block():
+    one, other = weighed(solid(BOX, (0.08, 0.06, 0.05)), 2.0, places=((0, 1), (0,))), solid(CYLINDER, (0.06,) * 3)
+    best, (beaten,) = leading(weighed(other, 0.0).trial, [one])
+    assert best is one.trial and beaten.trial.state is other
+    assert beaten[1:] == (-2.0, 0.1, ((0,), (0, 1)))
+
+
+def test_a_box_that_is_longer_than_a_cube_has_the_face_that_is_seen_where_the_cube_has_it():
+    cube, floor = row(BOX, 0.4, 0.1, 0.2, 0.0, (0.06,) * 3), floor_pose()
+    eye = -floor[:3, :3].T @ floor[:3, 3]
+    for axis, new in enumerate(longer(cube, floor)):
+        along = new[1:10].reshape(3, 3)[:, axis]
+        seen = along * np.sign(along @ (eye - cube[10:13]))
+        faces = [each[10:13] @ seen + 0.5 * each[13 + axis] for each in (cube, new)]
+        assert faces[0] == pytest.approx(faces[1]) and new[13 + axis] > 1.3 * cube[13 + axis]
+
+
+def test_a_blur_is_drawn_as_the_image_and_the_prior_have_it():
+    rng = np.random.default_rng(2)
+    state = solid(BOX, (0.08, 0.07, 0.06))
+    sensor, _, _ = observe(rng, state, {"sigma": 0.01, "blur": 0.6}, camera(24, 18))
+    best = at_mode(rng, state, floor_pose(), sensor._replace(prior=PRIOR), RULES)
+    some = np.array([0.0, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 2.5])
+    clean = model_depth(best.chart, best.values, sensor.camera)
+    logs = [sensor.likelihood.log_density(sensor.observed, clean, {**best.sensor.values, "blur": blurred})
+            for blurred in some]  # fmt: skip
+    views = engine_of(best.chart, best.sensor)
+    load(views, best.chart, best.values)
+    taps = {taps_of(blurred).tobytes(): k for k, blurred in enumerate(some)}
+    met = np.zeros(len(some))
+    for _ in range(2000):
+        views = with_blurs_drawn(rng, views, best.sensor, [some])
+        met[taps[views.engines.taps[0].tobytes()]] += 1
+    shares = np.exp(logs - np.logaddexp.reduce(logs))
+    assert 0.05 < shares.max() < 0.95, "or it tests nothing"
+    assert np.all(np.abs(met / 2000 - shares) < 4.0 * np.sqrt(shares * (1.0 - shares) / 2000) + 0.002)

@@ -50,6 +50,7 @@ class Missed:
     sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
         fewer answers are right.
     few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
+    wrong : share of the objects of an answer that are not there where it is one that missed what is.
     """
 
     settled: float = 0.005
@@ -59,6 +60,7 @@ class Missed:
     unexplained: float = 0.05
     few: float = 0.3
     pixels: float = 10.0
+    wrong: float = 0.5
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,16 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
-from derender.render.raycast.engine import new_engine
+from derender.render.raycast.engine import new_engine, rescore_state, with_blur
 from derender.render.raycast.state import CANDIDATE, CURRENT
-from derender.render.raycast.views import make_views, propose_views, settle_views
+from derender.render.raycast.views import engine_of_view, make_views, propose_views, settle_views
 from derender.sampling.evidence import evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.agreement import agree, far_apart
 from derender.structures.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
 from derender.structures.draws.curvature import Curvature
+from derender.structures.draws.sensor import blurs_about, log_prior_of, model_depth
 from derender.structures.draws.steps import (
     FACTOR,
     FIRST,
@@ -51,6 +52,7 @@ SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metr
 LONGER = 2  # times that draws may go on for as long again where the chains do not agree
 MANY = 50  # coordinates from which on that may be done once more
 TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is worth
+BLURRINGS = 20  # times in a chain that its views' blurs are drawn anew, where they are open
 
 
 @njit(cache=True, nogil=True)
@@ -239,7 +241,7 @@ def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
     return max(found, key=lambda each: each[1] + each[2])
 
 
-def sample(rng, chart, sensor, values, chains, count, thin, only=None):
+def sample(rng, chart, sensor, values, chains, count, thin, only=None, open_blur=False):
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
@@ -247,10 +249,13 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
     one, which none would tell that it has left its mode for a worse one. Draws about what the image does not hold are
     twice as far apart, and where the chains do not agree they go on for as long again, unless they are far from it.
 
-    only : coordinates that may move, None for all.
+    only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
+        one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
     """
     members = list(range(len(values)) if only is None else only)
     engines = [engine_of(chart, sensor) for _ in range(chains)]
+    blurs = [blurs_about(view, model_depth(chart, values, view.camera, view.into)) if open_blur else ()
+             for view in sensor.views]  # fmt: skip
     load(engines[0], chart, values)
     curvature = Curvature(engines[0], chart, sensor, values)
     spread = np.linalg.inv(curvature.precision(members))
@@ -272,7 +277,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         if not former:
             thin += int(thin * np.mean([step.pull is None for step in steps[len(singles) :]]))
-        steps, drawn = stretch(rng, walkers, steps, 1.0, 0.0, count, thin)
+        drawn = final_draws(rng, walkers, steps, count, thin, sensor, blurs)
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
         told = np.stack([each.values[:, members] for each in drawn])
@@ -282,6 +287,35 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None):
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)
         former, singles = drawn, steps[: len(singles)]
     return drawn
+
+
+def final_draws(rng, walkers, steps, count, thin, sensor, blurs):
+    """Return the Draws of walkers (engine, chart, values), `thin` steps apart, their steps as they are.
+
+    blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
+    """
+    pieces: list[list[Draws]] = []
+    for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(map(len, blurs)) else 1):
+        walkers = [(with_blurs_drawn(rng, views, sensor, blurs), *rest) for views, *rest in walkers]
+        pieces.append(stretch(rng, walkers, steps, 1.0, 0.0, len(piece), thin)[1])
+    joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
+              for chain in zip(*pieces, strict=True)]  # fmt: skip
+    accepted = np.mean([[each.accepted for each in piece] for piece in pieces], axis=0)
+    return [Draws(*arrays, float(share)) for arrays, share in zip(joined, accepted, strict=True)]
+
+
+def with_blurs_drawn(rng, views, sensor, blurs):
+    """Return the Views with each view's blur drawn from some, given the scene that they hold and the prior."""
+    states = []
+    for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
+        engine, logs = engine_of_view(views, number), []
+        for blurred in some:
+            engine = with_blur(engine, blurred)
+            logs.append(rescore_state(engine) + log_prior_of(view.prior, {"blur": float(blurred)}))
+        if logs:
+            engine = with_blur(engine, rng.choice(some, p=np.exp(logs - np.logaddexp.reduce(logs))))
+        states.append(engine)
+    return make_views(states, views.into) if any(map(len, blurs)) else views
 
 
 def every_other(first, second):

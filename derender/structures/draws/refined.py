@@ -229,9 +229,9 @@ def with_sensor_refitted(rng, refined):
 
 
 def chains_of(rng, refined, chains, draws, only=None):
-    """Return a list of Draws, one for each chain; each starts where a hot walk of its own has left it."""
+    """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends."""
     steps = min(STEPS * len(refined.values), MOST_STEPS)
-    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, only)
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, only, open_blur=True)
 
 
 def floor_pose_of(refined):
