@@ -25,6 +25,7 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
 from derender.detection.solids.support import flat_top
+from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
@@ -34,9 +35,6 @@ NUMBER = 2.3  # nats: log 10
 EDGE = 23.0  # nats against PATCH metres of a concave edge within one thing: handles and necks have less than twice that
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
-LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
-LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object
-LEFT_PIXELS, LEFT_HEIGHT, LEFT_SHARE = 25, 0.02, 0.5  # that it has at least: pixels, metres, of its body
 FEWEST = 12  # pixels of a thing
 INNER = 0.25  # share of its pixels that have it on all four sides: less is a seam along a silhouette
 LARGEST = 0.6  # metres: what is larger is furniture or a wall
@@ -44,6 +42,7 @@ LEAST_HEIGHT = 0.012  # metres over its support
 ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying pixels
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
+AROUND = 36  # points of a circle
 HELD = 0.01  # metres between solids that are parts of one
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 
@@ -98,35 +97,6 @@ def take_things(seen, state, settings, reluctance=0.0):
     for mask, _ in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
-
-
-def leftovers(seen, state, settings):
-    """Return [(mask, gain)] of whole bodies clearly over the support that neither solids nor dearer things explain.
-
-    That something is there is beyond doubt, whatever it is: of a body far off the support the misfit, which counts a
-    pixel as an outlier at most, says too little. So such a thing costs LEFT_PRICE only. The image is changed as by
-    `take_things`.
-    """
-    image = seen.image
-    if settings.temper == 1.0 or not seen.mask.any():
-        return []
-    body, count = label_bodies(seen.points, seen.mask, np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma))
-    depth, _, misfit, _ = held_out(image, state, -1)
-    left = seen.mask & (misfit > BAD) & (image.depth < depth)
-    pixels, missed = (np.bincount(body[mask & (body >= 0)], minlength=count) for mask in (seen.mask, left))
-    found = []
-    for k in np.flatnonzero((missed >= LEFT_PIXELS) & (missed > LEFT_SHARE * pixels)):
-        mask = left & (body == k)
-        low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
-        gain = float(misfit[mask].sum()) - settings.temper * LEFT_PRICE
-        if (
-            gain > settings.temper * LEFT_LEAST
-            and high[2] > max(LEFT_HEIGHT, settings.uneven)
-            and max(high[:2] - low[:2]) < LARGEST
-        ):
-            found.append((mask, gain))
-            image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
-    return found
 
 
 def cost_of(seen, jump):
@@ -336,14 +306,26 @@ def support_of(points, state):
 
 
 def made_thing(seen, state, mask, gain):
-    """Return the Thing that these pixels show, standing on a solid of the state or on the floor."""
+    """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
+
+    Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last.
+    """
     points = seen.points[mask]
     parent, bottom = support_of(points, state)
-    upright = rotation_z(smallest_rectangle(points[:, :2]))[:3, :3]
-    ends = np.quantile(points @ upright, [ENDS, 1.0 - ENDS], axis=0)
     # A pixel on the silhouette shows half of itself beyond its middle.
     rim = 0.5 * float(np.median(seen.footprint[mask]))
-    ends[:, :2] += [[-rim], [rim]]
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][mask]
+    axis = vertical_axis(points, normal)
+    outline = points[:, :2]
+    if axis is not None:
+        around = 2.0 * np.pi * np.arange(AROUND) / AROUND
+        circle = axis[0] + max(axis[1], THINNEST) * np.column_stack([np.cos(around), np.sin(around)])
+        outline = np.vstack([np.repeat(circle, max(1, int(4.0 * ENDS * len(points))), axis=0), outline])
+    upright = rotation_z(smallest_rectangle(outline))[:3, :3]
+    wide = np.quantile(outline @ upright[:2, :2], [ENDS, 1.0 - ENDS], axis=0) + [[-rim], [rim]]
+    high = np.quantile(points[:, 2], [ENDS, 1.0 - ENDS])
+    ends = np.column_stack([wide, high])
     if not seen.no_floor:
         ends[0, 2] = bottom
     size = np.maximum(ends[1] - ends[0], THINNEST)

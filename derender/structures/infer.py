@@ -8,6 +8,7 @@ import numpy as np
 from derender.detection.bend import sensor_deviation
 from derender.detection.freestanding import freestanding
 from derender.detection.given_floor import read_floor
+from derender.detection.leftovers import leftovers
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
@@ -19,7 +20,7 @@ from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.solids.support import final_parents
-from derender.detection.things import compounds, leftovers, made_thing, take_things, without_background
+from derender.detection.things import compounds, made_thing, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.pose import inverse
@@ -79,7 +80,8 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
         masks += more
         if more and len(state):
             state = settle(rng, image, state, settings)
-        masks += leftovers(seen, state, settings)
+        state, more = leftovers(rng, seen, state, settings)
+        masks += more
         if seen.correlation > CORRELATED:
             seen, state, masks = without_background(seen, state, masks)
             state.parents = final_parents(state)
@@ -198,6 +200,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.structures.bridges import with_bridges
     from derender.structures.free_forms import thing_name, with_things
     from derender.structures.graph_posterior import parts_of
+    from derender.structures.grids import with_grids
     from derender.structures.known.library import chosen_library
     from derender.structures.stills import averaged
     from derender.structures.together import first_look, look_from, together_parts
@@ -216,7 +219,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     depth, frames = averaged(depth, whole_camera(camera, depth.shape), options.frames)
     plane = read_floor(options.floor)
-    loose = (bare_image() if settings.beliefs is None else settings.beliefs).loose
+    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
+    loose = beliefs.loose
     unit = 1.0 if options.unit is not None or options.frames else unit_of(depth, loose)
     open_unit = isinstance(options.prior, BareImagePrior | None)
     if unit != 1.0 and not options.known and open_unit:  # others say how long things are
@@ -254,6 +258,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         interrupted, parts = True, parts_about(True)
     likeliest = parts[0]
     parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
+    if settings.free_forms:
+        parts = with_grids(parts, image_of(seen, depth, camera, settings.temper, options.unit or 1.0), beliefs)
     if isinstance(plane, str) or (seen.no_floor and seen.things):  # an empty scene keeps its floor, far below
         parts = [without_floor(part) for part in parts]
     if progress:
@@ -319,6 +325,14 @@ def of_whole_image(mask, seen, shape):
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
     return mask[rows[:, None], columns]
+
+
+def image_of(seen, depth, camera, temper, unit):
+    """Return the image as it came, as grids.py looks at it, with the noise that an Observation has of it."""
+    from derender.structures.grids import Image
+
+    temper = temper * seen.factor**2 if temper > 1.0 else 1.0
+    return Image(depth, whole_camera(camera, depth.shape), of_whole_image(seen.sigma, seen, depth.shape), temper, unit)
 
 
 def whole_camera(camera, shape):

@@ -5,12 +5,14 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, seen_on_the_table
 
+from derender.detection.leftovers import goes_on, interior
 from derender.detection.search.bodies import APART
 from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
+from derender.detection.symmetry import vertical_axis
 from derender.detection.things import held_by_another
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH
@@ -143,3 +145,35 @@ def test_the_inside_of_a_mug_belongs_to_its_outside_but_a_second_mug_does_not():
     bowl, apart = [2.0, 2.0, 1.0], [0.0, 0.02, 0.0]
     assert one_rim(outside * bowl - apart, inside * bowl + apart, camera)  # its bottom is too low to be told
     assert not one_rim(outside * [1.0, 2.0, 1.0], inside * [1.0, 2.0, 1.0], camera)  # two, one behind the other
+
+
+def test_a_piece_that_goes_on_across_a_convex_edge_is_no_object_and_one_in_a_corner_is():
+    step = np.arange(40) * 0.002
+    flat = np.stack(np.meshgrid(step, step), axis=-1)
+    mask = np.zeros((40, 40), bool)
+    mask[:20] = True
+    for sign, expected in ((-1.0, True), (1.0, False)):  # a roof's two slopes, and a gutter's
+        height = sign * np.abs(flat[..., 1] - step[20])
+        points = np.dstack([flat, height])
+        slope = np.where(mask, -sign, sign)
+        normal = np.dstack([np.zeros((40, 40)), -slope, np.ones((40, 40))]) / np.sqrt(2.0)
+        assert goes_on(points, mask, ~mask, normal, np.full((40, 40), 0.01)) == expected
+    assert interior(mask).sum() == 18 * 40
+
+
+def test_an_axis_is_that_of_what_was_turned_and_a_box_has_none():
+    rng = np.random.default_rng(0)
+    angle, height = rng.uniform(-2.0, 1.0, 400), rng.uniform(0.0, 0.2, 400)
+    radius, slope = 0.05 - 0.1 * height, -0.1
+    way = np.column_stack([np.cos(angle), np.sin(angle)])
+    points = np.column_stack([[0.3, -0.1] + radius[:, None] * way, height])
+    normal = np.column_stack([way, np.full(400, -slope)]) / np.hypot(1.0, slope)
+    centre, widest = vertical_axis(points + 5e-4 * rng.standard_normal(points.shape), normal)
+    assert np.allclose(centre, [0.3, -0.1], atol=0.002) and widest == pytest.approx(0.05, abs=0.002)
+    assert vertical_axis(points[:10], normal[:10]) is None  # too few
+    along = rng.uniform(-0.05, 0.05, 400)
+    first = np.arange(400) < 200
+    box = np.column_stack([np.where(first, along, 0.05), np.where(first, 0.05, along), height])
+    sides = np.column_stack([~first, first, np.zeros(400)]).astype(float)
+    assert vertical_axis(box, sides) is None
+    assert vertical_axis(box[first], sides[first]) is None  # one face tells no axis

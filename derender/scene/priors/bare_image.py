@@ -64,6 +64,22 @@ class Missed:
 
 
 @dataclass(frozen=True)
+class Cartons:
+    """What is believed of equal cartons stacked in a grid, see `structures.grids`.
+
+    Attributes
+    ----------
+    probability : that a box is such a grid. most : of them in a row, n being as likely as 1 / n.
+    extent : distribution over each extent of a carton, in metres whatever the unit is. gap : metres, the widest.
+    """
+
+    probability: float = 0.02
+    most: int = 5
+    extent: Distribution = field(default_factory=lambda: distributions["log-normal"](0.2, 0.4))
+    gap: float = 0.006
+
+
+@dataclass(frozen=True)
 class Loose:
     """What an image's solids do besides what a tree of exact contacts says.
 
@@ -78,7 +94,7 @@ class Loose:
     missed : Missed, what a search may not have found.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
-    existence : of a free-form thing.
+    existence : of a free-form thing. cartons : Cartons, of boxes that are many.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
@@ -92,6 +108,7 @@ class Loose:
     second_support: float = 0.5
     within: float = 0.06
     existence: Existence = field(default_factory=Existence)
+    cartons: Cartons = field(default_factory=Cartons)
 
 
 class MayTip:
@@ -132,7 +149,8 @@ NUMBERS = {"slack": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping":
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", "existence", *NUMBERS)
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", "existence", "cartons",
+                  *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -160,4 +178,12 @@ def read_loose(section: Section) -> Loose:
         told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
         numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
         found["existence"] = Existence(**numbers)
+    if "cartons" in section:
+        told = section["cartons"].section().allow("probability", "most", "extent", "gap")
+        extent = read_value(told["extent"], "m")
+        if not isinstance(extent, Distribution):
+            raise told["extent"].fault("cartons of one size only", "write a distribution, or pass them with --known")
+        found["cartons"] = Cartons(told["probability"].number(lower=1e-9, upper=1.0 - 1e-9),
+                                   told["most"].integer(lower=2, upper=9), extent,
+                                   told["gap"].number("m", lower=1e-6))  # fmt: skip
     return Loose(**found)

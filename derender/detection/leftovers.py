@@ -1,0 +1,97 @@
+"""What is left over: clearly over the support, and neither a solid of the search nor a thing that pays its price.
+
+That something is there is then beyond doubt, whatever it is: of what is far off the support the misfit, which counts a
+pixel as an outlier at most, says too little where neighbouring pixels tell the same. So what is left costs LEFT_PRICE
+only, be it a solid that fits or a free-form thing.
+"""
+
+import numpy as np
+
+from derender.detection.search.bodies import APART, body_hypotheses, label_bodies
+from derender.detection.search.greedy import complexity, sweep, total_energy, try_cubes
+from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.solids.state import held_out, run_polish
+from derender.detection.solids.support import assign_supports
+from derender.detection.things import BAD, ENDS, INNER, LARGEST, cost_of, support_of
+
+LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
+LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object
+LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
+NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
+ROUNDS = 200  # of polishing a solid in its place
+
+
+def leftovers(rng, seen, state, settings):
+    """Return (State, [(mask, gain)]) with what is clearly over the support and not explained yet.
+
+    The image is changed as by `take_things`.
+    """
+    image, found = seen.image, []
+    if settings.temper == 1.0 or not seen.mask.any():
+        return state, found
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    depth, _, misfit, _ = held_out(image, state, -1)
+    left = seen.mask & (misfit > BAD) & (image.depth < depth)
+    piece, count = label_bodies(seen.points, left, jump)
+    cost = cost_of(seen, jump)
+    shows = seen.mask & ~left & (image.floor > depth)
+    for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
+        mask = piece == k
+        low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
+        gain = float(misfit[mask].sum()) - settings.temper * LEFT_PRICE
+        if (
+            gain > settings.temper * LEFT_LEAST
+            and interior(mask).sum() >= INNER * mask.sum()
+            and high[2] > max(LEFT_HEIGHT, settings.uneven)
+            and max(high[:2] - low[:2]) < LARGEST
+            and not goes_on(seen.points, mask, shows, cost.normal, jump)
+        ):
+            with_it, gained = with_solid(rng, seen, state, mask, settings)
+            if gained > max(gain - settings.temper * cost.numbers[mask].sum(), settings.temper * LEFT_LEAST):
+                state = with_it
+                continue
+            found.append((mask, gain))
+            image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
+    return state, found
+
+
+def goes_on(points, mask, shows, normal, jump):
+    """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
+
+    mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
+    """
+    outline = convex = 0
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        edge = mask & ~np.roll(mask, way, axis)
+        apart = np.roll(points, NEXT * way, axis) - points
+        turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
+        joined = np.linalg.norm(apart, axis=2) < NEXT * jump
+        outline += edge.sum()
+        convex += (edge & np.roll(shows, NEXT * way, axis) & joined & (turn > 0.0)).sum()
+    return convex > GOES_ON * outline
+
+
+def interior(mask):
+    """Return (H, W) bool: the pixels of a mask with it on all four sides."""
+    inside = mask.copy()
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        inside &= np.roll(mask, way, axis)
+    return inside
+
+
+def with_solid(rng, seen, state, mask, settings):
+    """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
+    image, points = seen.image, seen.points[mask]
+    view, before = held_out(image, state, -1), total_energy(image, state, settings)
+    tries = []
+    for h in body_hypotheses(points, image.origin, settings.shapes, support_of(points, state)[1]):
+        row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, np.nan, settings, ROUNDS)
+        tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
+    if not tries:
+        return state, -np.inf
+    _, _, row, h = min(tries)
+    only = {len(state)}
+    new = assign_supports(image, state.add(row, h.form, h.cube), settings, only)
+    sweep(rng, image, new, settings, ROUNDS, only=only)
+    new = try_cubes(rng, image, new, settings, only=only)
+    return new, before - total_energy(image, new, settings) + settings.price - settings.temper * LEFT_PRICE

@@ -1,0 +1,102 @@
+"""A box that may be a grid of equal cartons: what its seams show, and what it is where they show nothing."""
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.graph import pose_of, scene_graph
+from derender.detection.solids.image import make_row, render_floor_scene
+from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.state import FLOOR, State
+from derender.results.posterior import StructurePosterior
+from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.solids import BOX
+from derender.structures.grids import GAPS, Image, Shown, prior_odds, seam_gain, with_grids
+
+CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
+SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004
+
+
+def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05):
+    """Return (part with one box, Image) of cartons that stand so close on a floor."""
+    floor = rotation_x(np.pi / 2 + np.radians(40))
+    floor[:3, 3] = [0.0, 0.1, 2.2]
+    counts = np.array(counts)
+    way, whole = rotation_z(turn)[:3, :3], counts * SIZE + (counts - 1) * [gap, gap, 0.0]
+    cells = [(np.array(cell) - 0.5 * (counts - 1)) * (SIZE + [gap, gap, 0.0]) for cell in np.ndindex(*counts)]
+    poses = []
+    for cell in cells:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = way, way @ cell + [0.0, 0.0, 0.5 * whole[2]]
+        poses.append(floor @ pose)
+    camera = {"fx": 290.0, "fy": 290.0, "cx": 159.5, "cy": 119.5, "width": 320, "height": 240}
+    depth, _ = render_floor_scene(["box"] * len(cells), np.array(poses), [SIZE] * len(cells), floor, camera)
+    depth = depth + SIGMA * np.random.default_rng(1).standard_normal(depth.shape)
+    block = make_row(BOX, way, [0.0, 0.0, 0.5 * whole[2]], whole)
+    graph = scene_graph(State(block[None], [UPRIGHT], [False], [FLOOR], [0.0]), floor)
+    addresses = ("box_1.length", "box_1.contact.x")
+    start = [graph.numbers()[address] for address in addresses]
+    values = np.array(start) + 1e-4 * np.random.default_rng(2).standard_normal((2, 30, 2))
+    values[0, 0] = start
+    density = np.zeros((2, 30))
+    density[0, 0] = 1.0
+    part = StructurePosterior(graph, addresses, values, np.zeros((2, 30)), density)
+    return part, Image(depth, CAMERA, np.full(depth.shape, SIGMA), 1.0, 1.0), pose_of(block), whole
+
+
+def counts_of(graph):
+    boxes = [vertex for vertex in graph.vertices if vertex.shape == "box"]
+    layers = sum(vertex.parent == "floor" for vertex in boxes)
+    return len(boxes) // layers, layers
+
+
+def test_seams_that_show_tell_the_grid_and_layers_that_do_not_stay_open():
+    part, image, block, whole = pallet()
+    found = with_grids([part], image, bare_image())
+    assert sum(each.weight for each in found) == pytest.approx(1.0)
+    assert found == sorted(found, key=lambda each: -each.weight) and found[0].weight < 0.95
+    right = [each for each in found if counts_of(each.graph) == (2, 6)]
+    assert right, "two layers of six are among them"
+    graph, _ = right[0].best()
+    down = np.linalg.inv(graph.root_pose)
+    corners = []
+    for vertex in graph.vertices:
+        if vertex.shape == "box":
+            assert np.array(graph.body(vertex.name).size()) == pytest.approx(SIZE, abs=0.003)
+            ends = np.array([[a, b, c] for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
+            pose = down @ graph.poses()[vertex.name]
+            corners.append(ends * np.array(graph.body(vertex.name).size()) @ pose[:3, :3].T + pose[:3, 3])
+    local = (np.concatenate(corners) - block[:3, 3]) @ block[:3, :3]
+    assert np.ptp(local, axis=0) == pytest.approx(whole, abs=1e-4)
+    for each in found:
+        assert each.values.shape[2] == len(each.addresses) == len(each.periods)
+        assert each.graph_at(0, 0).names == each.graph.names
+
+
+def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_number_alone():
+    part, image, *_ = pallet(gap=0.0)
+    assert max(each.weight for each in with_grids([part], image, bare_image())) < 0.6
+    rng, count = np.random.default_rng(3), 4000
+    place = np.column_stack([rng.uniform(0.0, 0.9, count), rng.uniform(0.0, 0.6, count), np.full(count, 0.4)])
+    step, slope = np.full((count, 3), 0.006), np.full((count, 3), 0.02)
+    deeper = SIGMA * rng.standard_normal(count)
+    none = Shown(place, step, slope, np.full(count, 2), deeper, np.full(count, SIGMA))
+    assert (np.diff(seam_gain(none, 0, 0.9, 3, 0.006)) < 0.0).all()
+    seam = (np.abs(place[:, 0] % 0.3 - 0.15) > 0.15 - 0.002) & (np.abs(place[:, 0] - 0.45) < 0.3)
+    gains = [seam_gain(none._replace(deeper=deeper + 0.05 * seam), 0, 0.9, n, 0.006).max() for n in (2, 3, 4, 5)]
+    assert np.argmax(gains) == 1 and gains[1] > 50.0 > 10.0 > max(gains[0], gains[2], gains[3])
+    assert len(GAPS) == len(seam_gain(none, 0, 0.9, 3, 0.006))
+
+
+def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_boxes_alone():
+    beliefs = bare_image()
+    cartons = beliefs.loose.cartons
+
+    def odds(parts, size, unit=1.0):
+        return prior_odds(parts, np.array(size) / unit, cartons, beliefs, unit)
+
+    assert odds((3, 3, 2), [0.9, 0.8, 0.5]) > 0.0 > odds((2, 2, 1), [0.45, 0.45, 0.3])
+    assert odds((2, 2, 1), [0.1, 0.09, 0.08]) < -12.0
+    more = odds((3, 3, 2), [0.9, 0.8, 0.5], 2.0) - odds((2, 2, 2), [0.9, 0.8, 0.5], 2.0)
+    assert more == pytest.approx(odds((3, 3, 2), [0.9, 0.8, 0.5]) - odds((2, 2, 2), [0.9, 0.8, 0.5]))
