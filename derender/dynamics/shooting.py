@@ -37,6 +37,8 @@ LOST = 22.5
 # A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
 # shows an impact.
 JUMP = 4.0
+# Frames that tell the velocity from which a start sets out.
+FITTED = 4
 # What rested has been struck where its centre is further off than this, metres: tracking wanders by half as much.
 STRUCK = 0.004
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
@@ -169,17 +171,10 @@ class Shooting:
     def first_path(self, coordinates: np.ndarray) -> Path:
         """Return a path whose states at the cuts are tracked, with velocities of the frames that follow."""
         states = self.filled()
-        step = self.motion.step
-        ahead = difference(states[:-1], states[1:])[..., :6] / step
         offsets = np.zeros((self.count, 3))
         up = -self.engine.gravity / max(float(np.linalg.norm(self.engine.gravity)), 1e-9)
         for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
-            later = min(frame + 1, len(ahead) - 1)
-            if self.is_cut[later, k] or later + 1 < self.frames and self.is_cut[later + 1, k]:
-                later = frame
-            states[frame, k, 7:] = 0.5 * (ahead[frame, k] + ahead[later, k])
-            if later > frame:  # the mean is that of the middle of two frames, one frame later
-                states[frame, k, 7:10] -= self._free(states, frame, k) * self.engine.gravity * step
+            states[frame, k, 7:] = self._first_speed(states, frame, k)
             if plane is not None:
                 states[frame, k] = flush(self.bodies[k], plane, states[frame, k])[0]
                 if frame == 0:
@@ -192,11 +187,16 @@ class Shooting:
         first = Path(states, states, offsets, np.asarray(coordinates, float))
         return self.rolled(first)
 
-    def _free(self, states: np.ndarray, frame: int, k: int) -> float:
-        """Return 1 where a body falls freely from a frame on, by its second difference, else 0."""
-        bend = states[frame + 2, k, :3] - 2 * states[frame + 1, k, :3] + states[frame, k, :3]
-        pull = self.engine.gravity * self.motion.step**2
-        return float(bend @ pull > 0.5 * pull @ pull)
+    def _first_speed(self, states: np.ndarray, frame: int, k: int) -> np.ndarray:
+        """Return velocity and angular velocity (6,) of body k at a cut, by a parabola through the frames that follow.
+
+        A mean over them would tell a slide's first speed too low, and so its friction.
+        """
+        later = np.flatnonzero(self.is_cut[frame + 1 :, k])
+        count = min(FITTED, len(states) - frame, 1 + int(later[0]) if len(later) else FITTED)
+        powers = np.vander(self.motion.step * np.arange(count), min(count, 3), increasing=True)[:, 1:]
+        way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]
+        return np.linalg.lstsq(powers, way, rcond=None)[0][0] if count > 1 else np.zeros(6)
 
     def rolled(self, path: Path, first: int = 0, bounces: float | None = None) -> Path:
         """Return the path that the engine runs from the states at the cuts, anew from frame `first`.

@@ -23,6 +23,7 @@ class Start(NamedTuple):
     down : (3,) unit direction of gravity in camera axes, so far as the scene tells.
     sigma, growth, blur : the sensor's noise, sd = sigma + growth z^2, metres, and its blur in pixels.
     temper : pixels that tell as much as one independent one.
+    searched : whether the poses' covariances are only room for a search, so that the frame itself tells their spread.
     """
 
     things: list[Thing]
@@ -32,6 +33,7 @@ class Start(NamedTuple):
     growth: float
     blur: float
     temper: float
+    searched: bool = False
 
     def copy(self) -> "Start":
         """Return a copy whose things are its own."""

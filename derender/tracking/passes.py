@@ -69,7 +69,7 @@ class Passes:
             things.append(thing.copy(size=known.size.copy(), covariance=covariance))
         if changed < GROWN:
             return found
-        again = self.go(found.anchor, found.start._replace(things=things))
+        again = self.go(found.anchor, found.start._replace(things=things, searched=True))
         return again if again.cut is None and again.cost() < found.cost() else found
 
     def go(self, anchor, start: Start) -> "Pass":

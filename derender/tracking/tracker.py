@@ -83,9 +83,12 @@ class Tracker(Drawing):
     # ---- one thing ------------------------------------------------------------------------------------------------
 
     def _refine_first(self) -> None:
-        """Move each thing to where the smooth image is explained best; its spread stays that of the posterior."""
+        """Move each thing to where the smooth image is explained best; its spread stays that of the posterior, which
+        knows this frame already, unless it was only room for this search."""
         for k, thing in enumerate(self.things):
-            self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)
+            curvature = self.fit(k, thing.pose, np.linalg.inv(thing.covariance), free=True)[1]
+            if self.start.searched:
+                thing.covariance[:6, :6] = np.linalg.inv(curvature)[:6, :6]
             thing.pose, thing.size = self.poses[self.planes + k].copy(), self.sizes[self.planes + k].copy()
 
     def _take(self, k, curvature) -> None:
