@@ -13,6 +13,9 @@ from derender.physics.bodies import Body, Matter
 MOVED_ERRORS = 6.0
 MOVED_METRES = 0.01
 MOVED_RADIANS = 0.12
+# What something that moves comes this near to, metres, may have been struck, however little it moved: it moves too, and
+# where it stands is as uncertain as tracking says.
+STRUCK_WITHIN = 0.005
 # Tracking's errors are alike from frame to frame, for two reasons: sizes are learnt slowly (a share of the variance
 # that fades over so many frames), and outlines fall on the same pixels until a body has moved by so many of them. On 35
 # made films errors of neighbouring frames correlate at .8 below half a pixel and at .35 beyond one.
@@ -91,7 +94,9 @@ def motion_of(
     covariances: np.ndarray,
     pixels: np.ndarray | None = None,
 ) -> Motion:
-    """Check tracked poses, and return those of the bodies that moved; all others stand fixed at their mean pose.
+    """Check tracked poses, and return those of the bodies that moved or may have been struck by one that did.
+
+    All others stand fixed where they were first seen.
 
     Parameters
     ----------
@@ -112,6 +117,7 @@ def motion_of(
     if not np.isfinite(spread).all() or np.linalg.eigvalsh(spread).min() <= 0:
         raise DerenderError("a pose's covariance is not positive definite", remedy="track anew")
     moving = [k for k in range(len(names)) if seen[:, k].sum() > 2 and _moved(poses[:, k], spread[:, k], seen[:, k])]
+    moving = sorted({*moving, *_struck(matter, names, poses, seen, moving)})
     bodies = []
     for body in matter.bodies:
         index = names.index(body.name) if body.name in names else None
@@ -131,6 +137,27 @@ def motion_of(
         covariances[:, moving],
         np.zeros(len(moving)) if pixels is None else np.asarray(pixels, float)[moving],
     )
+
+
+def _struck(matter: Matter, names: tuple[str, ...], poses: np.ndarray, seen: np.ndarray, moving: list[int]) -> set[int]:
+    """Return which bodies a moving one comes near, by their numbers in `names`."""
+    others = [k for k in range(len(names)) if k not in moving and seen[:, k].any()]
+    if not moving or not others:
+        return set()
+    from derender.physics.mujoco_model import World
+
+    bodies = [next(body for body in matter.bodies if body.name == names[k]) for k in (*moving, *others)]
+    first = [poses[np.argmax(seen[:, k]), k] for k in (*moving, *others)]
+    world = World(matter._replace(bodies=tuple(bodies), supports=()), keep_contacts=False)
+    found = set()
+    for now, there in zip(poses, seen, strict=True):
+        pairs = zip((*moving, *others), first, strict=True)
+        world.reset(np.array([now[k] if there[k] else pose for k, pose in pairs]))
+        for other in others:
+            gaps = [world.gap(names[k], names[other]) for k in moving if there[k]]
+            if min(gaps, default=np.inf) < STRUCK_WITHIN:
+                found.add(other)
+    return found
 
 
 def _moved(poses: np.ndarray, covariances: np.ndarray, seen: np.ndarray) -> bool:

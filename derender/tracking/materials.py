@@ -22,6 +22,8 @@ SPUN = 10.0
 # A thing is in a hand where, in the air, its acceleration is off gravity by more than this share of it, even in the
 # tenth of the frames where it is least: what bounces falls freely between its impacts.
 HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.1
+# Accelerations are told from places so many seconds apart: of those nearer, tracking's errors are as large as gravity.
+APART = 1 / 30
 # A thing is pushed by a hand where it rested for so many frames on a level floor (cosine to gravity) and then leaves
 # its place by so many metres, while nothing that moves by itself is within as many of it beyond what both are wide.
 RESTED_FRAMES, LEVEL, BEGUN, REACH = 2, 0.998, 0.004, 0.02
@@ -71,11 +73,13 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
     """Return the names of the things that a hand holds for a while."""
     centres = (back[:, None] @ track.poses)[..., :3, 3]
     step, gravity = float(np.diff(track.times).mean()), np.asarray(track.gravity, float)
-    bend = (centres[2:] - 2 * centres[1:-1] + centres[:-2]) / step**2
+    apart = max(round(APART / step), 1)
+    middle = centres[apart:-apart]
+    bend = (centres[2 * apart :] - 2 * middle + centres[: -2 * apart]) / (apart * step) ** 2
     parents = track.parents()
     held = set()
     for k, name in enumerate(track.names):
-        flying = [t for t in range(len(bend)) if all(parents[t + i][k] is None for i in range(3))]
+        flying = [t for t in range(len(bend)) if all(parents[t + i][k] is None for i in range(2 * apart + 1))]
         off = np.linalg.norm(bend[flying, k] - gravity, axis=-1)
         off = off[np.isfinite(off)]
         if len(off) >= HELD_FRAMES and np.quantile(off, QUIETEST) > HELD * np.linalg.norm(gravity):

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from derender.dynamics.engine import Engine
 from derender.dynamics.inference import identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.result import Answer
+from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import difference, from_poses, moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -131,6 +133,26 @@ def test_weighted_draws_have_the_targets_moments():
     np.testing.assert_allclose(np.sqrt(weights @ (points - centre) ** 2), spread, rtol=0.25)
     # The broken twin: draws without their weights have the proposals' moments, not the target's.
     assert not np.allclose(np.sqrt(np.mean((points - centre) ** 2, axis=0)), spread, rtol=0.25)
+
+
+def test_a_film_sets_out_with_the_speed_of_its_first_frame_and_not_with_a_mean_over_frames():
+    film = slide(0.3, 1.0, np.random.default_rng(5), metres=1e-6, radians=1e-5)
+    engine = Engine(film.matter, film.names, film.step)
+    shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
+    speed = shooting.first_path(np.array([np.log(0.3), 0.0])).states[0, 0, 7]
+    assert abs(speed - 1.0) < 0.01  # a frame later it is .90
+
+
+def test_what_a_moving_body_comes_near_moves_too_and_what_stands_aside_does_not():
+    cube = Body("near", "box", np.full(3, 0.05), np.eye(4))
+    matter = Matter((FLOOR, cube._replace(name="slider"), cube, cube._replace(name="aside")), np.zeros(3), ())
+    poses = np.tile(np.eye(4), (FRAMES, 3, 1, 1))
+    poses[:, :, 2, 3] = 0.025
+    poses[:, 0, 0, 3] = np.linspace(0.0, 0.097, FRAMES)  # 3 mm before the near one
+    poses[:, 1, 0, 3], poses[:, 2, 1, 3] = 0.15, 0.08
+    covariances = np.tile(1e-6 * np.eye(6), (FRAMES, 3, 1, 1))
+    film = motion_of(matter, ("slider", "near", "aside"), STEP * np.arange(FRAMES), poses, covariances)
+    assert film.names == ("slider", "near")
 
 
 def test_two_frames_and_uneven_times_are_refused():

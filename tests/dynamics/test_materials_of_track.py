@@ -76,6 +76,15 @@ def test_what_bounces_often_is_in_no_hand():
     assert motion_of_track(track(bouncing, parent=0)).names == ("box_1",)
 
 
+def test_what_falls_is_in_no_hand_however_fast_the_frames_and_however_uncertain_their_poses():
+    step, rng = 1 / 60, np.random.default_rng(0)
+    heights = 0.5 - 0.5 * 9.81 * (step * np.arange(FRAMES)) ** 2
+    falling = track(
+        np.column_stack([np.zeros((FRAMES, 2)), heights]) + 1e-3 * rng.standard_normal((FRAMES, 3)), parent=0
+    )
+    assert motion_of_track(replace(falling, times=step * np.arange(FRAMES))).names == ("box_1",)
+
+
 def test_what_rested_and_is_pushed_by_nothing_in_sight_is_left_out():
     pushed = sliding()
     pushed = np.concatenate([np.tile(pushed[:1], (4, 1)), pushed[:-4]])
