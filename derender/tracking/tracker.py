@@ -96,18 +96,15 @@ class Tracker(Drawing):
         thing, index = self.things[k], self.planes + k
         thing.pose = inverse(self.view) @ self.poses[index]
         covariance = np.linalg.inv(self.turned(curvature, back=True) + 1e-6 * np.eye(len(curvature)))
-        if self.unexplained(k):  # wrong fits must not tell what size it is
+        if len(covariance) < len(thing.covariance) or self.unexplained(k):  # wrong fits must not tell what size it is
             thing.covariance[:6, :6] = covariance[:6, :6]
             thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
-        elif len(covariance) == len(thing.covariance):
-            thing.covariance = covariance
-            least = self._bias(thing) ** 2
-            for p in range(6, len(covariance)):
-                covariance[p, p] = max(covariance[p, p], least)
-            thing.size = self.sizes[index].copy()
-        else:
-            thing.covariance[:6, :6] = covariance
-            thing.covariance[:6, 6:] = thing.covariance[6:, :6] = 0.0
+            return
+        thing.covariance = covariance
+        least = self._bias(thing) ** 2
+        for p in range(6, len(covariance)):
+            covariance[p, p] = max(covariance[p, p], least)
+        thing.size = self.sizes[index].copy()
 
     def _bias(self, thing) -> float:
         """Return the metres at a thing's depth that outlines may be off by in all frames alike."""
