@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, neighbourhood
+from derender.results.focal import wrong_focal_length
 from derender.results.kind import wrong_kind
 from derender.results.regions import LETTERS, Region, components, opened
 from derender.results.trust import Doubt
@@ -58,6 +59,7 @@ def check_fit(
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
+        *wrong_focal_length(graph, fit, camera, observed),
         *unborne_solids(graph, fit, valid),
         *at_the_border(graph, fit),
         *nothing_but_a_plane(graph, fit, camera, observed),

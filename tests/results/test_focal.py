@@ -1,0 +1,72 @@
+"""A wrong focal length is told by angles that should be right ones, and a right one is never called wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.interface.functions import infer
+from derender.render.raycast.depth import render_depth
+from derender.results.fit import fit_of
+from derender.results.focal import doubts_of, faces_of
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.pose import rotation_x, translation
+
+CAMERA = Camera.from_field_of_view(160, 120)
+
+
+def seen(turns, elevation=35.0, sigma=0.002, upright=True):
+    """Return a scene of boxes turned by so many degrees and its depth image with noise (H, W)."""
+    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
+    boxes = []
+    for k, turn in enumerate(turns):
+        numbers = {"x": 0.17 * (k - 0.5 * (len(turns) - 1)), "y": 0.02 * k, "theta": float(np.radians(turn))}
+        contact = Contact("face-to-face", "+z", "-z", numbers)
+        if not upright:
+            contact = Contact("edge-on-face", "+z", "-x-z", {**numbers, "lean": float(np.radians(25.0))})
+        size = {"length": 0.12, "width": 0.1, "height": 0.11 + 0.02 * k}
+        boxes.append(Vertex(f"box_{k}", "box", size, "floor", contact))
+    graph = SceneGraph(translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(90 + elevation)), (floor, *boxes))
+    depth = render_depth(graph.solids(), CAMERA)[0]
+    return graph, np.where(depth < 4.0, depth, np.nan) + np.random.default_rng(0).normal(0.0, sigma, depth.shape)
+
+
+def words_of(graph, observed, wrong):
+    """Return what is said where the camera's focal length is `wrong` times the true one."""
+    taken = replace(CAMERA, fx=wrong * CAMERA.fx, fy=wrong * CAMERA.fy)
+    faces = faces_of(graph, fit_of(graph, CAMERA, observed, {}), CAMERA, observed)
+    return [doubt.words for doubt in doubts_of(faces, taken)]
+
+
+@pytest.mark.parametrize("turns", [(30,), (30, 30), (10, 55), (0, 20, 70)])
+@pytest.mark.parametrize("upright", [True, False])
+def test_the_right_focal_length_is_not_doubted(turns, upright):
+    assert words_of(*seen(turns, upright=upright), 1.0) == []
+    assert words_of(*seen(turns, upright=upright, sigma=0.006), 1.0) == []
+
+
+@pytest.mark.parametrize("turns", [(30, 30), (10, 55), (0, 20, 70)])
+@pytest.mark.parametrize("wrong", [0.8, 1.25])
+def test_a_wrong_focal_length_is_told_and_which_would_be_right(turns, wrong):
+    (words,) = words_of(*seen(turns), wrong)
+    told = float(words.split(" is ")[1].split(" times")[0])
+    assert told == pytest.approx(1.0 / wrong, rel=0.05)
+    assert f"pixels and not {CAMERA.fx * wrong:.0f}:" in words
+
+
+def test_pixels_that_are_not_square_are_heeded():
+    graph, observed = seen((10, 55))
+    wide = replace(CAMERA, fx=2.0 * CAMERA.fx, cx=2.0 * CAMERA.cx, width=2 * CAMERA.width)
+    observed = np.repeat(observed, 2, axis=1)
+    faces = faces_of(graph, fit_of(graph, wide, observed, {}), wide, observed)
+    assert doubts_of(faces, wide) == []
+    assert doubts_of(faces, replace(wide, fx=1.3 * wide.fx, fy=1.3 * wide.fy))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [0.8, 1.25])
+def test_what_is_inferred_with_a_wrong_focal_length_is_not_trusted(wrong):
+    _, observed = seen((10, 55), sigma=0.001)
+    posterior = infer(observed, camera=replace(CAMERA, fx=wrong * CAMERA.fx, fy=wrong * CAMERA.fy))
+    assert not posterior.trusted and any("focal length" in words for words in posterior.doubts)
