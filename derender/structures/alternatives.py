@@ -24,7 +24,7 @@ from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import make_chart
-from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
+from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import (
     Refined,
     at_mode,
@@ -37,7 +37,15 @@ from derender.structures.draws.refined import (
     without_unseen,
 )
 from derender.structures.standing import log_standing
-from derender.structures.weighing import NEAR_ERROR, Block, Weighed, discrete_part, of_block, with_own_sensor
+from derender.structures.weighing import (
+    NEAR_ERROR,
+    Block,
+    Weighed,
+    discrete_part,
+    evidence_over,
+    of_block,
+    with_own_sensor,
+)
 
 HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
@@ -50,7 +58,6 @@ LEAST_TALL = 0.01  # metres: what is lower is no solid that was found lying
 SQUARER = 0.87  # times as wide as a circle is a square of about the same outline
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
-WHOLE_DRAWS = 150  # from which the integral over everything is taken
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
 VERY_IMPROBABLE = 15.0  # as IMPROBABLE, of a structure that differs in all
 QUICK = 50  # steps of each temperature for one changed solid
@@ -253,14 +260,6 @@ def one_step_away(best, names):
         yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
 
 
-def whole_evidence(rng, refined):
-    """Return the Evidence of the density over all coordinates."""
-    steps = 10 + 5 * len(refined.state)
-    found = sample(rng, refined.chart, refined.sensor, refined.values, 1, WHOLE_DRAWS, steps)
-    members = list(range(len(refined.values)))
-    return log_evidence(rng, refined.chart, refined.sensor, refined.values, found, members)
-
-
 def from_search(rng, best, pool, energy, rules):
     """Return the Weighed of structures that the search met, more than one step from the best.
 
@@ -292,15 +291,14 @@ def weighed_whole(rng, best, states, rules, steps):
     if not trials:
         return []
     everyone = (best, *trials)
-    near = [evidence_of(near_evidence(each), NEAR_ERROR) for each in everyone]
+    near = [evidence_of(near_evidence(each) + log_standing(each.state, rules), NEAR_ERROR) for each in everyone]
     first = max(each.log for each in near)
     likely = [k for k in range(len(near)) if near[k].log > first - VERY_IMPROBABLE]
-    tasks = [partial(whole_evidence, refined=everyone[k]) for k in likely]
+    tasks = [partial(evidence_over, refined=everyone[k], rules=rules) for k in likely]
     if len(likely) > 1:
         for k, found in zip(likely, in_threads(rng, tasks), strict=True):
             near[k] = found
-    logs = [found.log + log_standing(each.state, rules) + each.sensor.log_prior()
-            for found, each in zip(near, everyone, strict=True)]  # fmt: skip
+    logs = [found.log + each.sensor.log_prior() for found, each in zip(near, everyone, strict=True)]
     return [Weighed(trial, log - logs[0], math.hypot(found.standard_error, near[0].standard_error))
             for trial, log, found in zip(trials, logs[1:], near[1:], strict=True)]  # fmt: skip
 

@@ -19,17 +19,18 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
+from derender.sampling.evidence import evidence_of
 from derender.structures.draws.chart import make_chart, place_rows
-from derender.structures.draws.metropolis import engine_of, load
+from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
     Refined,
     climb,
     floor_pose_of,
     height,
-    local_evidence,
     members_of,
     near_evidence,
     over_blur,
+    refined_at,
     refitted,
 )
 from derender.structures.standing import log_standing
@@ -37,6 +38,7 @@ from derender.structures.standing import log_standing
 # Nats below the best at which `near_evidence` has to do, of a change of one solid: a weight of less than a hundredth
 # even if it is as wrong as it ever was, and that is taken as its error.
 IMPROBABLE, NEAR_ERROR = 9.0, 2.0
+DRAWS, STANDING = 150, 30  # from which an integral is taken, and from which what would tip
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES = 4  # of the rest, drawn for odds that are close
@@ -58,23 +60,43 @@ class Weighed(NamedTuple):
     places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
 
+def evidence_over(rng, refined, rules, solids=None):
+    """Return the Evidence of the density over the coordinates of some solids, all others held; None: over all.
+
+    What would tip off its supports is less probable: the integral without that term, times its mean over the draws.
+    """
+    chart, sensor, values = refined.chart, refined.sensor, refined.values
+    members = list(range(len(values))) if solids is None else members_of(chart, solids)
+    if not members:
+        held = sum(load(engine_of(chart, sensor), chart, values))
+        return evidence_of(held + log_standing(refined.state, rules), 0.0)
+    steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
+    drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
+    found = log_evidence(rng, chart, sensor, values, drawn, members)
+    some = drawn[0].values[:: DRAWS // STANDING]
+    stands = np.array([log_standing(refined_at(refined.state, chart, each, sensor, 0.0, 0.0).state, rules)
+                       for each in some])  # fmt: skip
+    told = averaged(stands, np.zeros(len(stands)))
+    return evidence_of(found.log + told["odds"], math.hypot(found.standard_error, told["error"]))
+
+
 class Block:
     """Some solids of a structure with the others at their mode: its integrals, each made once."""
 
     def __init__(self, refined, places, rules) -> None:
         self.refined, self.places = refined, tuple(places)
-        self.apart = log_standing(refined.state, rules) + refined.sensor.log_prior()  # what no integral holds
+        self.rules, self.apart = rules, refined.sensor.log_prior()  # the latter is in no integral
         self._evidence: Any = None
 
     @functools.cached_property
     def near(self):
-        """The log integral as `near_evidence` has it."""
+        """The log integral as `near_evidence` has it, as if nothing tipped."""
         return near_evidence(self.refined, self.places) + self.apart
 
     def evidence(self, rng):
         """Return the Evidence over the solids' coordinates."""
         if self._evidence is None:
-            self._evidence = local_evidence(rng, self.refined, self.places)
+            self._evidence = evidence_over(rng, self.refined, self.rules, self.places)
         return self._evidence
 
 
@@ -85,8 +107,9 @@ def of_block(rng, trial, places, own, rules):
     """
     block = Block(trial, places, rules)
     both = block.places, own.places
-    if block.near - own.near < -IMPROBABLE:
-        return Weighed(trial, block.near - own.near, NEAR_ERROR, both)
+    odds = block.near - own.near - log_standing(own.refined.state, rules)
+    if odds < -IMPROBABLE:
+        return Weighed(trial, odds, NEAR_ERROR, both)
     found, held = block.evidence(rng), own.evidence(rng)
     error = math.hypot(found.standard_error, held.standard_error)
     return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
@@ -130,7 +153,9 @@ def made_sure(rng, best, others, drawn, rules):
     draws = drawn(rng)
     chosen = draws[np.linspace(0, len(draws) - 1, PLACES + 2).round().astype(int)[1:-1]]
     blocks = list(dict.fromkeys(others[k].places[1] for k in close))  # of the best, in which several may differ
-    own = in_threads(rng, [partial(integrals, best=best, places=places, draws=chosen) for places in blocks])
+    own = in_threads(
+        rng, [partial(integrals, best=best, rules=rules, places=places, draws=chosen) for places in blocks]
+    )
     own = dict(zip(blocks, own, strict=True))
     tasks = [partial(odds_at, best=best, weighed=others[k], values=values, own=held, rules=rules)
              for k in close for values, held in zip(chosen, own[others[k].places[1]], strict=False)]  # fmt: skip
@@ -146,9 +171,9 @@ def made_sure(rng, best, others, drawn, rules):
     return others
 
 
-def integrals(rng, best, places, draws):
+def integrals(rng, best, rules, places, draws):
     """Return the Evidences over some solids of the best with all else at draws (n, D), and last `over_blur` of them."""
-    held = [local_evidence(rng, best._replace(values=values.copy()), places) for values in draws]
+    held = [evidence_over(rng, best._replace(values=values.copy()), rules, places) for values in draws]
     return [*held, over_blur(rng, best, places)]
 
 
@@ -183,9 +208,8 @@ def odds_at(rng, best, weighed, values, own, rules):
         found = Refined(state, chart, start, trial.sensor, *load(engine_of(chart, trial.sensor), chart, start))
     if not np.isfinite(found.log_prior):  # here it is impossible: it does not touch what bears it
         return -np.inf, 0.0
-    stands = log_standing(trial.state, rules) - log_standing(best.state, rules)
-    other = local_evidence(rng, found, places)
-    return other.log - own.log + stands, math.hypot(other.standard_error, own.standard_error)
+    other = evidence_over(rng, found, rules, places)
+    return other.log - own.log, math.hypot(other.standard_error, own.standard_error)
 
 
 def with_own_sensor(rng, trial, places, least):

@@ -16,11 +16,11 @@ from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
-from derender.structures.draws.refined import at_mode, local_evidence
+from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.standing import log_standing, unheld
 from derender.structures.unions import on_supports, recuts
-from derender.structures.weighing import odds_at
+from derender.structures.weighing import evidence_over, odds_at
 
 RULES = Rules(0.0015)
 CERTAIN = 1.0 / bare_image().loose.tipping
@@ -97,7 +97,7 @@ def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
     kept, cut = 1, (0, 2)  # the other side; the board and the side that it is cut from
     np.testing.assert_allclose(likeliest.trial.state.rows[kept, 10:16], best.state.rows[kept, 10:16], atol=0.02)
     rng = np.random.default_rng(1)
-    own = local_evidence(rng, best, cut)
+    own = evidence_over(rng, best, RULES, cut)
     again, _ = odds_at(rng, best, likeliest._replace(places=(cut, cut)), best.values, own, RULES)
     assert abs(again - likeliest.odds) < 0.5 * np.log(CERTAIN)
 

@@ -19,12 +19,12 @@ from derender.document import read_prior_document
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.alternatives import of_one_solid, whole_evidence
+from derender.structures.alternatives import of_one_solid
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.standing import log_standing
 from derender.structures.unions import merged
+from derender.structures.weighing import evidence_over
 
 RULES = Rules(0.0015)
 VIEW = Camera(45.0, 45.0, 23.5, 17.5, 48, 36)
@@ -53,8 +53,8 @@ def mode_of(sigma, *boxes):
 
 def whole_odds(trial, best):
     """Return the log odds by the integrals over all coordinates."""
-    logs = [whole_evidence(np.random.default_rng(5), each).log + each.sensor.log_prior()
-            + log_standing(each.state, RULES) for each in (trial, best)]  # fmt: skip
+    logs = [evidence_over(np.random.default_rng(5), each, RULES).log + each.sensor.log_prior()
+            for each in (trial, best)]  # fmt: skip
     return logs[0] - logs[1]
 
 

@@ -27,7 +27,6 @@ from derender.structures.draws.metropolis import (
     engine_of,
     evaluate,
     load,
-    log_evidence,
     sample,
 )
 from derender.structures.draws.numbers import numbers_of_draws
@@ -49,7 +48,7 @@ ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
-LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone
+LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone, over which blurs are summed
 BLUR_POINTS, GROUPS = 200, 8  # points at which blurs are summed over, and parts of them that tell the error
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
 MOST_BACKGROUND = 0.1
@@ -287,17 +286,6 @@ def members_of(chart, solids):
     return sorted({m for k in solids for m in own_members(chart, k)})
 
 
-def local_evidence(rng, refined, solids):
-    """Return the Evidence of the density over the coordinates of some solids, all others held where they are."""
-    members = members_of(refined.chart, solids)
-    if not members:
-        engine = engine_of(refined.chart, refined.sensor)
-        return evidence_of(sum(load(engine, refined.chart, refined.values)), 0.0)
-    steps = LOCAL_STEPS * len(solids)
-    drawn = sample(rng, refined.chart, refined.sensor, refined.values, 1, LOCAL_DRAWS, steps, members)
-    return log_evidence(rng, refined.chart, refined.sensor, refined.values, drawn, members)
-
-
 def refitted(refined):
     """Return the Refined with the sensor's numbers that explain it best, of the same likelihood, nothing moved."""
     sensor = same_sensor_refitted(refined.sensor, refined.chart, refined.values)
@@ -313,7 +301,7 @@ def height(refined):
 
 def over_blur(rng, refined, solids):
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
-    over these coordinates alone: what `local_evidence` misses, of blurs that are not known.
+    over these coordinates alone: what an integral under one blur misses, of blurs that are not known.
 
     Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a fitted t
     distribution. How noisy the image is takes about the same from every structure (1 / sqrt(2 pixels) is narrow).
@@ -351,7 +339,7 @@ def over_blur(rng, refined, solids):
 
 
 def near_evidence(refined, solids=None):
-    """Return about the same as `local_evidence` at a tenth of the cost, of all coordinates where `solids` is None.
+    """Return about what the integral over these coordinates is, at a tenth of its cost; of all where `solids` is None.
 
     The normal stands for the density that has its height at the mode and the image's curvature there: right to two
     nats where all sides are seen, to five or so where some are not.
@@ -367,5 +355,5 @@ def near_evidence(refined, solids=None):
     return height - 0.5 * float(np.linalg.slogdet(precision / (2.0 * np.pi))[1])
 
 
-__all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "local_evidence", "only_draw", "refine",
+__all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "only_draw", "refine",
            "settled", "structure_posterior", "with_sensor_refitted"]  # fmt: skip
