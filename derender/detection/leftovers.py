@@ -7,9 +7,11 @@ only, be it a solid that fits or a free-form thing.
 
 import numpy as np
 
-from derender.detection.search.bodies import APART, body_hypotheses, label_bodies
+from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
 from derender.detection.search.greedy import complexity, sweep, total_energy, try_cubes
+from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import held_out, run_polish
 from derender.detection.solids.support import assign_supports
 from derender.detection.things import BAD, ENDS, INNER, LARGEST, cost_of, support_of
@@ -18,7 +20,7 @@ LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object
 LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
 NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
-ROUNDS = 200  # of polishing a solid in its place
+ROUNDS, YAWS = 200, 6  # of polishing a solid in its place; ways in which a box is turned at first
 
 
 def leftovers(rng, seen, state, settings):
@@ -83,8 +85,12 @@ def with_solid(rng, seen, state, mask, settings):
     """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
     image, points = seen.image, seen.points[mask]
     view, before = held_out(image, state, -1), total_energy(image, state, settings)
-    tries = []
-    for h in body_hypotheses(points, image.origin, settings.shapes, support_of(points, state)[1]):
+    tries, bottom = [], support_of(points, state)[1]
+    hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
+    if "box" in settings.shapes:
+        turns = np.pi / 2 * np.arange(YAWS) / YAWS
+        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False, ()) for yaw in turns]
+    for h in hypotheses:
         row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, np.nan, settings, ROUNDS)
         tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
     if not tries:

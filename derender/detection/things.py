@@ -22,8 +22,9 @@ from derender.detection.segments import joined, segments
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
-from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
+from derender.detection.solids.statics import shares_of_load
 from derender.detection.solids.support import flat_top
 from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
@@ -43,6 +44,11 @@ ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying 
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
 AROUND = 36  # points of a circle
+# Of its height, and in metres: a box so thin, with nothing to lean on, falls at a tilt of eleven degrees, and there are
+# few such things in a household.
+SHEET, THIN = 0.2, 0.015
+# Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
+DEPTH, SHALLOW = 0.7, 0.35
 HELD = 0.01  # metres between solids that are parts of one
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 
@@ -262,19 +268,39 @@ def without_background(seen, state, masks):
 
 
 def compounds(seen, state):
-    """Return (State, [(mask, gain)]) in which solids that are parts of one, such as a mallet, are one thing.
+    """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
 
-    A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one.
+    A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
+    a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge.
     """
     image, found = seen.image, []
-    while (pair := held_by_another(state)) is not None:
+    while (parts := held_by_another(state) or falling(state)) is not None:
         _, label, misfit, _ = held_out(image, state, -1)
-        mask = np.isin(label, pair) & (image.weight > 0) & (misfit < LIMIT)
-        state = subset(state, set(range(len(state))) - set(pair))
+        mask = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
+        state = subset(state, set(range(len(state))) - set(parts))
         if mask.sum() >= FEWEST:
             found.append((mask, float((held_out(image, state, -1)[2] - misfit)[mask].sum())))
             image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return state, found
+
+
+def falling(state):
+    """Return (i,), a box with nothing on it that could not stand as it does, on an edge or as a sheet; else None.
+
+    Whatever shows so much of one face alone ends in another shape behind it.
+    """
+    for i, row in enumerate(state.rows):
+        others = [k for k in range(len(state)) if k != i]
+        if int(row[0]) != BOX or i in (state.parents[k] for k in others):
+            continue
+        if state.forms[i] == FREE:
+            if not shares_of_load(state.rows, i, HELD):
+                return (i,)
+        elif row[13:15].min() < min(SHEET * row[15], THIN) and all(
+            gap_between(row, state.rows[k]) > HELD for k in others
+        ):
+            return (i,)
+    return None
 
 
 def held_by_another(state):
@@ -308,7 +334,8 @@ def support_of(points, state):
 def made_thing(seen, state, mask, gain):
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
-    Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last.
+    Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last,
+    or, of what shows nothing but its front, as deep as household things are for their width and height.
     """
     points = seen.points[mask]
     parent, bottom = support_of(points, state)
@@ -328,5 +355,11 @@ def made_thing(seen, state, mask, gain):
     ends = np.column_stack([wide, high])
     if not seen.no_floor:
         ends[0, 2] = bottom
+    away = (points.mean(axis=0) - seen.image.origin) @ upright
+    size = ends[1] - ends[0]
+    k = int(size[:2].argmin())
+    usual = np.sqrt(max(size[1 - k] * size[2], 0.0))
+    if axis is None and size[k] < SHALLOW * usual:
+        ends[int(away[k] > 0.0), k] += np.sign(away[k]) * (DEPTH * usual - size[k])
     size = np.maximum(ends[1] - ends[0], THINNEST)
     return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, gain)

@@ -13,7 +13,7 @@ from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import held_by_another
+from derender.detection.things import falling, held_by_another
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
@@ -177,3 +177,19 @@ def test_an_axis_is_that_of_what_was_turned_and_a_box_has_none():
     sides = np.column_stack([~first, first, np.zeros(400)]).astype(float)
     assert vertical_axis(box, sides) is None
     assert vertical_axis(box[first], sides[first]) is None  # one face tells no axis
+
+
+def test_a_box_that_could_not_stand_is_the_face_of_something_else():
+    def alone(turn, size, height, form, *others):
+        row = make_row(BOX, turn[:3, :3], [0.0, 0.0, height], size)
+        rows, n = np.array([row, *others]), 1 + len(others)
+        return falling(State(rows, [form, UPRIGHT][:n], [False] * n, [FLOOR] * n, [np.nan] * n))
+
+    upright = rotation_x(0.0)
+    assert alone(upright, [0.005, 0.09, 0.06], 0.03, UPRIGHT) == (0,)
+    assert alone(upright, [0.03, 0.09, 0.06], 0.03, UPRIGHT) is None
+    beside = make_row(BOX, np.eye(3), [0.045, 0.0, 0.04], [0.08, 0.08, 0.08])
+    assert alone(upright, [0.005, 0.09, 0.06], 0.03, UPRIGHT, beside) is None
+    tilted = rotation_x(0.6)
+    low = 0.5 * (0.1 * np.sin(0.6) + 0.01 * np.cos(0.6))
+    assert alone(tilted, [0.1, 0.1, 0.01], low, FREE) == (0,)
