@@ -25,7 +25,7 @@ test: .venv/developed osmesa  ## Check style, types and tests, side by side
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=line lint tests
 
 tests: .venv/developed
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 test-all: .venv/complete osmesa lint  ## The slow tests too, and calibration on 500 scenes: figures/calibration.png
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m ''

@@ -14,6 +14,7 @@ from small_scenes import TOWER, SceneWorld
 
 from derender.camera.camera_file import read_camera
 from derender.camera.depth_file import read_depth
+from derender.cli import group, status_of
 from derender.document import read_prior_document
 from derender.errors import LONGEST, DerenderError
 from derender.evaluation.truth import read_json_scene
@@ -217,3 +218,17 @@ def test_a_damaged_posterior_is_read_or_told(tmp_path, saved, place, byte, cut):
         load(tmp_path)
     except DerenderError as error:
         assert "posterior" in str(error)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["infer", "image.npy", "--depth-scale", "nan"], "nan is no finite number"),
+        (["infer", "film", "--track", "--fps", "inf"], "inf is no finite number"),
+        (["infer", "image.npy", "--fps", "30"], "--fps goes with --track"),
+        (["simulate", "scene.yaml", "--duration", "nan"], "nan is no finite number"),
+    ],
+)
+def test_numbers_that_are_none_and_options_that_would_do_nothing(arguments, words, capsys):
+    assert status_of(lambda: group.main(arguments, standalone_mode=False)) == 2
+    assert words in capsys.readouterr().err

@@ -27,7 +27,7 @@ from derender.cli.options import Talk
 )
 @click.option(
     "--graph-iou",
-    type=click.FloatRange(0, 1),
+    type=options.Finite(0, 1),
     default=0.25,
     show_default=True,
     help="Overlap from which two solids are the same object in edges and errors.",

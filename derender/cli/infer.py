@@ -40,7 +40,11 @@ OF_THE_RUN = frozenset(
 )
 @click.option("--confidence", metavar="FILE", help="Map of how sure the sensor is of each pixel, or a folder of maps.")
 @click.option(
-    "--least-confidence", type=float, default=1.0, show_default=True, help="Pixels that are less sure count as missing."
+    "--least-confidence",
+    type=options.Finite(),
+    default=1.0,
+    show_default=True,
+    help="Pixels that are less sure count as missing.",
 )
 @click.option(
     "--up", metavar="X,Y,Z", help="Upwards in camera axes, or an axis such as -y; default: the camera file's."
@@ -102,7 +106,10 @@ OF_THE_RUN = frozenset(
 )
 @click.option("--track", is_flag=True, help="The images are a film: follow the things through it.")
 @click.option(
-    "--fps", type=float, metavar="N", help="With --track: frames a second. Default: the camera file's, or 30."
+    "--fps",
+    type=options.Finite(0, min_open=True),
+    metavar="N",
+    help="With --track: frames a second. Default: the camera file's, or 30.",
 )
 @click.option(
     "--dynamics", is_flag=True, help="With --track: friction, restitution, mass ratios and velocities, by simulation."
@@ -187,8 +194,9 @@ def command(talk: Talk, **arguments) -> int | None:
     if arguments["shapes"] is not None:
         arguments["shapes"] = [name.strip() for name in arguments["shapes"].split(",")]
     film = {key: arguments.pop(key) for key in ("track", "fps", "moving_camera", "dynamics")}
-    if film["dynamics"] and not film["track"]:
-        raise click.UsageError("--dynamics goes with --track")
+    for name, value in film.items():
+        if value and not film["track"]:
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with --track")
     if film["track"]:
         from derender.cli.tracking import follow
 

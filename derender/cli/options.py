@@ -11,6 +11,7 @@ Paths are plain strings, not click.Path: a file that is missing is the user's in
 """
 
 import functools
+import math
 import os
 import re
 import shlex
@@ -120,6 +121,17 @@ class Seed(click.IntRange):
         return "x>=0"
 
 
+class Finite(click.FloatRange):
+    """A number in a range; NaN is in none, though no bound turns it away."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return found
+
+
 class Duration(click.ParamType):
     """A time such as 30s, 2min or 1.5h; a plain number counts seconds."""
 
@@ -160,7 +172,7 @@ camera = click.option(
 )
 depth_scale = click.option(
     "--depth-scale",
-    type=click.FloatRange(0, min_open=True),
+    type=Finite(0, min_open=True),
     metavar="MM",
     help="Millimetres for one unit of a 16-bit image; overrides the camera's. Default 1.",
 )

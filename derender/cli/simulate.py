@@ -34,7 +34,7 @@ class Percent(click.ParamType):
 @click.command()
 @click.argument("scenes", metavar="SCENE-or-DIR...", nargs=-1, required=True)
 @click.option(
-    "--duration", type=click.FloatRange(0, 3600, min_open=True), default=2.0, show_default=True, help="Seconds to run."
+    "--duration", type=options.Finite(0, 3600, min_open=True), default=2.0, show_default=True, help="Seconds to run."
 )
 @click.option(
     "--draws",
