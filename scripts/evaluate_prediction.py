@@ -7,9 +7,7 @@ prediction: the first half of a made film goes through `infer --track --dynamics
 still moves at the end of the second half? Beside it one film of the engine with MuJoCo's default friction of 1 and no
 restitution, from the same inferred state. tosses: real tosses of a cube (see the README of the real frames). Of some,
 half a second of poses at 30 frames a second, with errors like those of tracking, tells friction and restitution; they
-are pooled, and weighed by how far the engine then misses these tosses' poses half a second after their release: what it
-does at impacts differs from toss to toss, and only the whole way shows by how much. So other tosses, known at their
-release, are said to come to rest where the engine leads, give or take that scatter. What holds the truth is a region of
+are pooled (dynamics.prediction), and other tosses are predicted from their release. What holds the truth is a region of
 90 %.
 """
 
@@ -25,7 +23,7 @@ from derender.atomic import make_folder
 from derender.dynamics.engine import Engine, Material
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
-from derender.dynamics.prediction import come_to_rest, in_region, predict
+from derender.dynamics.prediction import Lesson, come_to_rest, in_region, lesson, pool, predict
 from derender.dynamics.states import moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -41,7 +39,6 @@ EVERY, SECONDS, MOST = 5, 0.5, 90  # of 148 poses a second; watched; intervals u
 POSE_ERROR = (0.0005, 0.005)  # metres and radians, of made tracked poses
 HEAD = "| {} | {} | in the 90 % region | median error, mm | default physics, mm | ratio |\n" + "|---" * 6 + "|"
 TEACHERS = 6  # tosses that tell the materials
-CANDIDATES = 120  # materials that are weighed by these
 
 
 def default_of(engine):
@@ -102,38 +99,15 @@ def tosses():
 
 
 def teach(states, step, matter, seed):
-    """Return mean and variances of log friction, restitution and the scales' logarithms, from one toss's beginning."""
+    """Return what the beginning of a toss tells, seen with errors like those of tracking."""
     rng = np.random.default_rng(seed)
-    states = states[: int(SECONDS / step) + 1]
     error = np.repeat(POSE_ERROR, 3)
     changes = np.zeros((len(states), 1, 12))
     changes[..., :6] = error * rng.standard_normal((len(states), 1, 6))
     covariances = np.tile(np.diag(error**2), (len(states), 1, 1, 1))
     poses = to_poses(moved(states, changes))
     motion = motion_of(matter, ("cube",), step * np.arange(len(states)), poses, covariances)
-    draws = identify(motion, rng).draws
-    points, weights = np.hstack([draws.coordinates, draws.logarithms]), np.exp(draws.log_weights)
-    mean = weights @ points
-    return mean, weights @ (points - mean) ** 2 + 1e-8
-
-
-def missed(engine, film, material):
-    """Return by how many square metres the engine misses where a toss (T, 1, 13) is after SECONDS."""
-    engine.tell(material)
-    frames = min(int(SECONDS / engine.interval) + 1, len(film))
-    return float(np.sum((engine.roll(film[0], frames)[-1, 0, :2] - film[frames - 1, 0, :2]) ** 2))
-
-
-def pooled(lessons):
-    """Return mean, its variance and the variance between films: random effects (DerSimonian and Laird 1986)."""
-    means, variances = (np.array(part) for part in zip(*lessons, strict=True))
-    weights = 1 / variances
-    centre = np.sum(weights * means, axis=0) / np.sum(weights, axis=0)
-    scatter = np.sum(weights * (means - centre) ** 2, axis=0)
-    freedom = np.sum(weights, axis=0) - np.sum(weights**2, axis=0) / np.sum(weights, axis=0)
-    spread = np.maximum((scatter - (len(means) - 1)) / freedom, 0.0)
-    weights = 1 / (variances + spread)
-    return np.sum(weights * means, axis=0) / np.sum(weights, axis=0), 1 / np.sum(weights, axis=0), spread
+    return lesson(identify(motion, rng), states)
 
 
 def kept(path, make):
@@ -178,31 +152,25 @@ def evaluate_tosses(count, first, keep):
         return
     folder = make_folder(keep) if keep else None
     films, step, matter = tosses()
-    lessons = []
+    lessons, rows = [], []
     for k in range(TEACHERS):
-        path = folder and folder / f"toss_lesson_{k:03d}.json"
-        made = kept(path, lambda k=k: [part.tolist() for part in teach(films[k], step, matter, k)])
-        lessons.append([np.array(part) for part in made])
-    mean, error, spread = pooled(lessons)
-    print(f"friction {np.exp(mean[0]):.3f}, restitution {mean[1]:.3f} (the source: .18, .13)")
-    print("errors: impact {:.3f}, steady {:.3f} as shares, tracking {:.2f} times".format(*np.exp(mean[2:])))
-    engine, sizes, rows = Engine(matter, ("cube",), step), np.array([matter.bodies[1].size[0]]), []
-    values = mean + np.sqrt(error + spread) * np.random.default_rng(0).standard_normal((CANDIDATES, len(mean)))
-    materials = [Material(float(np.exp(v[0])), float(np.clip(v[1], 0.0, 0.95)), engine.masses) for v in values]
-    square = np.array([sum(missed(engine, film, material) for film in films[:TEACHERS]) for material in materials])
-    weights = (square.min() / square) ** TEACHERS  # the scatter integrated out, its logarithm uniform before
-    weights /= weights.sum()
-    middle = np.exp(weights @ values[:, 0]), weights @ values[:, 1], np.sqrt(weights @ square / (2 * TEACHERS))
-    print("weighed by the whole way: friction {:.3f}, restitution {:.3f}, scatter {:.3f} m".format(*middle))
+        path, watched = folder and folder / f"toss_lesson_{k:03d}.json", films[k][: int(SECONDS / step) + 1]
+        taught = lambda k=k, watched=watched: [part.tolist() for part in teach(watched, step, matter, k)]  # noqa: E731
+        lessons.append(Lesson(*(np.array(part) for part in kept(path, taught)[:2]), watched))
+    engine = Engine(matter, ("cube",), step)
+    found = pool(lessons, engine, float(matter.bodies[1].size[0]), np.random.default_rng(0))
+    print(f"friction {np.exp(found.mean[0]):.3f}, restitution {found.mean[1]:.3f} (the source: .18, .13)")
+    print("errors: impact {:.3f}, steady {:.3f} as shares, tracking {:.2f} times".format(*np.exp(found.mean[2:])))
+    friction, restitution = (
+        found.weights @ [getattr(each, name) for each in found.materials] for name in ("friction", "restitution")
+    )
+    scatter = np.sqrt(found.weights @ found.missed / (2 * TEACHERS))
+    print(f"weighed by the whole way: friction {friction:.3f}, restitution {restitution:.3f}, scatter {scatter:.3f} m")
 
     def predict_toss(k):
-        rng, draws = np.random.default_rng(k), []
-        for chosen in rng.choice(CANDIDATES, DRAWS, p=weights):
-            scatter = np.sqrt(square[chosen] / rng.chisquare(2 * TEACHERS))
-            end = come_to_rest(engine, sizes, films[k][0], materials[chosen], MOST)[0, :2]
-            draws.append(end + scatter * rng.standard_normal(2))
-        usual = come_to_rest(engine, sizes, films[k][0], default_of(engine), MOST)[0, :2]
-        return row_of(np.array(draws), films[k][-1, 0, :2], usual)
+        draws = found.ends(films[k][0], np.random.default_rng(k), DRAWS, MOST)
+        usual = come_to_rest(engine, np.array([found.size]), films[k][0], default_of(engine), MOST)[0, :2]
+        return row_of(draws, films[k][-1, 0, :2], usual)
 
     for k in range(TEACHERS + first, TEACHERS + first + count):
         rows.append(kept(folder and folder / f"toss_{k:03d}.json", lambda k=k: predict_toss(k)))

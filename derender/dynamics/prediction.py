@@ -1,4 +1,13 @@
-"""What will happen: films of the engine from drawn states and materials, with the engine's errors at each impact."""
+"""What will happen: films of the engine from drawn states and materials, with the engine's errors at each impact.
+
+`predict` goes on with the film that told the materials. `pool` puts together what several films of one body tell, and
+`Pooled.ends` predicts others of which only the first state is known: there the engine's own errors at impacts are not
+enough, as bodies and grounds differ from throw to throw, so materials are weighed by how far the engine misses the ends
+of the films that taught them, and that scatter is added.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +20,8 @@ from derender.physics.mujoco_model import Diverged
 
 # A body rests where it is slower than this, m / s (turning: by its size), in so many intervals on end.
 RESTS, CALM = 0.02, 3
+# Materials that are weighed where films are pooled, and a variance that no film can tell a number better than.
+CANDIDATES, LEAST_VARIANCE = 120, 1e-8
 
 
 def come_to_rest(
@@ -83,3 +94,85 @@ def in_region(draws: np.ndarray, truth: np.ndarray, share: float = 0.9) -> bool:
     off = np.vstack([truth, draws]) - centre
     far = np.einsum("ki,ij,kj->k", off, inverse, off)
     return bool(far[0] <= np.quantile(far[1:], share))
+
+
+class Lesson(NamedTuple):
+    """What one film of a body tells.
+
+    Attributes
+    ----------
+    mean, variance : (P,) of log friction, restitution and the scales' logarithms.
+    states : (T, 1, 13), an engine's interval apart.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    states: np.ndarray
+
+
+def lesson(found: Identified, states: np.ndarray) -> Lesson:
+    """Return what a film with these states (T, 1, 13) was found to tell."""
+    points, weights = np.hstack([found.draws.coordinates, found.draws.logarithms]), np.exp(found.draws.log_weights)
+    mean = weights @ points
+    return Lesson(mean, weights @ (points - mean) ** 2 + LEAST_VARIANCE, states)
+
+
+def random_effects(means: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean (P,) of numbers that differ from film to film, and the variance of another film's.
+
+    means, variances : (L, P), of at least two films. Source: DerSimonian and Laird 1986.
+    """
+    weights = 1 / variances
+    centre = np.sum(weights * means, axis=0) / np.sum(weights, axis=0)
+    scatter = np.sum(weights * (means - centre) ** 2, axis=0)
+    freedom = np.sum(weights, axis=0) - np.sum(weights**2, axis=0) / np.sum(weights, axis=0)
+    spread = np.maximum((scatter - (len(means) - 1)) / freedom, 0.0)
+    weights = 1 / (variances + spread)
+    return np.sum(weights * means, axis=0) / np.sum(weights, axis=0), 1 / np.sum(weights, axis=0) + spread
+
+
+class Pooled(NamedTuple):
+    """What several films of one body tell together, in a frame whose z axis points up.
+
+    Attributes
+    ----------
+    engine : of that body. size : its mean side, metres. films : how many taught.
+    mean : (P,) of friction's logarithm, restitution and the scales' logarithms, before the materials were weighed.
+    materials : K of them, drawn about that mean. missed : (K,) m^2 by which the engine misses the films' ends, in sum.
+    weights : (K,), normalised.
+    """
+
+    engine: Engine
+    size: float
+    films: int
+    mean: np.ndarray
+    materials: list[Material]
+    missed: np.ndarray
+    weights: np.ndarray
+
+    def ends(self, state: np.ndarray, rng: np.random.Generator, count: int, most: int) -> np.ndarray:
+        """Return draws (count, 2) of where the body comes to rest from a state (1, 13), within `most` intervals.
+
+        Given a material, its scatter has the posterior of a normal error's in 2 L coordinates under a uniform prior on
+        its logarithm.
+        """
+        draws = np.empty((count, 2))
+        for row, chosen in enumerate(rng.choice(len(self.weights), count, p=self.weights)):
+            scatter = np.sqrt(self.missed[chosen] / rng.chisquare(2 * self.films))
+            end = come_to_rest(self.engine, np.array([self.size]), state, self.materials[chosen], most)
+            draws[row] = end[0, :2] + scatter * rng.standard_normal(2)
+        return draws
+
+
+def pool(lessons: Sequence[Lesson], engine: Engine, size: float, rng: np.random.Generator) -> Pooled:
+    """Return what films of one body tell together; at least two. See `Pooled`."""
+    mean, variance = random_effects(*(np.array(part) for part in list(zip(*lessons, strict=True))[:2]))
+    values = mean + np.sqrt(variance) * rng.standard_normal((CANDIDATES, len(mean)))
+    materials = [Material(float(np.exp(v[0])), float(np.clip(v[1], 0.0, 0.95)), engine.masses) for v in values]
+    missed = np.zeros(len(materials))
+    for k, material in enumerate(materials):
+        engine.tell(material)
+        for _, _, states in lessons:
+            missed[k] += np.sum((engine.roll(states[0], len(states))[-1, 0, :2] - states[-1, 0, :2]) ** 2)
+    weights = (missed.min() / missed) ** len(lessons)  # the scatter integrated out
+    return Pooled(engine, size, len(lessons), mean, materials, missed, weights / weights.sum())

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from derender.dynamics import prediction
 from derender.dynamics.engine import Engine, Material
 from derender.dynamics.errors import Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
-from derender.dynamics.prediction import come_to_rest, in_region, predict
+from derender.dynamics.prediction import Lesson, come_to_rest, in_region, pool, predict, random_effects
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.physics.bodies import Body, Matter
 
@@ -64,3 +65,31 @@ def test_the_first_half_of_a_slide_tells_where_it_ends():
     truth = speed**2 / (2 * friction * GRAVITY)  # .204 m, of which .154 are seen
     assert abs(np.median(ends) - truth) < 0.01
     assert np.quantile(ends, 0.02) < truth < np.quantile(ends, 0.98)
+
+
+def test_effects_that_differ_from_film_to_film_widen_what_another_film_may_be():
+    rng = np.random.default_rng(3)
+    truth = 1.0 + 0.5 * rng.standard_normal((2000, 1))
+    errors = rng.uniform(0.1, 0.4, (2000, 1))
+    mean, variance = random_effects(truth + errors * rng.standard_normal((2000, 1)), errors**2)
+    assert abs(mean[0] - 1.0) < 0.05 and abs(variance[0] / 0.25 - 1) < 0.1
+    alike = random_effects(np.full((4, 1), 2.0), np.full((4, 1), 0.01))
+    np.testing.assert_allclose(np.ravel(alike), [2.0, 0.01 / 4])
+
+
+def test_films_are_pooled_by_where_they_lead_and_their_misses_spread_the_ends(monkeypatch):
+    monkeypatch.setattr(prediction, "CANDIDATES", 40)
+    engine, friction, time = Engine(MATTER, ("box",), STEP), 0.3, STEP * np.arange(7)
+    lessons = []
+    for speed, off in ((0.8, 0.002), (0.9, -0.002)):  # metres by which the two films differ from the law
+        states = np.tile(start(speed), (7, 1, 1))
+        states[:, 0, 0] = speed * time - friction * GRAVITY * time**2 / 2
+        states[-1, 0, 0] += off
+        numbers = np.array([np.log(0.36), 0.0, *np.log([0.05, 0.01, 1.0])])
+        lessons.append(Lesson(numbers, np.array([0.2, 0.01, 0.1, 0.1, 0.1]) ** 2, states))
+    found = pool(lessons, engine, 0.067, np.random.default_rng(4))
+    said = found.weights @ [material.friction for material in found.materials]
+    assert abs(said - friction) < 0.02
+    ends = found.ends(start(0.6), np.random.default_rng(5), 60, 20)
+    assert abs(np.median(ends[:, 0]) - 0.6**2 / (2 * friction * GRAVITY)) < 0.005
+    assert 0.0005 < np.median(np.abs(ends[:, 1])) < 0.005
