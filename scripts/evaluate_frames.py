@@ -4,9 +4,10 @@
     python scripts/evaluate.py frames --only ycbv_0,tum_desk_1 --kinds plain,mirrored
     python scripts/evaluate.py frames --keep OUT --verbose                       with a picture and a line for each
 
-A variant shows the same scene: mirrored left-right, searched with another seed, without a twentieth of the image on
-each side, with every second row and column, with NOISE of the depth squared added, or without LOST of the returns.
-Labels go with the image. Told of each variant: recall of what a person tells from depth, the same with difficult
+A variant shows the same scene as another camera might: mirrored, searched with another seed, cropped, halved in
+resolution, turned by 90 degrees, rolled, with more noise, without LOST of the returns or those beside steps in depth
+(frayed), off by a slow bias, rounded to millimetres or to disparities, half or twice as far away and large (nearer,
+farther). Labels are looked up where their pixels went. Told of each variant: recall of what a person tells from depth, the same with difficult
 objects, precision, solids on what is labelled background, frames in which nothing was found though something is there,
 and `changed`, the share of labelled objects that are found in the variant but not in the frame as it is, or the other
 way round. Matching is that of score.py beside the labels: the object shows at the labelled pixel within NEAR of its
@@ -30,16 +31,28 @@ CROPPED = 0.05  # of the image on each side
 CUT = 0.1  # of a labelled box's sides that a crop may take before the object counts as difficult
 NOISE = 0.001  # metres at one metre, growing with the depth squared: half of what consumer sensors have
 LOST = 0.1  # share of the returns that are dropped
+ROLL = np.radians(12.0)  # by which a camera is turned about its optical axis
+STEP = 0.02  # share of the depth between neighbouring pixels of two surfaces
+FRAYED = 3  # pixels beside a step in depth that return nothing
+BIAS = 0.01  # share of the depth by which it is off at most
+ROUNDED = 0.005  # metres
+DISPARITY = 0.0029  # of inverse depth, 1/m: an eighth of a pixel of Kinect v1 (580 pixels by 75 mm)
 STREAM = 12  # seed of that noise and those losses
 
 
 class Frame(NamedTuple):
-    """A depth image (H, W) in metres, NaN = no return, its camera, what labels.json says of it, and a seed."""
+    """A depth image (H, W) in metres, NaN = no return, its camera, and what labels.json says of it.
+
+    source : (H, W, 2) int, row and column of each pixel in the frame as it is. seed : of inference. scale : times as
+    long are its lengths.
+    """
 
     depth: np.ndarray
     camera: Camera
     label: dict
+    source: np.ndarray
     seed: int = 1
+    scale: float = 1.0
 
 
 class Score(NamedTuple):
@@ -67,99 +80,110 @@ def read_frame(folder, name, label):
     path = folder / f"{name}.npy"
     depth = np.load(path).astype(float) if path.exists() else imageio.imread(folder / f"{name}.png") / 1000.0
     camera = Camera.from_file(folder / f"{name}_camera.json", depth.shape)
-    return Frame(np.where(depth > 0, depth, np.nan), camera, label)
+    source = np.stack(np.indices(depth.shape), axis=-1)
+    return Frame(np.where(depth > 0, depth, np.nan), camera, label, source)
 
 
 def seen_through(frame, rows, columns, camera):
-    """Return the Frame of chosen rows and columns, ints in the order in which they are taken, with the labels moved."""
+    """Return the Frame that a camera sees whose pixels lie at rows and columns (H', W') of the frame as it is.
 
-    def moved(numbers, chosen):
-        """Return where rows or columns lie among those chosen, and how far outside they are."""
-        order = np.argsort(chosen)
-        place = np.interp(numbers, chosen[order], order.astype(float))
-        return np.rint(place).astype(int), np.abs(np.asarray(numbers) - np.clip(numbers, chosen.min(), chosen.max()))
+    Between pixels of one surface the depth is interpolated (its inverse is affine on a plane), else it is the nearest.
+    """
+    y, x = np.rint(rows).astype(int), np.rint(columns).astype(int)
+    depth = frame.depth[y, x]
+    if (y != rows).any() or (x != columns).any():
+        from scipy.ndimage import map_coordinates
 
-    objects = []
-    kept = {}
-    for number, item in enumerate(frame.label["objects"]):
-        (x,), out_x = moved([item["pixel"][0]], columns)
-        (y,), out_y = moved([item["pixel"][1]], rows)
-        xs, over_x = moved([item["box"][0], item["box"][2]], columns)
-        ys, over_y = moved([item["box"][1], item["box"][3]], rows)
-        if max(out_x[0], out_y[0]) > 1:
-            continue
-        wide, high = item["box"][2] - item["box"][0] + 1, item["box"][3] - item["box"][1] + 1
-        cut = over_x.sum() > CUT * wide or over_y.sum() > CUT * high
-        kept[number] = len(objects)
-        box = [int(min(xs)), int(min(ys)), int(max(xs)), int(max(ys))]
-        objects.append({**item, "pixel": [int(x), int(y)], "box": box, "number": number,
-                        "difficult": bool(item.get("difficult") or cut)})  # fmt: skip
-    behind = []
-    for x, y in frame.label["background"]:
-        (c,), out_c = moved([x], columns)
-        (r,), out_r = moved([y], rows)
-        if max(out_c[0], out_r[0]) <= 1:
-            behind.append([int(c), int(r)])
-    label = {**frame.label, "objects": objects, "background": behind}
-    return Frame(np.ascontiguousarray(frame.depth[np.ix_(rows, columns)]), camera, label, frame.seed)
+        between = 1.0 / map_coordinates(1.0 / frame.depth, [rows, columns], order=1)
+        depth = np.where(np.abs(between - depth) < STEP * depth, between, depth)
+    return frame._replace(depth=np.ascontiguousarray(depth), camera=camera, source=np.stack([y, x], axis=-1))
 
 
-def whole(frame):
-    """Return all rows and columns of a Frame."""
-    return np.arange(frame.depth.shape[0]), np.arange(frame.depth.shape[1])
-
-
-def with_camera(camera, columns, rows, **changed):
-    """Return a Camera for so many columns and rows with some numbers changed."""
+def with_camera(camera, shape, **changed):
+    """Return a Camera of an image of this shape with some numbers changed."""
     numbers = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, **changed}
-    return Camera(**numbers, width=columns, height=rows)
-
-
-def plain(rng, frame):
-    """Return the frame as it is, its objects numbered."""
-    return seen_through(frame, *whole(frame), frame.camera)
+    return Camera(**numbers, width=shape[1], height=shape[0])
 
 
 def mirrored(rng, frame):
-    rows, columns = whole(frame)
-    camera = with_camera(frame.camera, len(columns), len(rows), cx=len(columns) - 1 - frame.camera.cx)
-    return seen_through(frame, rows, columns[::-1], camera)
-
-
-def another_seed(rng, frame):
-    return plain(rng, frame)._replace(seed=2)
+    rows, columns = np.indices(frame.depth.shape)
+    camera = with_camera(frame.camera, rows.shape, cx=rows.shape[1] - 1 - frame.camera.cx)
+    return seen_through(frame, rows, columns[:, ::-1], camera)
 
 
 def cropped(rng, frame):
-    rows, columns = (each[round(CROPPED * len(each)) : len(each) - round(CROPPED * len(each))] for each in whole(frame))
-    camera = with_camera(frame.camera, len(columns), len(rows), cx=frame.camera.cx - columns[0],
-                         cy=frame.camera.cy - rows[0])  # fmt: skip
+    top, left = (round(CROPPED * count) for count in frame.depth.shape)
+    rows, columns = np.indices(frame.depth.shape)[:, top:-top, left:-left]
+    camera = with_camera(frame.camera, rows.shape, cx=frame.camera.cx - left, cy=frame.camera.cy - top)
     return seen_through(frame, rows, columns, camera)
 
 
 def halved(rng, frame):
-    rows, columns = (each[::2] for each in whole(frame))
+    rows, columns = np.indices(frame.depth.shape)[:, ::2, ::2]
     half = {key: 0.5 * getattr(frame.camera, key) for key in ("fx", "fy", "cx", "cy")}
-    return seen_through(frame, rows, columns, with_camera(frame.camera, len(columns), len(rows), **half))
+    return seen_through(frame, rows, columns, with_camera(frame.camera, rows.shape, **half))
+
+
+def turned(rng, frame):
+    rows, columns = (np.rot90(index) for index in np.indices(frame.depth.shape))
+    old = frame.camera
+    numbers = {"fx": old.fy, "fy": old.fx, "cx": old.cy, "cy": columns.shape[0] - 1 - old.cx}
+    return seen_through(frame, rows, columns, with_camera(old, rows.shape, **numbers))
+
+
+def rolled(rng, frame):
+    """Turned by ROLL about the optical axis, and no larger than that all of it was seen."""
+    height, width = frame.depth.shape
+    cosine, sine = np.cos(ROLL), np.sin(ROLL)
+    share = 1.0 / (cosine + max(width / height, height / width) * sine)
+    shape = int(share * height) - 1, int(share * width) - 1
+    y, x = (index - 0.5 * (count - 1) for index, count in zip(np.indices(shape), shape, strict=True))
+    middle = 0.5 * (np.array([height, width]) - 1)
+    rows, columns = middle[0] + cosine * y + sine * x, middle[1] + cosine * x - sine * y
+    # Where the principal point comes to lie; pixels are taken for square.
+    down, right = frame.camera.cy - middle[0], frame.camera.cx - middle[1]
+    camera = with_camera(frame.camera, shape, cx=cosine * right + sine * down + 0.5 * (shape[1] - 1),
+                         cy=cosine * down - sine * right + 0.5 * (shape[0] - 1))  # fmt: skip
+    return seen_through(frame, rows, columns, camera)
 
 
 def noisier(rng, frame):
     noise = NOISE * np.nan_to_num(frame.depth) ** 2 * rng.standard_normal(frame.depth.shape)
-    return plain(rng, frame._replace(depth=frame.depth + noise))
+    return frame._replace(depth=frame.depth + noise)
 
 
-def sparser(rng, frame):
-    return plain(rng, frame._replace(depth=np.where(rng.random(frame.depth.shape) < LOST, np.nan, frame.depth)))
+def frayed(rng, frame):
+    """Without the returns within FRAYED pixels of a step in depth."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    low = minimum_filter(np.nan_to_num(frame.depth, nan=np.inf), 3)
+    high = maximum_filter(np.nan_to_num(frame.depth, nan=0.0), 3)
+    edge = maximum_filter(high - low > STEP * frame.depth, 2 * FRAYED - 1)
+    return frame._replace(depth=np.where(edge, np.nan, frame.depth))
+
+
+def biased(rng, frame):
+    """Depths off by a share of up to BIAS that changes slowly over the image."""
+    y, x = (np.linspace(-1.0, 1.0, count) for count in frame.depth.shape)
+    return frame._replace(depth=frame.depth * (1.0 + BIAS * np.outer(np.cos(2.0 * y), np.sin(2.0 * x))))
 
 
 VARIANTS = {
-    "plain": plain,
+    "plain": lambda rng, frame: frame,
+    "seed": lambda rng, frame: frame._replace(seed=2),
     "mirrored": mirrored,
-    "seed": another_seed,
     "cropped": cropped,
     "halved": halved,
+    "turned": turned,
+    "rolled": rolled,
     "noisier": noisier,
-    "sparser": sparser,
+    "sparser": lambda rng, f: f._replace(depth=np.where(rng.random(f.depth.shape) < LOST, np.nan, f.depth)),
+    "frayed": frayed,
+    "biased": biased,
+    "rounded": lambda rng, frame: frame._replace(depth=ROUNDED * np.rint(frame.depth / ROUNDED)),
+    "disparity": lambda rng, frame: frame._replace(depth=1.0 / (DISPARITY * np.rint(1.0 / frame.depth / DISPARITY))),
+    "nearer": lambda rng, frame: frame._replace(depth=0.5 * frame.depth, scale=0.5),
+    "farther": lambda rng, frame: frame._replace(depth=2.0 * frame.depth, scale=2.0),
 }
 
 
@@ -172,24 +196,51 @@ def overlap(one, other):
     return both / (sum(areas) - both)
 
 
-def box_of(mask):
-    """Return the box (c0, r0, c1, r1) of the pixels of a mask, None where there are none."""
-    rows, columns = np.nonzero(mask)
-    return (columns.min(), rows.min(), columns.max(), rows.max()) if len(rows) else None
+def box_of(pixels):
+    """Return the box (c0, r0, c1, r1) of pixels (N, 2), rows and columns; None where there are none."""
+    return (*pixels.min(axis=0)[::-1], *pixels.max(axis=0)[::-1]) if len(pixels) else None
+
+
+def in_variant(frame):
+    """Return (labelled objects, background pixels) of a Frame as far as they are seen in it.
+
+    An object has its number in labels.json, its pixel in the variant, and its box as far as the variant shows it, in
+    pixels of the frame as it is; cut by the variant's border it counts as difficult.
+    """
+    source, objects = frame.source.reshape(-1, 2), []
+
+    def place(x, y):
+        """Return the row and column at which a pixel is seen, None where it is not."""
+        apart = np.abs(source - [y, x]).max(axis=1)
+        nearest = int(np.argmin(apart))
+        return np.unravel_index(nearest, frame.depth.shape) if apart[nearest] <= 1 else None
+
+    for number, item in enumerate(frame.label["objects"]):
+        box = np.array(item["box"])
+        inside = source[((source >= box[1::-1]) & (source <= box[:1:-1])).all(axis=1)]
+        if (pixel := place(*item["pixel"])) is None or len(inside) == 0:
+            continue
+        seen = np.array([*inside.min(axis=0)[::-1], *inside.max(axis=0)[::-1]])
+        lost = np.abs(seen - box).reshape(2, 2) - 1  # of a halved image the last row may be left out
+        cut = (lost.sum(axis=0) > CUT * (box[2:] - box[:2] + 1)).any()
+        objects.append({"number": number, "pixel": pixel, "box": seen, "difficult": bool(item.get("difficult") or cut)})
+    behind = [pixel for x, y in frame.label["background"] if (pixel := place(x, y)) is not None]
+    return objects, behind
 
 
 def score(frame, posterior, seconds):
     """Return the Score of what was found in a Frame."""
-    told, objects = posterior.explanation, frame.label["objects"]
-    boxes = [box_of(told.label == k) for k in range(len(told.names))]
+    told = posterior.explanation
+    objects, background = in_variant(frame)
+    boxes = [box_of(frame.source[told.label == k]) for k in range(len(told.names))]
 
-    def shown(x, y):
+    def shown(pixel):
         """Return which solid shows at a pixel, within NEAR of its depth; negative: none."""
-        return int(told.label[y, x]) if abs(told.depth[y, x] - frame.depth[y, x]) < NEAR else -1
+        return int(told.label[pixel]) if abs(told.depth[pixel] - frame.depth[pixel]) < NEAR * frame.scale else -1
 
     pairs = []
     for j, item in enumerate(objects):
-        k = shown(*item["pixel"])
+        k = shown(item["pixel"])
         if k >= 0 and boxes[k] is not None and (share := overlap(boxes[k], item["box"])) >= IOU:
             pairs.append((share, j, k))
     at: dict[int, int] = {}
@@ -197,7 +248,7 @@ def score(frame, posterior, seconds):
         if j not in at and k not in at.values():
             at[j] = k
     easy = [item["number"] for item in objects if not item["difficult"]]
-    behind = {k for x, y in frame.label["background"] if (k := shown(x, y)) >= 0 and k not in at.values()}
+    behind = {k for pixel in background if (k := shown(pixel)) >= 0 and k not in at.values()}
     found = sorted(objects[j]["number"] for j in at)
     empty = bool(easy) and not told.names
     return Score(found, easy, len(objects), len(told.names), frame.label["complete"], len(behind), empty, seconds,
@@ -220,11 +271,12 @@ def draw_picture(path, frame, posterior):
     missed = told.label == -3  # unexplained
     picture[missed] = 0.5 * picture[missed] + [0.5, 0.0, 0.5]
     beside = np.repeat(grey[..., None], 3, axis=2)
-    for item in frame.label["objects"]:
-        c0, r0, c1, r1 = np.clip(item["box"], 0, [depth.shape[1] - 1, depth.shape[0] - 1] * 2)
-        bright = 0.6 if item["difficult"] else 1.0
+    for item in in_variant(frame)[0]:
+        low, high = item["box"][1::-1], item["box"][:1:-1]
+        inside = ((frame.source >= low) & (frame.source <= high)).all(axis=2)
+        outline = inside & ~((frame.source > low + 1) & (frame.source < high - 1)).all(axis=2)
         for image in (picture, beside):
-            image[[r0, r1], c0 : c1 + 1] = image[r0 : r1 + 1, [c0, c1]] = bright
+            image[outline] = 0.6 if item["difficult"] else 1.0
     imageio.imwrite(path, (255 * np.clip(np.hstack([beside, picture]), 0, 1)).astype(np.uint8))
 
 
