@@ -7,11 +7,11 @@
 A variant shows the same scene as another camera might: mirrored, searched with another seed, cropped, halved in
 resolution, turned by 90 degrees, rolled, with more noise, without LOST of the returns or those beside steps in depth
 (frayed), off by a slow bias, rounded to millimetres or to disparities, half or twice as far away and large (nearer,
-farther). Labels are looked up where their pixels went. Told of each variant: recall of what a person tells from depth, the same with difficult
-objects, precision, solids on what is labelled background, frames in which nothing was found though something is there,
-and `changed`, the share of labelled objects that are found in the variant but not in the frame as it is, or the other
-way round. Matching is that of score.py beside the labels: the object shows at the labelled pixel within NEAR of its
-depth and its image box overlaps the labelled one by IOU or more.
+farther). Labels are looked up where their pixels went. Told of each variant: recall of what a person tells from depth,
+the same with difficult objects, precision, solids on what is labelled background, frames in which nothing was found
+though something is there, and `changed`, the share of labelled objects that are found in the variant but not in the
+frame as it is, or the other way round. Matching is that of score.py beside the labels: the object shows at the
+labelled pixel within NEAR of its depth and its image box overlaps the labelled one by IOU or more.
 """
 
 import json

@@ -10,7 +10,9 @@ from derender.detection.floor import back_project
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
 
 ROUNDS, WITHIN = 6, 3.0  # of leaving out what is no floor, and beyond how many standard deviations that is
-BETTER = 0.8  # of the scatter about the plane that is left about a surface worth taking
+ORDERS = 2, 4  # of the polynomial: a sensor's bias and a carpet; a bin, whose floor rises towards all its walls
+BETTER = 0.8  # of the scatter that is left about a surface worth taking, instead of about the one before it
+FEWEST = 100  # pixels of the floor: fewer tell no bend
 STEEPEST = 0.15  # sine of the angle between ray and floor below which the bend is taken along the ray no further
 MOST = 3.0  # standard deviations of consumer sensors that a bend amounts to at most
 
@@ -18,36 +20,41 @@ MOST = 3.0  # standard deviations of consumer sensors that a bend amounts to at 
 def bend_of(depth, floor, camera):
     """Return (H, W) metres to add to a depth image so that its floor is a plane; zeros where it is one as it is.
 
-    The floor's height over its plane is taken as quadratic in rows and columns, fitted robustly to its inliers, and no
-    more anywhere than it is among them.
+    The floor's height over its plane is taken as a polynomial of rows and columns, fitted robustly to its inliers, of a
+    higher order where that leaves clearly less, and no more anywhere than it is among them.
 
     depth : (H, W) float64 metres, NaN = no return. floor : Floor.
     """
     none = np.zeros(depth.shape)
-    if floor.inliers.sum() < 100:
+    if floor.inliers.sum() < FEWEST:
         return none
     normal = floor.pose[:3, 2]
-    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
+    seen = ((back_project(depth, camera) - floor.pose[:3, 3]) @ normal)[floor.inliers]
     row, column = (np.linspace(-1.0, 1.0, count) for count in depth.shape)
     y, x = np.meshgrid(row, column, indexing="ij")
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    there, seen = terms[floor.inliers], height[floor.inliers]
-    before = scatter(seen)
-    kept, after = np.abs(seen) < WITHIN * before, before
+    bend, before = none, scatter(seen)
+    for order in ORDERS:
+        terms = np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)], axis=-1)
+        numbers, after = robust_fit(terms[floor.inliers], seen)
+        if after > BETTER * before:
+            continue
+        surface = terms @ numbers
+        fitted = surface[floor.inliers][np.abs(surface[floor.inliers] - seen) < WITHIN * after]
+        bend, before = np.clip(surface, fitted.min(), fitted.max()), after
+    most = MOST * sensor_deviation(float(np.median(depth[floor.inliers])))
+    slope = -(back_project(np.ones_like(depth), camera) @ normal)
+    return np.clip(bend, -most, most) / np.maximum(slope, STEEPEST)
+
+
+def robust_fit(terms, seen):
+    """Return (the numbers by which terms (N, K) explain most of what is seen (N,), metres that the rest scatters)."""
+    kept = np.abs(seen) < WITHIN * scatter(seen)
     for _ in range(ROUNDS):
-        if kept.sum() < 50:
-            return none
-        numbers = np.linalg.lstsq(there[kept], seen[kept], rcond=None)[0]
-        residual = seen - there @ numbers
+        numbers = np.linalg.lstsq(terms[kept], seen[kept], rcond=None)[0]
+        residual = seen - terms @ numbers
         after = scatter(residual)
         kept = np.abs(residual) < WITHIN * after
-    if after > BETTER * before:
-        return none
-    fitted = there[kept] @ numbers
-    most = MOST * sensor_deviation(float(np.median(depth[floor.inliers])))
-    bend = np.clip(np.clip(terms @ numbers, fitted.min(), fitted.max()), -most, most)
-    slope = -(back_project(np.ones_like(depth), camera) @ normal)
-    return bend / np.maximum(slope, STEEPEST)
+    return numbers, after
 
 
 def sensor_deviation(depth):

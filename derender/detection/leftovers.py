@@ -7,6 +7,7 @@ only, be it a solid that fits or a free-form thing.
 
 import numpy as np
 
+from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
 from derender.detection.search.greedy import complexity, sweep, total_energy, try_cubes
 from derender.detection.search.surface import Hypothesis
@@ -17,7 +18,7 @@ from derender.detection.solids.support import assign_supports
 from derender.detection.things import BAD, ENDS, INNER, LARGEST, cost_of, support_of
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
-LEFT_LEAST = 15.0  # nats of such a thing: of those below hardly one in ten is an object
+LEFT_LEAST = 15.0  # nats of such a solid at least
 LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
 NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
 ROUNDS, YAWS = 200, 6  # of polishing a solid in its place; ways in which a box is turned at first
@@ -40,16 +41,17 @@ def leftovers(rng, seen, state, settings):
     for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
         mask = piece == k
         low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
-        gain = float(misfit[mask].sum()) - settings.temper * LEFT_PRICE
+        gain = float(misfit[mask].sum())
         if (
-            gain > settings.temper * LEFT_LEAST
+            existence_of(seen, mask, gain, settings)[0] > LEAST_EXISTENCE
             and interior(mask).sum() >= INNER * mask.sum()
             and high[2] > max(LEFT_HEIGHT, settings.uneven)
             and max(high[:2] - low[:2]) < LARGEST
             and not goes_on(seen.points, mask, shows, cost.normal, jump)
         ):
             with_it, gained = with_solid(rng, seen, state, mask, settings)
-            if gained > max(gain - settings.temper * cost.numbers[mask].sum(), settings.temper * LEFT_LEAST):
+            cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers[mask].sum())
+            if cheaper > 0.0 and gained > settings.temper * LEFT_LEAST:
                 state = with_it
                 continue
             found.append((mask, gain))

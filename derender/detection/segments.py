@@ -19,8 +19,9 @@ NECK = 0.25  # of the side of the square as large as the smaller piece, that a c
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece
 RIM = 40  # pixels of a piece that may be the inside or the outside of another
-CLOSE = 0.06  # metres between pieces of one thing, with nothing between but its bottom or what returned nothing
-SAME_TOP = 0.02  # metres between their highest points
+# Of the narrower one's width as the camera sees it: how far apart they may be, with nothing between but the bottom or
+# what returned nothing, how much higher one, and how much wider both together.
+CLOSE, SAME_TOP, WIDER = 0.6, 0.2, 1.6
 BEHIND = 0.7  # cosine between the way from the camera and that from one piece to the other
 # Most times the pieces' outlines, seen from above, that their common outline may hold, and most times as deep as wide
 # that it may be as the camera sees it: two mugs, one behind the other, are twice as deep.
@@ -153,28 +154,28 @@ def joined(points, label, count, edges, price, nats, origin, area):
 def one_rim(first, second, origin):
     """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
 
-    They are close, one behind the other as the camera sees them, equally high, and complement each other seen from
-    above: their common outline holds hardly more than theirs do, and is about as wide as it is deep.
+    They are close, one behind the other as the camera sees them, equally wide and high, and complement each other
+    seen from above: their common outline holds hardly more than theirs do, and is about as wide as it is deep.
     """
-    if abs(np.quantile(first[:, 2], 0.98) - np.quantile(second[:, 2], 0.98)) > SAME_TOP:
-        return False
     middle, other = first[:, :2].mean(axis=0), second[:, :2].mean(axis=0)
     away, apart = 0.5 * (middle + other) - origin[:2], other - middle
     if abs(away @ apart) < BEHIND * np.linalg.norm(away) * np.linalg.norm(apart):
         return False
-    a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
-    apart = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
-    if apart.min() > CLOSE**2:
-        return False
-    sight = np.array([away, [-away[1], away[0]]])
+    sight = np.array([away, [-away[1], away[0]]]) / np.linalg.norm(away)
     deep, wide = np.ptp(np.vstack([first, second])[:, :2] @ sight.T, axis=0)
-    if deep > DEEPER * wide:
+    narrow = min(np.ptp(cloud[:, :2] @ sight[1]) for cloud in (first, second))
+    tops = [np.quantile(cloud[:, 2], 0.98) for cloud in (first, second)]
+    if deep > DEEPER * wide or wide > WIDER * narrow or abs(tops[0] - tops[1]) > SAME_TOP * narrow:
+        return False
+    a, b = (cloud[:: max(1, len(cloud) // MOST_POINTS)] for cloud in (first, second))
+    square = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
+    if square.min() > (CLOSE * narrow) ** 2:
         return False
     return outline_area(np.vstack([first, second])) < FILLED * (outline_area(first) + outline_area(second))
 
 
 def outline_area(points):
-    """Return the area of the outline of points (K, 3) seen from above."""
+    """Return the area of the outline of points (K, 3) seen from above, or of points (K, 2)."""
     corners = convex_outline(np.ascontiguousarray(points[:, :2]))
     if corners is None:
         return 0.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
+from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.local_planes import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import complexity, total_energy
@@ -61,13 +62,13 @@ class Thing(NamedTuple):
     mask : (H, W) bool, the pixels that show it.
     row : (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on.
     parent : FLOOR, or the index of the solid that it stands on.
-    gain : nats by which it explains its pixels better than what the search had for them, tempered as the image is.
+    existence : (probability that it is an object and no clutter, standard error of that).
     """
 
     mask: np.ndarray
     row: np.ndarray
     parent: int
-    gain: float
+    existence: tuple[float, float]
 
 
 class Cost(NamedTuple):
@@ -81,8 +82,9 @@ class Cost(NamedTuple):
 def take_things(seen, state, settings, reluctance=0.0):
     """Return (State of the solids that stay, [(mask, gain)] of what is free-form) that explain the image best.
 
-    A mask is (H, W) bool, a gain what `Thing` says of it. What is free-form explains its pixels from then on: the image
-    has them as they are seen, so that solids leave them alone.
+    A mask is (H, W) bool, a gain the nats, tempered as the image is, by which the thing explains its pixels better than
+    what the search had for them. What is free-form explains its pixels from then on: the image has them as they are
+    seen, so that solids leave them alone.
 
     seen : Observation; its image is changed. state : State of the solids that the search found.
     reluctance : nats by which a free-form thing must be better than the solids that it takes the place of.
@@ -103,6 +105,21 @@ def take_things(seen, state, settings, reluctance=0.0):
     for mask, _ in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
+
+
+def likely_things(seen, state, masks, settings):
+    """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen.
+
+    masks : [(mask, gain in tempered nats)].
+    """
+    behind, found = seen.behind.copy(), []
+    for mask, gain in masks:
+        existence = existence_of(seen, mask, gain, settings)
+        if existence[0] < LEAST_EXISTENCE:
+            behind |= mask
+        else:
+            found.append(made_thing(seen, state, mask, existence))
+    return seen._replace(behind=behind), found
 
 
 def cost_of(seen, jump):
@@ -331,7 +348,7 @@ def support_of(points, state):
     return parent, bottom
 
 
-def made_thing(seen, state, mask, gain):
+def made_thing(seen, state, mask, existence):
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
     Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last,
@@ -362,4 +379,4 @@ def made_thing(seen, state, mask, gain):
     if axis is None and size[k] < SHALLOW * usual:
         ends[int(away[k] > 0.0), k] += np.sign(away[k]) * (DEPTH * usual - size[k])
     size = np.maximum(ends[1] - ends[0], THINNEST)
-    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, gain)
+    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, existence)

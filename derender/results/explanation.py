@@ -47,6 +47,8 @@ def explain(
     noise: float = 0.0,
     background: np.ndarray | None = None,
     bent: np.ndarray | None = None,
+    bend: np.ndarray | float = 0.0,
+    coarse: int = 1,
 ) -> Explanation:
     """Return the Explanation of an image by a scene.
 
@@ -57,7 +59,10 @@ def explain(
     background : (H, W) bool, pixels that show neither floor nor solid; each is explained by the mean of the surface
         about it (a plane is its own), so that single outliers are not.
     bent : (H, W) bool, pixels of the floor that the model takes as the sensor bends them: they show the floor
-        where they are off its plane by no more than MOST_BENT of the depth.
+        where they are off its plane by no more than MOST_BENT of the depth. bend : (H, W) metres by which the floor
+        is seen nearer than its plane.
+    coarse : pixels of this image by which the silhouettes of free-form things may be off, which were found in a
+        reduced one: what goes on beyond them without a step, and nothing else explains, is theirs.
     """
     solids = graph.solids()
     depth, index = render_depth(solids, camera)
@@ -67,6 +72,7 @@ def explain(
         numbers.append(FLOOR if plane else len(names))
         names += [] if plane else [name]
     label = np.array([*numbers, UNEXPLAINED], np.int32)[index]  # -1, where nothing is hit, is the last
+    depth = np.where(label == FLOOR, depth - bend, depth)
     valid = np.isfinite(seen) & (seen > 0)
     filled = np.where(valid, seen, 0.0)
     if background is not None:
@@ -82,7 +88,31 @@ def explain(
         depth[floor] = smooth_surface(filled, floor)[floor]
         missed &= ~floor
     label[missed], depth[missed] = UNEXPLAINED, np.nan
+    free = np.array([graph.vertex(name).shape == "thing" for name in names], bool)
+    for _ in range(coarse if free.any() else 0):
+        grow(label, depth, filled, free)
     return Explanation(label, depth.astype(np.float32), tuple(names))
+
+
+@njit(cache=True, nogil=True)
+def grow(label, depth, seen, free):
+    """Let unexplained pixels join the free-form thing of a neighbour without a step between them, in place.
+
+    free : (N,) bool, which objects are free-form.
+    """
+    height, width = label.shape
+    before = label.copy()
+    for j in range(height):
+        for i in range(width):
+            if before[j, i] != UNEXPLAINED or not seen[j, i] > 0.0:
+                continue
+            for way in range(4):
+                v = j + (1 if way == 0 else -1 if way == 1 else 0)
+                u = i + (1 if way == 2 else -1 if way == 3 else 0)
+                if v < 0 or v >= height or u < 0 or u >= width or before[v, u] < 0 or not free[before[v, u]]:
+                    continue
+                if abs(seen[v, u] - seen[j, i]) < STEP * seen[j, i]:
+                    label[j, i], depth[j, i] = before[v, u], seen[j, i]
 
 
 @njit(cache=True, nogil=True)

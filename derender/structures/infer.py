@@ -20,7 +20,7 @@ from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.solids.support import final_parents
-from derender.detection.things import compounds, made_thing, take_things, without_background
+from derender.detection.things import compounds, likely_things, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.pose import inverse
@@ -49,7 +49,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
         if returns_about(seen) < SPECKLED:
             coarser = observe(depth, camera, widest // 2, plane, settings.may_float)
             seen = coarser if coarser.no_floor else seen
-        return State(), with_freestanding(seen)
+        return State(), with_freestanding(seen, settings)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
         closer = observe(depth, camera, wanted, plane, settings.may_float)
@@ -89,8 +89,8 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
             masks += more
     state.parents = final_parents(state)
     state = state.ordered()
-    return state, seen._replace(things=tuple(made_thing(seen, state, mask, gain / settings.temper)
-                                            for mask, gain in masks))  # fmt: skip
+    seen, things = likely_things(seen, state, masks, settings)
+    return state, seen._replace(things=tuple(things))
 
 
 def returns_about(seen):
@@ -102,13 +102,20 @@ def returns_about(seen):
     return float((about * inner).sum() / max(8.0 * inner.sum(), 1.0))
 
 
-def with_freestanding(seen):
-    """Return the Observation of an image without a floor with what stands free of its surroundings as its things."""
+def with_freestanding(seen, settings):
+    """Return the Observation of an image without a floor with what stands free of its surroundings as its things.
+
+    What such a piece explains cannot be told without what else might be there: it counts as much as leaves it open.
+    """
     good = seen.image.weight > 0
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * sensor_deviation(seen.image.depth))
     masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin)
-    things = tuple(made_thing(seen, State(), mask, 0.0) for mask in masks)
-    return seen._replace(things=things, behind=good & ~np.any(masks, axis=0) if masks else good)
+    if masks:
+        seen = seen._replace(behind=good & ~np.any(masks, axis=0))
+    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
+    even = beliefs.loose.existence.even * settings.temper
+    seen, things = likely_things(seen, State(), [(mask, even) for mask in masks], settings)
+    return seen._replace(things=tuple(things))
 
 
 def searched_well(rng, seen, hypotheses, settings, pool):
@@ -267,8 +274,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "no_floor": seen.no_floor, "interrupted": interrupted,
-            "existence": {thing_name(k): loose.existence.of(thing.gain, seen.no_floor)
-                          for k, thing in enumerate(seen.things)},
+            "existence": {thing_name(k): thing.existence for k, thing in enumerate(seen.things)},
             "hidden_expected": likeliest.extras.get("hidden_expected"),
             "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
@@ -317,7 +323,8 @@ def explanation_of(graph, seen, depth, camera):
     for thing in seen.things:
         bent &= ~thing.mask
     behind, bent = (of_whole_image(mask, seen, depth.shape) for mask in (seen.behind, bent))
-    return explain(graph, depth, camera, seen.floor.sigma, behind, bent)
+    bend = 0.0 if seen.bend is None else of_whole_image(seen.bend, seen, depth.shape)
+    return explain(graph, depth, camera, seen.floor.sigma, behind, bent, bend, seen.factor)
 
 
 def of_whole_image(mask, seen, shape):

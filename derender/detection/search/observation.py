@@ -122,7 +122,9 @@ def on_its_floor(depth, camera, factor, floor, rounding, floating):
         floor = floor_beside(floor, depth, camera, seen.mask)
     if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
         raise NoFloor("no plane is one that things could stand on")
-    return tell_apart(depth, camera, factor, floor, None, rounding, floating)._replace(bend=bend)
+    straight = tell_apart(depth, camera, factor, floor, None, rounding, floating)
+    # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
+    return straight._replace(bend=bend, correlation=seen.correlation)
 
 
 def without_floor(depth, camera, factor, rounding):

@@ -22,7 +22,8 @@ class Existence:
 
     Attributes
     ----------
-    even : nats gained at which it is as likely as not. steep : power with which the odds grow with the nats.
+    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see detection.things; nats
+        count with the square of that. steep : power with which the odds grow with the nats.
     most : the most that is said. error : standard error of that; error_at_even : at even odds.
     """
 
@@ -31,10 +32,11 @@ class Existence:
     most: float = 0.95
     error: float = 0.05
     error_at_even: float = 0.15
+    outstanding: float = 0.5
 
-    def of(self, gain: float, no_floor: bool = False) -> tuple[float, float]:
-        """Return (probability, standard error) for a gain in nats; without a floor it is as likely as not."""
-        gain = self.even if no_floor else gain
+    def of(self, gain: float, outstanding: float) -> tuple[float, float]:
+        """Return (probability, standard error) for a gain in nats of a thing that stands out so much."""
+        gain *= (outstanding / self.outstanding) ** 2
         share = 1.0 / (1.0 + (self.even / max(gain, 1e-9)) ** self.steep)
         return self.most * share, math.hypot(self.error * share, self.error_at_even * 4.0 * share * (1.0 - share))
 
@@ -143,7 +145,14 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
-EXISTENCE = {"even": None, "steep": None, "most": 1.0, "error": 1.0, "error_at_even": 1.0}  # and their greatest values
+EXISTENCE = {
+    "even": None,
+    "steep": None,
+    "most": 1.0,
+    "error": 1.0,
+    "error_at_even": 1.0,
+    "outstanding": 1.0,
+}  # and their greatest values
 NUMBERS = {"slack": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 

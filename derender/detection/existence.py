@@ -1,0 +1,34 @@
+"""Whether what shows as a free-form thing is an object: how much of the image it explains, and how it stands out."""
+
+import numpy as np
+
+from derender.detection.freestanding import FARTHER, JOINED, outline_shares
+from derender.detection.search.bodies import APART
+from derender.detection.segments import outline_area
+from derender.detection.solids.beliefs import bare_image
+
+LEAST_EXISTENCE = 0.5  # probability that a thing of the best scene is an object
+
+
+def existence_of(seen, mask, gain, settings):
+    """Return (probability, standard error) that what a mask (H, W) shows is an object; gain : in tempered nats."""
+    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
+    return beliefs.loose.existence.of(gain / settings.temper, outstanding(seen, mask))
+
+
+def outstanding(seen, mask):
+    """Return how much what a mask (H, W) shows stands out, 1 at most: the share of its outline's hull that it fills,
+    times the share of its outline beyond which something farther is seen, or the floor that it stands on.
+
+    Clutter, such as leaves or the edge of a bin, is ragged or goes on behind what hides it, and a piece of something
+    goes on there; where nothing returned beyond the outline nothing tells what it is.
+    """
+    good = seen.image.weight > 0
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    piece = np.where(mask, 0, -1).astype(np.int32)
+    around, floor = (outline_shares(piece, 1, seen.points, beyond, jump, seen.footprint, seen.image.origin)[0]
+                     for beyond in (good, good & (mask | ~seen.mask)))  # fmt: skip
+    rows, columns = np.nonzero(mask)
+    pixels = np.column_stack([rows, columns])
+    corners = np.concatenate([pixels + [down, across] for down in (-0.5, 0.5) for across in (-0.5, 0.5)])
+    return float((around[FARTHER] + min(floor[JOINED], around[JOINED])) * len(rows) / outline_area(corners))
