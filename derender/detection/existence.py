@@ -31,4 +31,14 @@ def outstanding(seen, mask):
     rows, columns = np.nonzero(mask)
     pixels = np.column_stack([rows, columns])
     corners = np.concatenate([pixels + [down, across] for down in (-0.5, 0.5) for across in (-0.5, 0.5)])
-    return float((around[FARTHER] + min(floor[JOINED], around[JOINED])) * len(rows) / outline_area(corners))
+    filled = min(1.0, len(rows) / outline_area(corners) / returns_about(seen))
+    return float((around[FARTHER] + min(floor[JOINED], around[JOINED])) * filled)
+
+
+def returns_about(seen):
+    """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
+    good = np.pad((seen.image.weight > 0).astype(float), 1)
+    about = good[:, :-2] + good[:, 1:-1] + good[:, 2:]
+    about = about[:-2] + about[1:-1] + about[2:] - good[1:-1, 1:-1]
+    inner = good[1:-1, 1:-1]
+    return float((about * inner).sum() / max(8.0 * inner.sum(), 1.0))

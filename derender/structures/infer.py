@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from derender.detection.bend import sensor_deviation
+from derender.detection.existence import returns_about
 from derender.detection.freestanding import freestanding
 from derender.detection.given_floor import read_floor
 from derender.detection.leftovers import leftovers
@@ -91,15 +92,6 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     state = state.ordered()
     seen, things = likely_things(seen, state, masks, settings)
     return state, seen._replace(things=tuple(things))
-
-
-def returns_about(seen):
-    """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
-    good = np.pad((seen.image.weight > 0).astype(float), 1)
-    about = good[:, :-2] + good[:, 1:-1] + good[:, 2:]
-    about = about[:-2] + about[1:-1] + about[2:] - good[1:-1, 1:-1]
-    inner = good[1:-1, 1:-1]
-    return float((about * inner).sum() / max(8.0 * inner.sum(), 1.0))
 
 
 def with_freestanding(seen, settings):

@@ -5,8 +5,10 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, seen_on_the_table
 
+from derender.detection.existence import outstanding
 from derender.detection.leftovers import goes_on, interior
 from derender.detection.search.bodies import APART
+from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row
@@ -193,3 +195,14 @@ def test_a_box_that_could_not_stand_is_the_face_of_something_else():
     tilted = rotation_x(0.6)
     low = 0.5 * (0.1 * np.sin(0.6) + 0.01 * np.cos(0.6))
     assert alone(tilted, [0.1, 0.1, 0.01], low, FREE) == (0,)
+
+
+def test_what_is_ragged_or_hidden_stands_out_less():
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.12, 0.12, 0.1), None)])
+    seen = observe(image, CAMERA)
+    whole = outstanding(seen, seen.mask)
+    rows, columns = np.indices(seen.mask.shape)
+    assert whole > 0.8
+    assert outstanding(seen, seen.mask & ((rows + columns) % 4 < 2)) < 0.5 * whole  # stripes
+    left = seen.mask & (columns < np.median(columns[seen.mask]))
+    assert outstanding(seen, left) < 0.9 * whole  # goes on as what stands there too
