@@ -38,6 +38,7 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.standing import log_standing
 from derender.structures.weighing import (
+    IMPROBABLE,
     NEAR_ERROR,
     Block,
     Weighed,
@@ -59,7 +60,6 @@ SQUARER = 0.87  # times as wide as a circle is a square of about the same outlin
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
-VERY_IMPROBABLE = 15.0  # as IMPROBABLE, of a structure that differs in all
 QUICK = 50  # steps of each temperature for one changed solid
 
 
@@ -293,7 +293,7 @@ def weighed_whole(rng, best, states, rules, steps):
     everyone = (best, *trials)
     near = [evidence_of(near_evidence(each) + log_standing(each.state, rules), NEAR_ERROR) for each in everyone]
     first = max(each.log for each in near)
-    likely = [k for k in range(len(near)) if near[k].log > first - VERY_IMPROBABLE]
+    likely = [k for k in range(len(near)) if near[k].log > first - IMPROBABLE]
     tasks = [partial(evidence_over, refined=everyone[k], rules=rules) for k in likely]
     if len(likely) > 1:
         for k, found in zip(likely, in_threads(rng, tasks), strict=True):

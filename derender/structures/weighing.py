@@ -35,9 +35,9 @@ from derender.structures.draws.refined import (
 )
 from derender.structures.standing import log_standing
 
-# Nats below the best at which `near_evidence` has to do, of a change of one solid: a weight of less than a hundredth
-# even if it is as wrong as it ever was, and that is taken as its error.
-IMPROBABLE, NEAR_ERROR = 9.0, 2.0
+# Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
+# that had it, 5 below the best. And the error that is taken for its own.
+IMPROBABLE, NEAR_ERROR = 14.0, 2.0
 DRAWS, STANDING = 150, 30  # from which an integral is taken, and from which what would tip
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ

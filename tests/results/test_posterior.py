@@ -67,6 +67,14 @@ def test_probabilities_are_sums_of_weights():
     assert abs(counts - 120) < 4.5 * np.sqrt(400 * 0.21)  # binomial, one failure in 150,000
 
 
+def test_what_a_search_may_have_missed_speaks_against_its_objects():
+    _, one = part()
+    meta = {"missed": 0.4, "wrong_if_missed": 0.5, "existence": {"low": (0.6, 0.1)}}
+    posterior = Posterior((one.scaled(0.6),), meta=meta)
+    assert posterior.object_probability("top") == pytest.approx(0.8)
+    assert posterior.object_probability("low") == pytest.approx(0.6), "counted over answers that missed something too"
+
+
 def test_a_free_form_thing_may_be_no_object_at_all():
     _, one = part()
     name = one.graph.names[-1]
