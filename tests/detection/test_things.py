@@ -1,5 +1,7 @@
 """Free-form things: a bowl is one thing and a box stays a box; the pieces of a surface; its closed surface."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
@@ -15,7 +17,7 @@ from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import falling, held_by_another
+from derender.detection.things import falling, held_by_another, made_thing
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
@@ -206,3 +208,17 @@ def test_what_is_ragged_or_hidden_stands_out_less():
     assert outstanding(seen, seen.mask & ((rows + columns) % 4 < 2)) < 0.5 * whole  # stripes
     left = seen.mask & (columns < np.median(columns[seen.mask]))
     assert outstanding(seen, left) < 0.9 * whole  # goes on as what stands there too
+
+
+def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
+    across, up = np.meshgrid(np.linspace(-0.05, 0.05, 30), np.linspace(0.1, 0.0, 30))
+    points = np.dstack([across, np.full((30, 30), 0.5), up])
+    seen = SimpleNamespace(points=points, footprint=np.full((30, 30), 0.003), sigma=np.full((30, 30), 0.001),
+                           image=SimpleNamespace(origin=np.array([0.0, -0.4, 0.5])), no_floor=False)  # fmt: skip
+    mask = np.ones((30, 30), bool)
+    row = made_thing(seen, State(), mask, 50.0).row
+    turn, size = np.abs(row[1:10].reshape(3, 3)), row[13:16]
+    assert turn @ size == pytest.approx([0.103, 0.7 * np.sqrt(0.103 * 0.1), 0.1], abs=0.004)
+    assert row[11] - 0.5 * (turn @ size)[1] == pytest.approx(0.5, abs=0.003)  # and all of that is behind
+    points[..., 1] += 0.8 * up  # a slope shows how deep it is
+    assert made_thing(seen, State(), mask, 50.0).row[13:16].max() < 0.12

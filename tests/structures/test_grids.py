@@ -1,13 +1,17 @@
 """A box that may be a grid of equal cartons: what its seams show, and what it is where they show nothing."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.stats import lognorm
 
 from derender.camera.intrinsics import Camera
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row, render_floor_scene
 from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.sizes import box_log_density
 from derender.detection.solids.state import FLOOR, State
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import rotation_x, rotation_z
@@ -86,6 +90,8 @@ def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_numbe
     seam = (np.abs(place[:, 0] % 0.3 - 0.15) > 0.15 - 0.002) & (np.abs(place[:, 0] - 0.45) < 0.3)
     gains = [seam_gain(none._replace(deeper=deeper + 0.05 * seam), 0, 0.9, n, 0.006).max() for n in (2, 3, 4, 5)]
     assert np.argmax(gains) == 1 and gains[1] > 50.0 > 10.0 > max(gains[0], gains[2], gains[3])
+    ends = np.minimum(place[:, 0], 0.9 - place[:, 0]) < 0.002  # the box ends there, which is no seam
+    assert seam_gain(none._replace(deeper=deeper + 0.05 * ends), 0, 0.9, 3, 0.006).max() < 1.0
     assert len(GAPS) == len(seam_gain(none, 0, 0.9, 3, 0.006))
 
 
@@ -98,5 +104,11 @@ def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_bo
 
     assert odds((3, 3, 2), [0.9, 0.8, 0.5]) > 0.0 > odds((2, 2, 1), [0.45, 0.45, 0.3])
     assert odds((2, 2, 1), [0.1, 0.09, 0.08]) < -12.0
-    more = odds((3, 3, 2), [0.9, 0.8, 0.5], 2.0) - odds((2, 2, 2), [0.9, 0.8, 0.5], 2.0)
-    assert more == pytest.approx(odds((3, 3, 2), [0.9, 0.8, 0.5]) - odds((2, 2, 2), [0.9, 0.8, 0.5]))
+    parts, size = np.array([3, 2, 1]), np.array([0.5, 0.3, 0.2])
+    for unit in (1.0, 1.7):  # a length in n parts is log-normal about n times the median
+        many = lognorm(0.4, scale=0.2 * parts / unit).logpdf(size / unit).sum()
+        carton = lognorm(0.4, scale=0.2 / unit).logpdf(size / unit).sum()
+        one = np.logaddexp(carton, box_log_density(beliefs.sizes[BOX], size / unit, True)) - np.log(2.0)
+        counts = [n for n in (np.prod(each) for each in product(range(1, 6), repeat=3)) if n >= 4]
+        before = np.log(0.02 / 0.98) - np.log(6 * np.sum(1.0 / np.array(counts)))
+        assert odds(tuple(parts), size, unit) == pytest.approx(before + many - one)
