@@ -141,14 +141,15 @@ def repair(rng, image, state, hypotheses, settings, pool):
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
     when hardly any misfit is left that noise would not leave, or, but on a real sensor's images, after IN_VAIN times as
-    many whatever is left. (state, energy) of all that were tried are appended to `pool`.
+    many (a quick search: as many) whatever is left. (state, energy) of all that were tried are appended to `pool`.
     """
     best = total_energy(image, state, settings)
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
         enough = settings.quiet + 3 * len(state)
-        in_vain = IN_VAIN if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
+        in_vain = 1 if settings.tries == 1 else IN_VAIN
+        in_vain = in_vain if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
         if places.none_left(settings):
             if quiet >= enough or settings.tries == 1:  # a quick search does not look for what is better still
                 break
