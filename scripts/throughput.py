@@ -3,8 +3,9 @@
     python scripts/throughput.py                40 frames of the set `settled` at 160 x 120
     python scripts/throughput.py -n 200
 
-Times are of `derender infer FRAMES` as a user runs it, start-up and files included; report pages are made on demand.
-CPU seconds a frame are those of all its processes: on a busy machine they tell more than the wall clock.
+Times are of `derender infer FRAMES` as a user runs it, files included; report pages are made on demand. Start-up is
+what FEW frames take more than as many further ones: the figures a frame are of those beyond them. CPU seconds are those
+of all processes: on a busy machine they tell more than the wall clock.
 """
 
 import argparse
@@ -22,6 +23,8 @@ from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
 from derender.evaluation.made_scenes import SETS, make_scene
 
+FEW = 4  # frames, as many for each process whether there are one, two or four
+
 
 def write_frames(folder, count):
     """Write frames of the set `settled`; return their folder."""
@@ -35,19 +38,19 @@ def write_frames(folder, count):
     return f"{width} x {height}"
 
 
-def run(folder, output, *options):
-    """Infer the frames of a folder; return (wall, CPU) seconds."""
+def run(frames, output, *options):
+    """Infer frames; return (wall, CPU) seconds."""
     before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    command = [sys.executable, "-m", "derender", "infer", str(folder), "-q", "-o", str(output), *options]
+    command = [sys.executable, "-m", "derender", "infer", *map(str, frames), "-q", "-o", str(output), *options]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return time.perf_counter() - started, cpu
+    return np.array([time.perf_counter() - started, cpu])
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=40, help="frames")
+    parser.add_argument("-n", type=int, default=40, help=f"frames, more than {FEW}")
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
@@ -55,14 +58,20 @@ def main():
         frames.mkdir()
         size = write_frames(frames, arguments.n)
         print(f"{arguments.n} frames of {size} pixels; load of the machine {os.getloadavg()[0]:.1f}")
-        print("| mode | processes | frames a second | CPU s a frame | times one process |\n|---|---|---|---|---|")
+        head = "| mode | processes | start-up, s | further frames a second | CPU s each | times one process |"
+        print(head + "\n" + "|---" * 6 + "|")
+        images = sorted(frames.iterdir())
         for mode, options in (("--quick", ["--quick"]), ("whole", [])):
-            run(frames, Path(place) / f"{mode}_warm", *options, "-j", "1")
+            run(images[:1], Path(place) / f"{mode}_warm", *options, "-j", "1")
             one = None
             for processes in arguments.processes:
-                wall, cpu = run(frames, Path(place) / f"{mode}_{processes}", *options, "-j", str(processes))
+                few, all_of_them = (
+                    run(some, Path(place) / f"{mode}_{processes}_{len(some)}", *options, "-j", str(processes))
+                    for some in (images[:FEW], images)
+                )
+                wall, cpu = (all_of_them - few) / (len(images) - FEW)
                 one = one or wall
-                figures = f"{arguments.n / wall:.2f} | {cpu / arguments.n:.3f} | {one / wall:.2f}"
+                figures = f"{few[0] - FEW * wall:.1f} | {1.0 / wall:.2f} | {cpu:.3f} | {one / wall:.2f}"
                 print(f"| {mode} | {processes} | {figures} |", flush=True)
 
 
