@@ -148,7 +148,7 @@ MUTATIONS = [
         ("standing dropped", "structures/weighing.py", "evidence_of(found.log + told",
          "evidence_of(found.log + 0.0 * told", (*FLUSH, *WEIGHTS)),
         ("what is beaten shares nothing", "structures/graph_posterior.py", "leader.places[::-1]", "None", WEIGHTS),
-        ("whole weights from the mode", "structures/alternatives.py", "near[k] = found", "near[k] = near[k]",
+        ("whole weights from the mode", "structures/alternatives.py", "whole[k] = found", "whole[k] = near[k]",
          ("tests/structures/test_structure_calibration.py", *DRAWS)),
         ("near evidence: no volume", "structures/draws/refined.py", "return height - 0.5 * float(np.linalg.slogdet",
          "return height - 0.0 * float(np.linalg.slogdet", DRAWS),

@@ -295,12 +295,18 @@ def weighed_whole(rng, best, states, rules, steps):
     first = max(each.log for each in near)
     likely = [k for k in range(len(near)) if near[k].log > first - IMPROBABLE]
     tasks = [partial(evidence_over, refined=everyone[k], rules=rules) for k in likely]
+    whole = list(near)
     if len(likely) > 1:
         for k, found in zip(likely, in_threads(rng, tasks), strict=True):
-            near[k] = found
-    logs = [found.log + each.sensor.log_prior() for found, each in zip(near, everyone, strict=True)]
-    return [Weighed(trial, log - logs[0], math.hypot(found.standard_error, near[0].standard_error))
-            for trial, log, found in zip(trials, logs[1:], near[1:], strict=True)]  # fmt: skip
+            whole[k] = found
+    weighed = []
+    for k, trial in enumerate(trials, start=1):
+        found, own = whole[k], whole[0]
+        if max(found.standard_error, own.standard_error) > NEAR_ERROR:  # normals about both modes tell more
+            found, own = near[k], near[0]
+        odds = found.log - own.log + trial.sensor.log_prior() - best.sensor.log_prior()
+        weighed.append(Weighed(trial, odds, math.hypot(found.standard_error, own.standard_error)))
+    return weighed
 
 
 def climbed(rng, best, states, rules, steps, within):
