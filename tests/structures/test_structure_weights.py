@@ -17,14 +17,16 @@ from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.document import read_prior_document
 from derender.render.likelihoods import likelihoods
+from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.alternatives import of_one_solid
+from derender.structures import alternatives
+from derender.structures.alternatives import QUICK, of_one_solid, weighed_whole
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.unions import merged
-from derender.structures.weighing import evidence_over
+from derender.structures.weighing import NEAR_ERROR, evidence_over
 
 RULES = Rules(0.0015)
 VIEW = Camera(45.0, 45.0, 23.5, 17.5, 48, 36)
@@ -69,6 +71,21 @@ def test_a_solid_is_taken_away_by_the_integral_over_its_coordinates():
     found = of_one_solid(np.random.default_rng(6), best, 1, RULES)
     (removed,) = [each for each in found if len(each.trial.state) == 1]
     assert abs(removed.odds - whole_odds(removed.trial, best)) < WITHIN
+
+
+def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypatch):
+    """Draws of two modes can be a hundred nats off, with an error that says so: no structure leads by that."""
+    best = small_beside_large()
+    fewer, rng = best.state.without(1), np.random.default_rng(8)
+    (fair,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
+
+    def failed(rng, refined, rules):
+        wrong = 100.0 if len(refined.state) == 1 else 0.0
+        return evidence_of(evidence_over(rng, refined, rules).log + wrong, 60.0)
+
+    monkeypatch.setattr(alternatives, "evidence_over", failed)
+    (kept,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
+    assert abs(kept.odds - fair.odds) < 2.0 * NEAR_ERROR and kept.error > NEAR_ERROR
 
 
 def test_two_boxes_are_one_by_the_integrals_over_both():
