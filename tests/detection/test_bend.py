@@ -27,3 +27,11 @@ def test_a_bent_floor_becomes_a_plane():
 def test_a_plane_stays_as_it_is(metres):
     image = bent_by(metres)
     assert not bend_of(image, find_floor(image, CAMERA), CAMERA).any()
+
+
+def test_a_floor_that_rises_towards_its_walls_becomes_a_plane():
+    image = seen_on_the_table([(BOX, 0.0, 0.0, (0.1, 0.08, 0.12), None)])
+    image = image - 0.008 * np.linspace(-1.0, 1.0, CAMERA.width) ** 4
+    floor = find_floor(image, CAMERA)
+    after = find_floor(image + bend_of(image, floor, CAMERA), CAMERA)
+    assert after.sigma < 0.55 * floor.sigma

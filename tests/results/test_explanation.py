@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.results.explanation import BACKGROUND, FLOOR, UNEXPLAINED, explain, smooth_surface
+from derender.results.explanation import BACKGROUND, FLOOR, UNEXPLAINED, explain, grow, smooth_surface
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 
 CAMERA = Camera.from_field_of_view(64, 48)
@@ -69,3 +69,20 @@ def test_a_floor_that_the_sensor_bends_is_explained_as_it_is_seen(graph, seen):
     told = explain(graph, seen, CAMERA, bent=bent)
     assert (told.label[30:34, :20] == FLOOR).all() and np.allclose(told.depth[30:34, :20], 0.97)
     assert (told.label[GHOST] == UNEXPLAINED).all()  # ten centimetres are no bend
+
+
+def test_a_floor_is_where_it_is_seen_to_bend(graph, seen):
+    bend = np.zeros(seen.shape)
+    bend[GHOST] = 0.1
+    told = explain(graph, seen, CAMERA, bend=bend)
+    assert (told.label[GHOST] == FLOOR).all() and np.allclose(told.depth[GHOST], 0.9)
+
+
+def test_what_goes_on_beyond_a_coarse_outline_is_the_things():
+    label, depth = np.full((1, 8), UNEXPLAINED, np.int32), np.full((1, 8), np.nan)
+    label[0, 2], depth[0, 2] = 0, 1.0
+    seen = np.array([[1.2, 1.01, 1.0, 1.01, 1.02, 1.03, 0.0, 1.0]])
+    for _ in range(2):
+        grow(label, depth, seen, np.array([True]))
+    assert (label[0] == 0).tolist() == [False, True, True, True, True, False, False, False]  # two pixels, no step
+    assert np.allclose(depth[0, 1:5], seen[0, 1:5])
