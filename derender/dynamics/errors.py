@@ -16,10 +16,10 @@ LEAST_SPEED = 5e-4
 # step to the other: the standard error, as a share of the change of velocity. And it lasts 2 ms, where one of rubber or
 # of a soft spring lasts 5 to 10 and one of steel .1: seconds by which what follows is early or late.
 LEAST_IMPACT, LATE = 0.01, 0.004
-# The engine slides as if friction were another by this share, and bounces as if restitution were off by so much: what
-# physics' own measurements of pushes and drops leave (scripts/evaluate.py physics), and to restitution what a contact
-# of 6 ms adds to each flight of a ball. It does not average out in a film.
-ENGINE_FRICTION, ENGINE_RESTITUTION = 0.02, 0.025
+# The engine slides as if friction were another by this share: boxes that rock as they slide go 1 to 11 % too far, those
+# that are tall and rough the most. And it bounces as if restitution were off by so much: what drops leave
+# (scripts/evaluate.py physics), and what a contact of 6 ms adds to each flight of a ball. Neither averages out.
+ENGINE_FRICTION, ENGINE_RESTITUTION = 0.035, 0.025
 # A resting or sliding contact changes the velocity by at most so many times gravity's share: friction up to 1.1.
 STEADY = 1.5
 # An impulse at half a cube's side from its centre turns it by 3 / side; the mean over a face is 2 / side.

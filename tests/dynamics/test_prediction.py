@@ -73,6 +73,8 @@ def test_effects_that_differ_from_film_to_film_widen_what_another_film_may_be():
     errors = rng.uniform(0.1, 0.4, (2000, 1))
     mean, variance = random_effects(truth + errors * rng.standard_normal((2000, 1)), errors**2)
     assert abs(mean[0] - 1.0) < 0.05 and abs(variance[0] / 0.25 - 1) < 0.1
+    unequal = np.array([[1e-4], [1e-4], [1e-4], [1e-2]])  # what differs between films makes them count alike
+    assert abs(random_effects(np.array([[0.0], [2.0], [0.0], [2.0]]), unequal)[0][0] - 1.0) < 0.05
     alike = random_effects(np.full((4, 1), 2.0), np.full((4, 1), 0.01))
     np.testing.assert_allclose(np.ravel(alike), [2.0, 0.01 / 4])
 
