@@ -23,7 +23,8 @@ from numba.core import caching, cgutils, config, environment, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
-from numba.extending import intrinsic, typeof_impl
+from numba.extending import intrinsic, overload, typeof_impl
+from numba.np import arrayobj
 
 from derender.compilation import cache as kernel_cache
 from derender.compilation.entries import read_entry
@@ -37,7 +38,8 @@ def compile_version(kernel, arguments, path) -> Version:
     kinds = tuple(typeof(argument) for argument in arguments)
     kernel.dispatcher.compile(kinds)
     result = kernel.dispatcher.overloads[kinds]
-    if path and not result.reload_init:
+    # Without machine code where writing numba's own entry was interrupted: in a notebook the process goes on.
+    if path and not result.reload_init and result.library.machine_code:
         kernel.entries.save(path, pickle.dumps(tuple(_code(kernel, result))))
     address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
     return Version(result.entry_point, address)
@@ -281,6 +283,22 @@ class _WhileCompiling(event.Listener):
 
 
 event.register("numba:compile", _WhileCompiling())
+
+
+def _raise_for_shapes(source, target):
+    """Say that an array does not fit the part of another that it is assigned to."""
+
+
+@overload(_raise_for_shapes)
+def _compiled_raise_for_shapes(source, target):
+    def implementation(source, target):
+        raise ValueError("cannot assign an array of another shape to a slice")
+
+    return implementation
+
+
+# numba's own makes a text of both shapes: five seconds of each kernel's compilation that assigns an array to a slice.
+arrayobj.raise_with_shape_context = _raise_for_shapes
 
 
 def _caller(result):

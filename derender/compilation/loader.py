@@ -61,6 +61,8 @@ def load(path: Path) -> Version | None:
     if data is None:
         return None
     code = Code(*pickle.loads(data))
+    if not code.machine:  # LLVM would end the process
+        return None
     import llvmlite.binding as llvm
 
     engine = _engine()

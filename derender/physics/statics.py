@@ -124,7 +124,8 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     nearest = NEAR * length if near is None else near
     first, second, *where = all_contacts(
         kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held,
-        joined[owner][:, owner], radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush, ROLLING * length,
+        joined[np.ix_(owner, owner)], radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush,
+        ROLLING * length,
     )  # fmt: skip
     first, second = owner[first], owner[second]
     apart = first != second  # the parts of one body do not bear each other

@@ -247,7 +247,7 @@ def penetrations(kind, pose, size):
     depths = np.zeros((count, count))
     for i in range(count):
         for j in range(i):
-            depth = penetration_of(kind[i], pose[i], size[i], kind[j], pose[j], size[j])
+            depth = penetration_of(int(kind[i]), pose[i], size[i], int(kind[j]), pose[j], size[j])
             depths[i, j] = depths[j, i] = depth
     return depths
 

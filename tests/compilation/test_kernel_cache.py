@@ -285,6 +285,19 @@ def test_closures_compiled_by_different_processes_are_told_apart(package):
     assert answers("first", "second") == alone
 
 
+@njit
+def assign(target, source):
+    target[0, :2] = source
+
+
+def test_an_array_of_another_shape_is_not_assigned_to_a_slice():
+    target = np.zeros((2, 3))
+    assign(target, np.ones(2))
+    assert target.tolist() == [[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    with pytest.raises(ValueError, match="an array of another shape"):
+        assign(target, np.ones(3))
+
+
 def test_a_closure_that_holds_what_has_no_name_is_refused():
     held = object()
 
@@ -388,3 +401,32 @@ def test_other_packages_caches_stand_as_numba_writes_them(tmp_path):
         for code in (ours + use, use, ours + use)
     ]
     assert [done.stdout.split() for done in told] == [["6.0", "0"], ["6.0", "1"], ["6.0", "1"]], told
+
+
+INTERRUPTED = """
+from derender.compilation.cache import njit
+from derender.compilation.compiler import Library
+
+@njit(cache=True, nogil=True)
+def kernel(x):
+    return x + 1.0
+
+if __name__ == "__main__":
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    serialize, Library.serialize_using_object_code = Library.serialize_using_object_code, interrupt
+    try:
+        kernel(1.0)
+    except KeyboardInterrupt:
+        Library.serialize_using_object_code = serialize
+    print(kernel(1.0))
+"""
+
+
+def test_ctrl_c_while_an_entry_is_written_leaves_none_without_code(package):
+    (package / "interrupted.py").write_text(INTERRUPTED)
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-m", "derender.interrupted"], cwd=package.parent, capture_output=True,
+                              text=True, check=False)  # fmt: skip
+        assert done.returncode == 0 and done.stdout == "2.0\n", done.stderr

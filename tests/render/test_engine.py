@@ -5,7 +5,6 @@ import pytest
 from random_scenes import random_solids
 
 from derender.camera.intrinsics import Camera
-from derender.compilation.cache import njit
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.engine import load_state, propose_state, settle_state
@@ -74,14 +73,13 @@ def test_clean_depth_is_within_a_hundredth_of_a_millimetre():
     assert wrong < 1e-4 * pixels
 
 
-@njit
 def _wander(state, fresh, moves, count, indices, steps, choices):
     """Make random moves of random sets of solids; return the greatest relative difference from a full evaluation."""
     worst = 0.0
     total = state.kind.shape[1]
     chosen, pose, size = np.empty(total, np.int64), np.empty((total, 4, 4)), np.empty((total, 3))
     for n in range(moves):
-        many = 1 + choices[n, 0] % count
+        many = int(1 + choices[n, 0] % count)
         for k in range(many):
             index = indices[(choices[n, 1] + k) % len(indices)]
             chosen[k], pose[k], size[k] = index, state.pose[0, index], state.size[0, index]
