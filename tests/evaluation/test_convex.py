@@ -4,19 +4,7 @@ import numpy as np
 import pytest
 
 from derender.evaluation.convex import intersection_over_union, intersection_volume, volume_of
-
-
-def random_rotation(rng):
-    q, r = np.linalg.qr(rng.standard_normal((3, 3)))
-    q *= np.sign(np.diag(r))
-    return q if np.linalg.det(q) > 0 else q[:, [1, 0, 2]]
-
-
-def pose_of(rotation=None, position=(0, 0, 0)):
-    pose = np.eye(4)
-    pose[:3, :3] = np.eye(3) if rotation is None else rotation
-    pose[:3, 3] = position
-    return pose
+from derender.scene.pose import random_rotation, rotation_x, rotation_z, translation
 
 
 def solid(kind, size, pose=None, **more):
@@ -38,36 +26,34 @@ def inside(item, points):
 
 
 def test_aligned_boxes_have_the_product_of_their_overlaps():
-    a, b = pose_of(), pose_of(position=(0.5, 0.25, 0.0))
+    a, b = np.eye(4), translation(0.5, 0.25, 0.0)
     shared = 0.5 * 0.75 * 1.0
     assert box_iou(a, np.ones(3), b, np.ones(3)) == pytest.approx(shared / (2 - shared), rel=1e-12)
 
 
 def test_turned_square_is_an_octagon():
     # Two unit squares at 45 degrees share a regular octagon of area 2 (sqrt 2 - 1).
-    half = np.sqrt(0.5)
-    turned = pose_of(np.array([[half, -half, 0], [half, half, 0], [0, 0, 1]]))
-    shared = intersection_volume(solid("box", [1, 1, 1]), solid("box", [1, 1, 3], turned))
+    shared = intersection_volume(solid("box", [1, 1, 1]), solid("box", [1, 1, 3], rotation_z(np.pi / 4)))
     assert shared == pytest.approx(2 * (np.sqrt(2) - 1), rel=1e-12)
 
 
 def test_equal_touching_and_nested_boxes():
     rng = np.random.default_rng(3)
     for _ in range(50):
-        pose = pose_of(random_rotation(rng), rng.standard_normal(3))
+        pose = translation(*rng.standard_normal(3)) @ random_rotation(rng)
         size = rng.uniform(0.04, 0.14, 3)
         assert box_iou(pose, size, pose, size) == pytest.approx(1, abs=1e-9)
         assert box_iou(pose, size, pose, 0.5 * size) == pytest.approx(1 / 8, rel=1e-9)
-        assert box_iou(pose, size, pose @ pose_of(position=(0, 0, size[2])), size) == pytest.approx(0, abs=1e-9)
+        assert box_iou(pose, size, pose @ translation(0, 0, size[2]), size) == pytest.approx(0, abs=1e-9)
 
 
 def test_iou_does_not_change_with_order_frame_or_naming_of_axes():
     rng = np.random.default_rng(4)
-    swap = pose_of(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))
+    swap = np.eye(4)[[1, 2, 0, 3]]
     for _ in range(50):
-        a, b = (pose_of(random_rotation(rng), rng.normal(0, 0.01, 3)) for _ in range(2))
+        a, b = (translation(*rng.normal(0, 0.01, 3)) @ random_rotation(rng) for _ in range(2))
         size_a, size_b = rng.uniform(0.04, 0.14, (2, 3))
-        world = pose_of(random_rotation(rng), rng.standard_normal(3))
+        world = translation(*rng.standard_normal(3)) @ random_rotation(rng)
         value = box_iou(a, size_a, b, size_b)
         assert 0 < value < 1
         assert box_iou(b, size_b, a, size_a) == pytest.approx(value, rel=1e-9)
@@ -86,7 +72,7 @@ def test_against_monte_carlo(kinds):
         for kind in kinds:
             size = rng.uniform(0.08, 0.14, 3)
             size = {"sphere": [size[0]] * 3, "cylinder": [size[0], size[0], size[2]]}.get(kind, size)
-            pair.append(solid(kind, np.asarray(size), pose_of(random_rotation(rng), rng.normal(0, 0.02, 3))))
+            pair.append(solid(kind, np.asarray(size), translation(*rng.normal(0, 0.02, 3)) @ random_rotation(rng)))
         points = rng.uniform(-0.2, 0.2, (count, 3))
         share = np.mean(inside(pair[0], points) & inside(pair[1], points))
         expected, spread = share * 0.4**3, np.sqrt(share * (1 - share) / count) * 0.4**3
@@ -96,15 +82,13 @@ def test_against_monte_carlo(kinds):
 
 
 def test_round_solids():
-    a, b = solid("sphere", [0.1] * 3), solid("sphere", [0.1] * 3, pose_of(position=(0.05, 0, 0)))
+    a, b = solid("sphere", [0.1] * 3), solid("sphere", [0.1] * 3, translation(0.05, 0, 0))
     # Two balls of radius r at distance r share 5 pi r^3 / 12.
     assert intersection_volume(a, b) == pytest.approx(5 * np.pi * 0.05**3 / 12, rel=1e-12)
     rng = np.random.default_rng(6)
-    cylinder = solid("cylinder", [0.06, 0.06, 0.2], pose_of(random_rotation(rng)))
-    spin = np.deg2rad(31)
-    turn = np.array([[np.cos(spin), -np.sin(spin), 0], [np.sin(spin), np.cos(spin), 0], [0, 0, -1.0]])
-    turn[:, 1] *= -1
-    same = solid("cylinder", [0.06, 0.06, 0.2], pose_of(cylinder["pose"][:3, :3] @ turn))
+    cylinder = solid("cylinder", [0.06, 0.06, 0.2], random_rotation(rng))
+    turned = cylinder["pose"] @ rotation_z(np.deg2rad(31)) @ rotation_x(np.pi)
+    same = solid("cylinder", [0.06, 0.06, 0.2], turned)
     # Turned about its axis and upside down it is the same solid; nothing of the prism's sides may show.
     assert intersection_over_union(cylinder, same) == pytest.approx(1, abs=1e-6)
     # Inside a box both have their own volumes.
@@ -123,4 +107,4 @@ def test_hull_of_vertices():
 
 
 def test_far_apart_share_nothing():
-    assert intersection_volume(solid("box", [1, 1, 1]), solid("sphere", [1] * 3, pose_of(position=(0, 0, 5)))) == 0
+    assert intersection_volume(solid("box", [1, 1, 1]), solid("sphere", [1] * 3, translation(0, 0, 5))) == 0

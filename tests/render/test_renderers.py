@@ -13,6 +13,7 @@ from derender.errors import DerenderError
 from derender.render.renderers import RENDERERS, find_renderer, renderer_names
 from derender.render.renderers.gl_platform import choose_platform
 from derender.render.renderers.preview import PLANE_COLOUR, default_colours, draw_preview
+from derender.scene.pose import random_rotation
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 
 CAMERAS = [
@@ -33,19 +34,6 @@ def pyrender_works():
 
 needs_opengl = pytest.mark.skipif(not pyrender_works(), reason="neither OSMesa nor EGL is installed")
 NAMES = ["raycast", pytest.param("pyrender", marks=needs_opengl)]
-
-
-def rotation(rng):
-    """Return a uniform rotation matrix."""
-    quaternion = rng.standard_normal(4)
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def solids_of(rows, meshes=()):
@@ -76,8 +64,7 @@ def random_scene(rng, count):
             size[1] = size[0]
         if kind == MESH:
             size = np.ptp(vertices, axis=0) * rng.uniform(0.5, 1.2)
-        pose = np.eye(4)
-        pose[:3, :3] = rotation(rng)
+        pose = random_rotation(rng)
         pose[:3, 3] = rng.uniform([-0.3, -0.2, 0.5], [0.3, 0.2, 1.2])
         rows.append((kind, pose, size))
     return solids_of(rows, [(vertices, np.ascontiguousarray(shape.faces, dtype=np.int32))])
