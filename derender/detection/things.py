@@ -21,7 +21,7 @@ from derender.detection.search.observation import HIDDEN_FLOOR
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import make_row, rotation_of
-from derender.detection.solids.interpenetration import gap_between, highest, lowest
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
@@ -30,7 +30,7 @@ from derender.detection.solids.support import flat_top
 from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
-from derender.scene.solids import BOX
+from derender.scene.solids import BOX, SPHERE
 
 PATCH = 0.03  # metres over which household surfaces bend little
 NUMBER = 2.3  # nats: log 10
@@ -48,6 +48,7 @@ AROUND = 36  # points of a circle
 # Of its height, and in metres: a box so thin, with nothing to lean on, falls at a tilt of eleven degrees, and there are
 # few such things in a household.
 SHEET, THIN = 0.2, 0.015
+SUNK = 0.15  # share of a ball's diameter that lies in others, from which on it is none
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
 DEPTH, SHALLOW = 0.7, 0.35
 HELD = 0.01  # metres between solids that are parts of one
@@ -302,13 +303,20 @@ def compounds(seen, state):
 
 
 def falling(state):
-    """Return (i,), a box with nothing on it that could not stand as it does, on an edge or as a sheet; else None.
+    """Return (i,), a solid with nothing on it that could not be as it is; else None.
 
-    Whatever shows so much of one face alone ends in another shape behind it.
+    A box on an edge or as a thin sheet: whatever shows so much of one face alone ends in another shape behind it. A
+    ball that is sunk in what it stands on: it is a dome.
     """
     for i, row in enumerate(state.rows):
         others = [k for k in range(len(state)) if k != i]
-        if int(row[0]) != BOX or i in (state.parents[k] for k in others):
+        if i in (state.parents[k] for k in others):
+            continue
+        if int(row[0]) == SPHERE:
+            depths = [-lowest(row), *(penetration(row, state.rows[k]) for k in others)]
+            if max(depths) > max(SUNK * row[13], HELD):
+                return (i,)
+        if int(row[0]) != BOX:
             continue
         if state.forms[i] == FREE:
             if not shares_of_load(state.rows, i, HELD):

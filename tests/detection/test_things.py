@@ -19,7 +19,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
 from derender.detection.things import falling, held_by_another, made_thing
 from derender.scene.pose import rotation_x, translation
-from derender.scene.solids import BOX, CYLINDER, MESH
+from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure, point_estimate
 from derender.structures.options import Options
@@ -200,6 +200,19 @@ def test_a_box_that_could_not_stand_is_the_face_of_something_else():
     tilted = rotation_x(0.6)
     low = 0.5 * (0.1 * np.sin(0.6) + 0.01 * np.cos(0.6))
     assert alone(tilted, [0.1, 0.1, 0.01], low, FREE) == (0,)
+
+
+def test_a_ball_sunk_in_what_it_stands_on_is_the_dome_of_something_else():
+    box = make_row(BOX, np.eye(3), [0.0, 0.0, 0.05], [0.2, 0.2, 0.1])
+
+    def found(height, rows=()):
+        ball = make_row(SPHERE, np.eye(3), [0.0, 0.0, height], [0.1, 0.1, 0.1])
+        count = 1 + len(rows)
+        return falling(State([ball, *rows], [FREE] * count, [False] * count, [FLOOR] * count, [np.nan] * count))
+
+    assert found(0.05) is None and found(0.04) is None
+    assert found(0.02) == (0,)
+    assert found(0.15, [box]) is None and found(0.12, [box]) == (0,)
 
 
 def test_what_is_ragged_or_hidden_stands_out_less():
