@@ -117,6 +117,10 @@ def _end_as_ctrl_c() -> None:
 
     def handle(number: int, frame: Any) -> None:
         if os.getpid() == own:
+            if (
+                signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+            ):  # as shells have it of what they run in the background
+                raise KeyboardInterrupt
             signal.raise_signal(signal.SIGINT)
         else:
             signal.signal(number, signal.SIG_DFL)

@@ -59,9 +59,12 @@ def test_the_best_scene_so_far_is_written(image, tmp_path, monkeypatch, place, n
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_being_told_to_end_is_as_ctrl_c(name):
+@pytest.mark.parametrize(
+    "interrupts", [signal.default_int_handler, signal.SIG_IGN], ids=["in front", "in the background"]
+)
+def test_being_told_to_end_is_as_ctrl_c(name, interrupts):
     number = getattr(signal, name)
-    before = signal.getsignal(number)
+    before, keyboard = signal.getsignal(number), signal.signal(signal.SIGINT, interrupts)
     assert threading.current_thread() is threading.main_thread()
     try:
         signal.signal(number, signal.SIG_DFL)
@@ -80,6 +83,7 @@ def test_being_told_to_end_is_as_ctrl_c(name):
         assert signal.getsignal(number) is signal.SIG_IGN
     finally:
         signal.signal(number, before)
+        signal.signal(signal.SIGINT, keyboard)
 
 
 @pytest.mark.parametrize("text, seconds", [("30s", 30.0), ("30", 30.0), ("2min", 120.0), ("1.5h", 5400.0)])
