@@ -10,6 +10,8 @@ OUT ?= demo
 JOBS ?= 2
 
 # Modules are compiled to bytecode when they are first imported: most of what is installed never is.
+# Bytecode is written then, whatever the environment says: without it each start takes seconds.
+export PYTHONDONTWRITEBYTECODE =
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .PHONY: help demo test tests test-all test-bounds lint bench figures eval build clean osmesa
