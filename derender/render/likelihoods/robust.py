@@ -154,6 +154,11 @@ class Robust(Likelihood):
         model, missing = blurred_depth(depth, values), self.missing_rate(depth, values)
         spread = values["sigma"] + values["sigma_growth"] * model**2
         outlier, extent = values["outlier"], values["far"] - values["near"]
+        if exponent == 1.0:
+            result = model + spread * rng.standard_normal(depth.shape)
+            outliers = rng.random(depth.shape) < outlier
+            result[outliers] = rng.uniform(values["near"], values["far"], size=int(outliers.sum()))
+            return np.where((rng.random(depth.shape) < missing) | (result <= 0.0), np.nan, result)
         # (a + b)^t <= a^t + b^t: draw from the mixture of the tempered parts, keep with the ratio (at least 2^(t - 1)).
         height, floor = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi)), outlier / extent
         wide = spread / math.sqrt(exponent)
