@@ -1,5 +1,7 @@
 """Solids that nothing shows: what is said to be out of sight changes no pixel, and the prior's are drawn as it says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from test_graph_posterior import camera, floor_pose, row
@@ -10,7 +12,7 @@ from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
-from derender.structures.draws.sensor import Sensor, model_depth
+from derender.structures.draws.sensor import Sensor, floor_depth, model_depth
 from derender.structures.hidden import drawn_extents, drawn_rows, hidden_expected, out_of_sight, rate_on_floor
 
 VIEW = camera(96, 72)
@@ -52,6 +54,21 @@ def test_more_is_expected_behind_a_higher_box_and_nothing_where_all_is_seen():
     low, high = (hidden_expected(rng, Found(wide_box(height))) for height in (0.06, 0.3))
     assert 0.0 <= low < 0.5 * high
     assert hidden_expected(rng, Found(State())) == 0.0
+
+
+def test_nothing_is_expected_farther_away_than_floor_is_seen():
+    chart, values = make_chart(wide_box(0.3), floor_pose(), Rules(0.0015))
+    depth = model_depth(chart, values, VIEW)
+    behind = floor_depth(floor_pose(), VIEW) > depth + 0.01
+    in_front = depth < floor_depth(floor_pose(), VIEW)[behind].min()
+
+    def expected(observed):
+        found = SimpleNamespace(state=wide_box(0.3), chart=chart, values=values)
+        found.sensor = Sensor(VIEW, observed, None, {})
+        return hidden_expected(np.random.default_rng(1), found)
+
+    assert expected(depth) > 0.0
+    assert expected(np.where(in_front, depth, np.nan)) == 0.0
 
 
 def test_what_a_floor_shows_corrects_how_many_solids_the_prior_expects_on_it():
