@@ -55,6 +55,7 @@ def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=Fa
         return [StructurePosterior(scene_graph(state, seen.floor.pose), (), scores[..., None][..., :0], scores, scores)]
     first = refine(rng, [view_of(seen, settings.temper)], seen.floor.pose, state, settings.rules, settings.tries)
     energy = total_energy(seen.image, state, settings)
+    settings = settings._replace(reduced=seen.factor > 1)
     return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
 
 

@@ -92,9 +92,9 @@ def additions(rng, best, settings):
     """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
 
     Others may have given way to explain what it shows, so all move and all are integrated over. Nothing is proposed
-    where neighbouring pixels err together: a sensor's bends look like that.
+    where neighbouring pixels err together, for a sensor's bends look like that, nor in a reduced image: silhouettes do.
     """
-    if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0:
+    if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0 or settings.reduced:
         return []
     sensor, floor, place = best.sensor, floor_pose_of(best), [len(best.state)]
     noise = np.full(sensor.observed.shape, sensor.values["sigma"])

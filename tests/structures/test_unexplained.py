@@ -53,6 +53,7 @@ def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
     assert np.nanmax(np.abs(nearer_than_explained(whole))) < FAINT + 1.0
     assert additions(rng, whole, Settings()) == []
     assert additions(rng, best, Settings(max_objects=1)) == []
+    assert additions(rng, best, Settings(reduced=True)) == []
 
 
 def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):

@@ -46,6 +46,7 @@ class Settings(NamedTuple):
     faces : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
     free_forms : whether there may be things of no such shape.
+    reduced : whether the image is seen at fewer pixels than it came with: silhouettes lie up to half of one off then.
     beliefs : of weights and draws, None: the default ones; the search has its own prior.
     repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
@@ -73,6 +74,7 @@ class Settings(NamedTuple):
     may_overlap: bool = False
     may_float: bool = False
     free_forms: bool = True
+    reduced: bool = False
     beliefs: Beliefs | None = None
     until: float | None = None
 
