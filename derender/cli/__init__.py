@@ -117,9 +117,8 @@ def _end_as_ctrl_c() -> None:
 
     def handle(number: int, frame: Any) -> None:
         if os.getpid() == own:
-            if (
-                signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-            ):  # as shells have it of what they run in the background
+            # A shell lets what it runs in the background ignore Ctrl-C.
+            if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
                 raise KeyboardInterrupt
             signal.raise_signal(signal.SIGINT)
         else:

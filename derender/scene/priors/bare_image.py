@@ -22,8 +22,8 @@ class Existence:
 
     Attributes
     ----------
-    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see detection.things; nats
-        count with the square of that. steep : power with which the odds grow with the nats.
+    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see
+        detection.existence; nats count with the square of that. steep : power with which the odds grow with the nats.
     most : the most that is said. error : standard error of that; error_at_even : at even odds.
     """
 
