@@ -13,7 +13,7 @@ import numpy as np
 from real_frames import real_folder
 
 from derender.physics.bodies import Body, Matter
-from derender.physics.disturbance import Push
+from derender.physics.intervention import Push
 from derender.physics.outcome import simulate_scene
 from derender.physics.rollout import Rollout
 from derender.physics.simulate import judge, simulate

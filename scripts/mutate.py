@@ -120,9 +120,9 @@ MUTATIONS = [
          "-0.125 * (away / self.slack) ** 2",
          RELATIONS),
         # reversible jumps
-        ("jumps: birth without leaves", "structures/jumps/exchanges.py",
+        ("jumps: birth without leaves", "structures/jumps/tree_moves.py",
          "math.log(0.5) + log_uniform_choice(len(leaves)) if", "math.log(0.5) if", JUMPS),
-        ("jumps: birth twice as often", "structures/jumps/exchanges.py", "if rng.random() < 0.5:",
+        ("jumps: birth twice as often", "structures/jumps/tree_moves.py", "if rng.random() < 0.5:",
          "if rng.random() < 0.67:", JUMPS),
         ("jumps: no jacobian", "structures/jumps/base.py", "back - forth + applied.log_jacobian",
          "back - forth", JUMPS),
@@ -175,7 +175,7 @@ MUTATIONS = [
         ("sizes: spread doubled", "detection/solids/sizes.py", "inside = min(max(np.log(extent), row[LOW]), row[HIGH])",
          "inside = min(max(0.5 * (np.log(extent) + np.log(0.085)), row[LOW]), row[HIGH])",
          ("tests/structures/test_structure_sizes.py", *DRAWS)),
-        ("tipping x 10", "structures/standing.py", "np.log(beliefs.loose.tipping)",
+        ("tipping x 10", "detection/solids/support.py", "np.log(beliefs.loose.tipping)",
          "np.log(10.0 * beliefs.loose.tipping)",
          FLUSH),
         ("bridges: prior odds", "structures/bridges.py", "odds = prior_odds * loose.within", "odds = loose.within",
@@ -187,7 +187,7 @@ MUTATIONS = [
          "spread = values[\"sigma\"]", SCORE),
         # what happens next
         ("fall angle tripled", "physics/trajectory.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
-        ("calm a 25th as long", "physics/fate.py", "CALM_TIME = 4.0\n", "CALM_TIME = 0.16\n",
+        ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 4.0\n", "CALM_TIME = 0.16\n",
          PHYSICS),
     )
 ]  # fmt: skip

@@ -145,9 +145,8 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     import numpy as np
 
     from derender.cli.reading import read_source
-    from derender.physics.assumptions import assumptions
     from derender.physics.outcome import outcomes, simulate_scene
-    from derender.physics.summary import summary_of
+    from derender.physics.summary import assumptions, summary_of
 
     source = read_source(path, ask["seed"])
     once = {"engine": ask["engine"], "duration": ask["duration"], "what": what._replace(jitter=None)}

@@ -2,7 +2,9 @@
 
 A body stands on the support where it rises from the visible part of it. One that is long, or cut by the image's border
 so that its top is not seen, or that floats, or lies beyond the support's outline, is a wall, a shelf, a person or the
-room behind: explained as it is seen, and no solid.
+room behind: explained as it is seen, and no solid. An object that fills the image stands beyond the outline too, but it
+is joined to what stands over visible floor, is no higher than the camera, and no wider than FILLING. A wall is an
+upright plane that ends the floor, with nothing of the image behind it.
 """
 
 import numpy as np
@@ -188,3 +190,96 @@ def floats(points, mask, good, jump, origin):
     lies_deeper = (far[1:] > far[:-1])[lower]
     bears = points[1:][lower][:, 2] > lowest - FLOATS
     return float(np.mean((apart > jump[:-1][lower]) & lies_deeper)) > HANGS and bears.mean() < BORNE
+
+
+FILLING = 0.5  # metres across
+BEYOND = 0.5  # of what stands over the floor: with less beyond its outline nothing fills the image
+JOINING = 4  # pixels over visible floor that join an object to it
+
+
+def joined_to_floor(points, above, inside, footprint, camera_height):
+    """Return (H, W) bool: pixels beyond the floor's outline that belong to an object which fills the image.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, floor frame. above : (H, W) bool, pixels that stand over the floor's plane.
+    inside : (H, W) bool, pixels within the outline of the visible floor. footprint : (H, W) metres across a pixel.
+    camera_height : metres over the floor.
+    """
+    found = np.zeros(above.shape, bool)
+    beyond = above & ~inside
+    if beyond.sum() < BEYOND * max(above.sum(), 1):
+        return found
+    from scipy import ndimage
+
+    limit = 4 * footprint + 0.004
+    whole = above.copy()  # without the pixels at jumps, so that components end there
+    for axis in (0, 1):
+        step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
+        near = step < (limit[1:] if axis == 0 else limit[:, 1:])
+        if axis == 0:
+            whole[1:] &= near
+        else:
+            whole[:, 1:] &= near
+    labels, _ = ndimage.label(whole)
+    for label in np.unique(labels[whole & inside]):
+        member = labels == label
+        own = points[member]
+        spread = float(np.ptp(own[:, :2], axis=0).max())
+        if (member & inside).sum() >= JOINING and own[:, 2].max() < camera_height and spread < FILLING:
+            found |= member
+    if not found.any():
+        return found
+    return above & ndimage.binary_dilation(found, iterations=1)
+
+
+ANGLES = 90  # directions of a wall that are tried, over half a turn
+WIDE = 0.5  # metres: a narrower upright face may be a solid's
+WALL_SHARE = 0.2  # of what stands over the floor: the least that a wall holds
+BEHIND = 0.02  # share of the pixels that may seem to lie behind a wall
+MOST_POINTS = 3000
+MOST_WALLS = 3
+
+
+def walls_behind(points, good, above, sigma, origin):
+    """Return (H, W) bool: pixels on walls or behind them; a room's corner has two. Takes what `wall_behind` does."""
+    found = np.zeros(good.shape, bool)
+    for _ in range(MOST_WALLS):
+        wall = wall_behind(points, good & ~found, above & ~found, sigma, origin)
+        if not wall.any():
+            break
+        found |= wall
+    return found
+
+
+def wall_behind(points, good, above, sigma, origin):
+    """Return (H, W) bool: pixels on a wall or behind it; none where there is no wall.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, floor frame. good : (H, W) bool, pixels with a depth. above : those over the floor.
+    sigma : (H, W) metres of noise. origin : (3,) the camera's centre, floor frame.
+    """
+    none = np.zeros(good.shape, bool)
+    if above.sum() < 50:
+        return none
+    tolerance = max(0.01, 4.0 * float(np.median(sigma[above])))
+    flat = points[above][:, :2] - origin[:2]
+    flat = flat[:: max(1, len(flat) // MOST_POINTS)]
+    everything = points[good][:, :2] - origin[:2]
+    everything = everything[:: max(1, len(everything) // MOST_POINTS)]
+    angle = np.arange(ANGLES) * 2.0 * np.pi / ANGLES
+    away = np.column_stack([np.cos(angle), np.sin(angle)])  # from the camera through the wall
+    for _ in range(2):  # a second time finely about the first answer
+        distance, all_distance = flat @ away.T, everything @ away.T
+        far = np.quantile(all_distance, 1.0 - BEHIND, axis=0)  # where a wall would be, were it across this direction
+        on = np.abs(distance - far) < tolerance
+        best = int(np.argmax(np.where(far > 0, on.mean(axis=0), 0.0)))
+        angle = angle[best] + np.linspace(-1.0, 1.0, 21) * np.pi / ANGLES
+        across = flat[on[:, best]] @ np.array([-away[best, 1], away[best, 0]])
+        place, share, normal = far[best], on[:, best].mean(), away[best]
+        away = np.column_stack([np.cos(angle), np.sin(angle)])
+    if share < WALL_SHARE or np.ptp(np.quantile(across, (0.02, 0.98))) < WIDE:
+        return none
+    own = (flat @ normal)[np.abs(flat @ normal - place) < tolerance]
+    return good & ((points[..., :2] - origin[:2]) @ normal > np.median(own) - tolerance)

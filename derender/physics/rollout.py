@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from derender.physics.bodies import Matter
-from derender.physics.disturbance import Disturbance, Push
+from derender.physics.intervention import Disturbance, Push
 from derender.physics.mujoco_model import BOUNCING_TIMESTEP, MOVING_TIMESTEP, World
 from derender.physics.simulate import advance
 from derender.scene.graph import STANDARD_GRAVITY

@@ -3,10 +3,9 @@
 import numpy as np
 
 from derender.physics.bodies import Matter
-from derender.physics.disturbance import Disturbance
-from derender.physics.fate import Fate
+from derender.physics.intervention import Disturbance
 from derender.physics.trajectory import DISPLACEMENT_TOLERANCE, Trajectory, save_trajectory
-from derender.physics.verdict import Verdict, judge
+from derender.physics.verdict import Fate, Verdict, judge
 
 __all__ = ["DURATION", "Trajectory", "Verdict", "judge", "save_trajectory", "simulate"]
 

@@ -3,7 +3,7 @@
 Vehtari, Gelman, Simpson, Carpenter, Buerkner, "Rank-normalization, folding, and localization: an improved R-hat"
 (Bayesian Analysis 2021), in numpy alone: the figures are ArviZ's to 1e-6 without its second and a half of import.
 Every function takes `draws` : (chains, draws) float of one parameter and returns a float, nan for fewer than four draws
-or for values that are not finite.
+or for values that are not finite; `agree` and `far_apart` judge all parameters.
 """
 
 from functools import lru_cache
@@ -196,3 +196,20 @@ _FAR_TAIL = (
     (2.04426310338993978564e-15, 1.4215117583164458887e-7, 1.8463183175100546818e-5, 7.868691311456132591e-4,
      0.0148753612908506148525, 0.13692988092273580531, 0.59983220655588793769, 1.0),
 )  # fmt: skip
+
+
+AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
+FAR = 1.3  # R-hat of chains in modes of their own
+
+
+def agree(values):
+    """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
+    if values.shape[1] < FEW:
+        return True
+    columns = np.moveaxis(values, -1, 0)
+    return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
+
+
+def far_apart(values):
+    """Whether chains (C, D, N) that have gone on are so far from agreeing that going on again will not help."""
+    return any(r_hat(column) > FAR for column in np.moveaxis(values, -1, 0))

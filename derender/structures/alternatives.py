@@ -13,13 +13,12 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import cube_of, spaced
-from derender.detection.solids.graph import names_of
+from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest
-from derender.detection.solids.naming import matched_names, structure_key
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR
-from derender.detection.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
+from derender.detection.solids.support import final_parents, flat_top, log_standing, shadows_overlap, with_bottom
 from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -36,7 +35,6 @@ from derender.structures.draws.refined import (
     refitted,
     without_unseen,
 )
-from derender.structures.standing import log_standing
 from derender.structures.weighing import (
     IMPROBABLE,
     NEAR_ERROR,

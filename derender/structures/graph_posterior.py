@@ -12,8 +12,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.greedy import total_energy
-from derender.detection.solids.graph import names_of, scene_graph
-from derender.detection.solids.naming import matched_names, structure_key
+from derender.detection.solids.graph import matched_names, names_of, scene_graph, structure_key
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import (

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from derender.detection.bend import sensor_deviation
 from derender.detection.existence import returns_about
+from derender.detection.floor import sensor_deviation
 from derender.detection.freestanding import freestanding
 from derender.detection.given_floor import read_floor
 from derender.detection.leftovers import leftovers

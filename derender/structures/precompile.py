@@ -39,10 +39,10 @@ def draws_on_a_floor() -> None:
     import numpy as np
 
     from derender.camera.intrinsics import Camera
+    from derender.detection.solids.beliefs import Rules
     from derender.detection.solids.graph import names_of
     from derender.detection.solids.image import make_row
     from derender.detection.solids.polish import SLACK, UPRIGHT
-    from derender.detection.solids.rules import Rules
     from derender.detection.solids.state import State
     from derender.render.likelihoods import likelihoods
     from derender.scene.pose import rotation_x, translation

@@ -12,10 +12,9 @@ import numpy as np
 
 from derender.detection.search.greedy import total_energy
 from derender.detection.search.observation import Observation
-from derender.detection.solids.graph import names_of
+from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.image import SIZE
 from derender.detection.solids.interpenetration import penetration
-from derender.detection.solids.naming import matched_names, structure_key
 from derender.detection.solids.state import State
 from derender.errors import DerenderError
 from derender.scene.pose import inverse, rotation_z

@@ -19,6 +19,7 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
+from derender.detection.solids.support import log_standing
 from derender.sampling.evidence import evidence_of
 from derender.structures.draws.chart import make_chart, place_rows
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
@@ -33,7 +34,6 @@ from derender.structures.draws.refined import (
     refined_at,
     refitted,
 )
-from derender.structures.standing import log_standing
 
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, seen_on_the_table
 
-from derender.detection.bend import bend_of
-from derender.detection.floor import find_floor
+from derender.detection.floor import bend_of, find_floor
 from derender.scene.solids import BOX
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search.round_proposals import rim_circle
+from derender.detection.solids.beliefs import Rules
+from derender.detection.solids.graph import matched_names
 from derender.detection.solids.image import make_row
-from derender.detection.solids.naming import matched_names
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.evaluation.made_scenes import drawn_scene
 from derender.render.likelihoods import likelihoods

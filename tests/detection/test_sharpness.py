@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from derender.detection.search.focus import refocused
-from derender.detection.sharpness import estimate_blur
+from derender.detection.noise import estimate_blur
+from derender.detection.search.searches import refocused
 from derender.detection.solids.image import ROW, draw, make_image, make_row
 from derender.detection.solids.misfit import added_misfit, misfit_map
 from derender.render.blur import blur, blur_radius, blur_taps

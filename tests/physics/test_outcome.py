@@ -6,13 +6,12 @@ from test_simulate import FLOOR, GRAVITY, cube, matter
 
 from derender.document import document_text, read_document
 from derender.errors import DerenderError
-from derender.physics.assumptions import assumptions
 from derender.physics.bodies import Body, matter_of_graph
-from derender.physics.disturbance import Disturbance, Push
-from derender.physics.intervention import intervention, read_add, read_push, read_shake, read_tilt
+from derender.physics.intervention import Disturbance, Push, intervention, read_add, read_push, read_shake, read_tilt
 from derender.physics.outcome import chance_of, probability, simulate_scene
 from derender.physics.settle import settled_graph
 from derender.physics.simulate import judge, simulate
+from derender.physics.summary import assumptions
 from derender.scene.pose import translation
 
 TEXT = """

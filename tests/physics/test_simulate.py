@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from derender.physics.bodies import Body, Matter, matter_of_scene
-from derender.physics.disturbance import Disturbance
-from derender.physics.fate import CALM_TIME
-from derender.physics.intervention import Intervention
+from derender.physics.intervention import Disturbance, Intervention
 from derender.physics.mujoco_model import ROLLING, World
 from derender.physics.outcome import outcomes
 from derender.physics.simulate import judge, save_trajectory, simulate
+from derender.physics.verdict import CALM_TIME
 from derender.scene.pose import random_rotation, rotation_x, rotation_y, translation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import ROW
-from derender.detection.solids.rules import Rules
 from derender.document import document_from, read_prior_document
 from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth

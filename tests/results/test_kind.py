@@ -5,8 +5,8 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
+from derender.results.check import plane_shares, wrong_kind
 from derender.results.fit import flat_noise
-from derender.results.kind import plane_shares, wrong_kind
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, translation
 

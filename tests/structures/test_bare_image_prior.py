@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from derender import data_path
-from derender.detection.solids.beliefs import BARE_IMAGE, bare_image, beliefs_of
-from derender.detection.solids.rules import Rules
+from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image, beliefs_of
+from derender.detection.solids.support import unheld
 from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.priors.bare_image import tips
 from derender.structures.draws.scene_density import scene_log_prior, state_of
-from derender.structures.standing import unheld
 
 PRIOR = read_prior_document(BARE_IMAGE).prior
 FACES = {"parent_face": "+z", "child_face": "-z"}

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.sizes import CUBE, log_density_at
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.pose import rotation_x, rotation_z

@@ -7,18 +7,17 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search.moves import cut_anew
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.support import log_standing, unheld
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.standing import log_standing, unheld
 from derender.structures.unions import on_supports, recuts
 from derender.structures.weighing import evidence_over, odds_at
 

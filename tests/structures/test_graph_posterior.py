@@ -9,10 +9,9 @@ import pytest
 from scipy.stats import kstest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.graph import scene_graph
+from derender.detection.solids.beliefs import Rules
+from derender.detection.solids.graph import matched_names, scene_graph, structure_key
 from derender.detection.solids.image import ROW, make_row
-from derender.detection.solids.naming import matched_names, structure_key
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from test_graph_posterior import camera, floor_pose, row
 
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart

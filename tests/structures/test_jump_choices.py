@@ -27,12 +27,11 @@ from derender.scene.pose import (
     translation,
 )
 from derender.scene.priors.values import ROTATION
-from derender.structures.jumps.base import Target, evaluate, log_proposal_ratio, moves
+from derender.structures.jumps.base import Target, Vocabulary, evaluate, log_proposal_ratio, moves
 from derender.structures.jumps.charts import HAAR, rotation_density, rotation_near
-from derender.structures.jumps.exchanges import Birth, Death
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, PriorProposal
 from derender.structures.jumps.smc import STAY, Particle, log_increment
-from derender.structures.jumps.vocabulary import Vocabulary
+from derender.structures.jumps.tree_moves import Birth, Death
 
 LEAST = 30  # choices of one kind that are looked at
 SEVERE = 4.5  # standard errors that pass

@@ -9,12 +9,11 @@ from jump_worlds import document_of, generator
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps.base import Target, evaluate, mixture
+from derender.structures.jumps.base import Target, Vocabulary, evaluate, mixture
 from derender.structures.jumps.chain import jump_chain
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
-from derender.structures.jumps.slots import SlotImage
+from derender.structures.jumps.sampler import SlotImage
 from derender.structures.jumps.smc import structure_smc
-from derender.structures.jumps.vocabulary import Vocabulary
 
 # At most two objects, cubes or balls, on the floor or on a cube; 16 x 12 pixels with noise that leaves doubt.
 TINY = """

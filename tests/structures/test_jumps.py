@@ -9,8 +9,7 @@ from jump_worlds import TEXTS, generator, prior_of
 
 from derender.scene.priors.values import ROTATION
 from derender.structures.jumps import mixture
-from derender.structures.jumps.base import Applied, Move, Target, evaluate, log_proposal_ratio, moves, step
-from derender.structures.jumps.vocabulary import Vocabulary
+from derender.structures.jumps.base import Applied, Move, Target, Vocabulary, evaluate, log_proposal_ratio, moves, step
 
 
 @pytest.fixture(scope="module", params=list(TEXTS))

@@ -13,8 +13,7 @@ from derender.posterior.settings import Settings
 from derender.render.raycast.depth import render_depth
 from derender.scene.priors.terms import RestsOn, total_log_density
 from derender.scene.separation import rest_residual, separation
-from derender.structures.given import infer_scene, targets
-from derender.structures.open_structures import structures
+from derender.structures.given import infer_scene, structures, targets
 
 FEW = Settings(draws=250, warmup=150, chains=2)
 # An image of so much noise that it says next to nothing: the posterior is the prior, which has its terms.

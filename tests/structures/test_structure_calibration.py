@@ -17,11 +17,10 @@ from test_jump_posterior import CAMERA, TINY, VALUES, key_of
 
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.structures.jumps import mixture
-from derender.structures.jumps.base import Target, evaluate
+from derender.structures.jumps.base import Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import walk
-from derender.structures.jumps.exchanges import Birth, BirthDeath
-from derender.structures.jumps.slots import SlotImage
-from derender.structures.jumps.vocabulary import Vocabulary
+from derender.structures.jumps.sampler import SlotImage
+from derender.structures.jumps.tree_moves import Birth, BirthDeath
 
 STATES = 15  # of a chain besides the truth
 SEVERE = 4.5  # standard errors that pass; the twins are to fail by more

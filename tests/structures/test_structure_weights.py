@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.document import read_prior_document
 from derender.render.likelihoods import likelihoods

@@ -9,9 +9,8 @@ from test_graph_posterior import camera, cube, floor_pose, observe, row
 from derender.detection.background import cut_off
 from derender.detection.search.greedy import Settings
 from derender.detection.search.searches import Found, agree, search
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
 from derender.structures.draws.refined import at_mode, pixels_of

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import make_row
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods

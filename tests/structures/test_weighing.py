@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from test_graph_posterior import camera, floor_pose, observe, row
 
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.support import log_standing
 from derender.render.raycast.state import taps_of
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures.alternatives import longer, of_one_solid, stood_up
@@ -20,7 +20,6 @@ from derender.structures.draws.refined import Refined, at_mode, members_of, refi
 from derender.structures.draws.sensor import model_depth
 from derender.structures.draws.steps import touched_by
 from derender.structures.graph_posterior import leading
-from derender.structures.standing import log_standing
 from derender.structures.unions import merged
 from derender.structures.weighing import (
     NEAR_ERROR,

@@ -9,11 +9,10 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
-from derender.detection.solids.beliefs import Beliefs, bare_image
+from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE

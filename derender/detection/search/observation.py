@@ -4,21 +4,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.detection.background import standing_bodies
-from derender.detection.bend import bend_of, sensor_deviation
-from derender.detection.floor import Floor, NoFloor, back_project, find_floor, floor_beside, plane_through
-from derender.detection.foreground import joined_to_floor
+from derender.detection.background import joined_to_floor, standing_bodies, walls_behind
+from derender.detection.floor import (
+    Floor,
+    NoFloor,
+    back_project,
+    bend_of,
+    find_floor,
+    floor_beside,
+    plane_through,
+    sensor_deviation,
+)
 from derender.detection.given_floor import MOST_NOISE, find_backdrop, given_floor, pixel_noise
 from derender.detection.local_planes import local_planes
-from derender.detection.noise import noise_of
+from derender.detection.noise import estimate_blur, noise_of
 from derender.detection.outline import convex_outline, outline_planes
 from derender.detection.patches import Patches, find_patches
 from derender.detection.pyramid import reduce, sampled, single_pixels
 from derender.detection.search.bodies import APART, label_bodies
-from derender.detection.sharpness import estimate_blur
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
-from derender.detection.wall import walls_behind
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.

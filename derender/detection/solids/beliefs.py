@@ -2,7 +2,7 @@
 
 They come from a file: data/priors/bare-image.yaml where no other is given. Of a file that says nothing of slack,
 tipping and the like (any other grammar) the shapes, their sizes and how many there are count, and the rest is as in
-that one.
+that one. `Rules` are what solids may do to each other: the terms of the density that detection and draws share.
 """
 
 import math
@@ -125,3 +125,23 @@ def share_upright(prior: GrammarPrior, kind: str) -> float:
 
 
 __all__ = ["BARE_IMAGE", "CUBE", "ROWS", "Beliefs", "bare_image", "beliefs_of"]
+
+
+class Rules(NamedTuple):
+    """What solids may do to each other.
+
+    Attributes
+    ----------
+    slack : metres within which a solid that is not held stands on its support.
+    overlap : metres by which solids may interpenetrate, inf: the term against interpenetration is off; None: as the
+        prior says.
+    faces : metres by which faces of solids lie off where they appear to, see draws/faces.py.
+    floating : whether the term against floating is off: then any height is as likely.
+    beliefs : what is believed of solids; None: what data/priors/bare-image.yaml says.
+    """
+
+    slack: float
+    overlap: float | None = None
+    floating: bool = False
+    beliefs: Beliefs | None = None
+    faces: float = 0.0

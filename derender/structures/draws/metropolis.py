@@ -24,10 +24,10 @@ from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import new_engine, rescore_state, with_blur
 from derender.render.raycast.state import CANDIDATE, CURRENT
 from derender.render.raycast.views import engine_of_view, make_views, propose_views, settle_views
+from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
-from derender.structures.draws.agreement import agree, far_apart
 from derender.structures.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.sensor import blurs_about, log_prior_of, model_depth

@@ -6,11 +6,10 @@ one structure; different structures compare by integrals (see `structure/alterna
 
 import numpy as np
 
-from derender.detection.solids.beliefs import BARE_IMAGE, bare_image
+from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.rules import Rules
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import LEVEL
 from derender.errors import DerenderError

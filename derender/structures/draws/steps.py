@@ -1,9 +1,9 @@
 """Steps that a walk through a structure's coordinates may take: which move together, in which direction, how far.
 
-One column for the steps in which a depth image is informative (`directions.py`), and for those that move a side
-which the camera is behind; Cholesky factors of a covariance for one solid, for a support with all that it carries,
-and for the floor, each given the coordinates that stay. In a stack an image tells where each top is, not how high each
-solid: what moves one top leaves those above where they are (`tops_of`).
+One column for the steps in which a depth image is informative (`directions`), and for those that move a side which the
+camera is behind; Cholesky factors of a covariance for one solid, for a support with all that it carries, and for the
+floor, each given the coordinates that stay. In a stack an image tells where each top is, not how high each solid: what
+moves one top leaves those above where they are (`tops_of`).
 """
 
 from typing import NamedTuple
@@ -11,17 +11,61 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.scene.solids import SPHERE
-from derender.structures.draws.chart import (
-    FLOOR_WAYS,
-    HELD,
-    KIND,
-    PARENT,
-    SIZE,
-    TURN,
-    X,
-    Z,
-)
-from derender.structures.draws.directions import directions
+from derender.structures.draws.chart import FLOOR_WAYS, HELD, KIND, PARENT, SIZE, TURN, VERTICAL, X, Z
+
+PIVOTS = np.array([(0, 0, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)])  # half sides from the centre
+
+
+def directions(chart, count, solids=None):
+    """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
+
+    Those of some solids only, or of all (None).
+
+    Each face moved while the opposite one stays, shifts, turns about the centre and about the four corners of the
+    ground plan, edges of a cube scaled about a corner.
+    """
+    found = []
+    for k in range(len(chart.flags)) if solids is None else solids:
+        slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
+        rotation = base[1:10].reshape(3, 3)
+
+        def shifted(vector, move, slot=slot):
+            for i in range(3):
+                if slot[i] >= 0:
+                    vector[slot[i]] += move[i]
+            return vector
+
+        for axis in range(3):
+            if slot[axis] >= 0:
+                found.append(shifted(np.zeros(count), np.eye(3)[axis]))
+            found.append(shifted(np.zeros(count), rotation[:, axis]))
+        sizes = sorted({int(s) for s in slot[SIZE:]})
+        for index in sizes:
+            axes = [i for i in range(3) if slot[SIZE + i] == index]
+            for signs in np.ndindex(*([2] * len(axes))):
+                vector = np.zeros(count)
+                vector[index] = 1.0
+                for axis, sign in zip(axes, signs, strict=True):
+                    shifted(vector, (sign - 0.5) * rotation[:, axis])
+                found.append(vector)
+        for axis in range(3):
+            index = slot[TURN + axis]
+            if index < 0:
+                continue
+            about = np.array([0.0, 0.0, 1.0]) if flag[VERTICAL] else rotation[:, axis]
+            radius = 0.5 * float(np.linalg.norm(base[13:16]))
+            corners = (0.5 * base[13:16] * PIVOTS) @ rotation.T
+            for move in np.cross(about, -corners) / radius:
+                vector = np.zeros(count)
+                vector[index] = 1.0 / radius
+                found.append(shifted(vector, move))
+    for axis in range(FLOOR_WAYS):
+        vector = np.zeros(count)
+        vector[count - FLOOR_WAYS + axis] = 0.1
+        found.append(vector)
+    kept = [v for v in found if np.abs(v).max() > 1e-9]
+    return np.array(kept)
+
 
 FIRST, FACTOR, RANK, PULL = range(4)  # rows of Proposals.table
 ROUNDING = 1e-9  # share of a step's longest part that is none

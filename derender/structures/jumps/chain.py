@@ -11,8 +11,7 @@ import numpy as np
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import diagnostics
 from derender.scene.graph import SceneGraph
-from derender.structures.jumps.base import Move, State, Target, evaluate, step
-from derender.structures.jumps.vocabulary import Vocabulary
+from derender.structures.jumps.base import Move, State, Target, Vocabulary, evaluate, step
 
 SAME_PLACE = 0.05  # metres between the centres of what is taken for the same object in two draws
 CHUNK = 256  # moves chosen at a time

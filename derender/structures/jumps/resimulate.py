@@ -12,9 +12,8 @@ from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion
 from derender.scene.priors.values import QUATERNION, ROTATION
-from derender.structures.jumps.base import Applied, Move, moves
+from derender.structures.jumps.base import Applied, Move, log_uniform_choice, moves
 from derender.structures.jumps.charts import LINE, TILTED, all_numbers, log_pose_element
-from derender.structures.jumps.vocabulary import log_uniform_choice
 
 Key = tuple[str, str]  # ("shape" or "contact", name of the number)
 

@@ -24,10 +24,9 @@ import numpy as np
 from derender.sampling.metropolis import log_threshold
 from derender.sampling.smc import anneal
 from derender.scene.graph import SceneGraph
-from derender.structures.jumps.base import Move, State, Target, evaluate
+from derender.structures.jumps.base import Move, State, Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import Draws, acceptance_of, walk
 from derender.structures.jumps.resimulate import Shift, Wiggle
-from derender.structures.jumps.vocabulary import Vocabulary
 
 STAY = 0.5  # probability that a particle that could take one more object does not
 
