@@ -21,14 +21,12 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.registry import suggest
 from derender.scene.codec.scene_file import KEYS, read_prior
-from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml
-from derender.scene.codec.yaml_writer import to_yaml
+from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml, to_yaml
 from derender.scene.distributions import Distribution
 from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
 from derender.scene.pose import from_quaternion, quaternion
-from derender.scene.priors.base import Prior
 from derender.scene.priors.reading import read_value
-from derender.scene.priors.tree import TreePrior
+from derender.scene.priors.tree import Prior, TreePrior
 from derender.scene.priors.values import QUATERNION, ROTATION, Value, draw, log_density
 from derender.scene.shapes import shapes
 

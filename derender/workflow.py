@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.atomic import make_folder
-from derender.camera.depth_file import DepthImage
+from derender.camera.depth_file import DepthImage, Reading
 from derender.camera.poses import poses_of_camera_file, read_poses, turned_pose
-from derender.camera.reading import Reading
 from derender.compilation.threads import import_in_background
 from derender.document import Document, LikelihoodPrior, prior_as_seen_from, read_prior_document
 from derender.errors import DerenderError, at_fault

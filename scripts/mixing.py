@@ -20,8 +20,8 @@ import numpy as np  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import document_from, read_prior_document  # noqa: E402
-from derender.posterior.adaptation import first_tuning  # noqa: E402
 from derender.posterior.kernels import mixture  # noqa: E402
+from derender.posterior.kernels.base import first_tuning  # noqa: E402
 from derender.posterior.settings import read_settings  # noqa: E402
 from derender.render.likelihoods import likelihoods  # noqa: E402
 from derender.render.raycast.depth import render_depth  # noqa: E402

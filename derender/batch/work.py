@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from derender.atomic import atomic_path, make_folder
 from derender.batch.frames import RESULT, Frame
-from derender.camera.reading import Reading
+from derender.camera.depth_file import Reading
 from derender.errors import DerenderError
 from derender.results.table import failed_row, rows_of
 from derender.structures.options import Options

@@ -1,19 +1,28 @@
-"""Image files: their bytes, PNG written by zlib alone, OpenEXR with one channel of depth; decoders kept quiet."""
+"""Image files: bytes to arrays and back, in the formats that depth images have; decoders kept quiet.
+
+Which format a file has shows in its first bytes. PNG is written by zlib alone; OpenEXR has one channel of depth.
+"""
 
 import contextlib
 import io
+import json
 import logging
 import os
 import struct
 import sys
 import tempfile
+import tokenize
+import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import MOST_PIXELS, Camera
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 
 def read_bytes(path: str | Path, most: int, what: str, remedy: str) -> bytes:
@@ -129,3 +138,187 @@ def _depth_channel(channels: dict[str, np.ndarray]) -> np.ndarray:
         if name in colours:
             return colours[name]
     raise DerenderError(f"no channel of depth among {', '.join(channels)}", remedy="give one channel, best called Z")
+
+
+SUFFIXES = (".npz", ".npy", ".png", ".tiff", ".tif", ".exr")
+MOST_BYTES = 2**30
+RAW = "give the raw depth image: one channel of 16-bit units or float metres, no picture to look at"
+# A picture is taken for a colourised one where most of its pixels that are not dark have vivid colours.
+DARK, VIVID, MOSTLY = 30, 0.6, 0.9  # of 255; share of the brightest channel that the darkest is below; of the pixels
+STRETCHED, FEW_STEPS = 257, 8  # 8 bits become 16 by it; different depths that an image has at least
+ORIENTATION, TURNS_OF = 274, {1: 0, 3: 180, 6: 90, 8: 270}  # a tag of EXIF; degrees clockwise to turn it upright
+SATURATED = 65535  # the largest 16-bit number: farther than the image can tell, or no return at all
+# What decoders raise on damaged files; anything else is a bug and shows its traceback.
+DAMAGE = (OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError)
+DAMAGE += (struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, RuntimeError)  # type: ignore[assignment]
+
+
+class Decoded(NamedTuple):
+    """What a format's decoder found: the raw array and, in an .npz, camera and meta.
+
+    turn : degrees clockwise by which the file says that it is to be turned, with its camera.
+    """
+
+    array: np.ndarray
+    camera: object = None
+    meta: dict[str, Any] = {}
+    turn: int = 0
+
+
+def recognise(data: bytes, path: str | Path) -> tuple[Callable[[bytes], Decoded], str]:
+    """Return the decoder and the name of the format that the first bytes show; DerenderError where none."""
+    for magic, name, decoder in MAGIC:
+        if data.startswith(magic):
+            return decoder, name
+    for magic, name in ((b"\xff\xd8", "JPEG"), (b"BM", "BMP"), (b"GIF8", "GIF"), (b"P5", "PGM"), (b"P6", "PPM")):
+        if data.startswith(magic):
+            raise DerenderError(f"a {name} is not a depth image", path, "give " + " ".join(SUFFIXES))
+    raise DerenderError("not a depth image that derender knows", path, "give " + " ".join(SUFFIXES))
+
+
+def encode_npy(array: np.ndarray) -> bytes:
+    """Return the bytes of an .npy."""
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.asarray(array, order="C"), allow_pickle=False)
+    return stream.getvalue()
+
+
+def _decode_npy(data: bytes) -> Decoded:
+    return Decoded(_load_npy(data))
+
+
+def _load_npy(data: bytes) -> np.ndarray:
+    """Return the array of an .npy; its header is checked against the length before memory is asked for."""
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _fortran, dtype = header(stream)
+    if dtype.hasobject:
+        raise DerenderError(f"the array holds Python objects ({dtype})", remedy="save it as float32 metres")
+    count = 1
+    for length in shape:
+        count *= length
+    if count * dtype.itemsize > len(data) - stream.tell():
+        raise ValueError(f"{count} numbers announced, fewer there")
+    stream.seek(0)
+    return np.load(stream, allow_pickle=False)
+
+
+def encode_npz(depth: np.ndarray, camera: Camera, meta: dict[str, Any], label: np.ndarray | None = None) -> bytes:
+    """Return the bytes of an .npz: `depth` float32 metres, `camera` and `meta` as JSON text, `label` int32.
+
+    The same arguments give the same bytes: the members' times are fixed.
+    """
+    members = {"depth": depth, "camera": np.array(json.dumps(camera.to_dict())), "meta": np.array(json.dumps(meta))}
+    if label is not None:
+        members["label"] = np.asarray(label, dtype=np.int32)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, array in members.items():
+            info = zipfile.ZipInfo(name + ".npy", date_time=(1980, 1, 1, 0, 0, 0))
+            info.external_attr = 0o644 << 16
+            info.create_system = 3
+            archive.writestr(info, encode_npy(array), zipfile.ZIP_DEFLATED, compresslevel=6)
+    return stream.getvalue()
+
+
+def decode_npz(data: bytes) -> Decoded:
+    """Decode an .npz as derender writes it, or of others with one array or `depth` and `K`."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        sizes = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        if sum(info.file_size for info in sizes.values()) > MOST_BYTES:
+            raise DerenderError("too large for a depth image")
+        name = "depth" if "depth" in sizes else next(iter(sizes)) if len(sizes) == 1 else None
+        if name is None:
+            kinds = ", ".join(list(sizes)[:6])
+            raise DerenderError(f"no array `depth` among {kinds}", remedy="give an .npz as derender writes it")
+        array = _load_npy(archive.read(sizes[name]))
+        texts = {key: _load_npy(archive.read(sizes[key])) for key in ("camera", "meta") if key in sizes}
+        matrix = next((_load_npy(archive.read(sizes[k])) for k in ("K", "intrinsics") if k in sizes), None)
+    trees = {key: parse_json(str(text.item()), key) for key, text in texts.items()}
+    camera = trees.get("camera")
+    if camera is None and matrix is not None:
+        camera = {"K": matrix.ravel().tolist()}
+    meta = trees.get("meta")
+    return Decoded(array, camera, meta if isinstance(meta, dict) else {})
+
+
+def _colour_words(picture: Any) -> str:
+    """Return what a picture of several channels seems to be, before it is refused."""
+    what = f"this is a colour image ({picture.mode})"
+    if picture.mode not in ("RGB", "RGBA"):
+        return what
+    small = np.asarray(picture.convert("RGB").resize((64, 48)), int)
+    away = small.max(axis=-1) - small.min(axis=-1)
+    if away.max() == 0:
+        return f"this is a grey picture of 8 bits in a colour image ({picture.mode})"
+    lit = small.max(axis=-1) > DARK
+    vivid = bool(lit.any()) and float(np.mean(away[lit] > VIVID * small.max(axis=-1)[lit])) > MOSTLY
+    return f"{what}, of colours that stand for depth as it seems" if vivid else what
+
+
+def _decode_picture(data: bytes) -> Decoded:
+    """Decode a .png or .tiff; what its mode says about depth is checked before a pixel is read."""
+    import warnings
+
+    from PIL import Image, UnidentifiedImageError
+
+    with silence(), warnings.catch_warnings(), contextlib.ExitStack() as stack:
+        warnings.simplefilter("ignore")  # about corrupt metadata; the pixels are what counts
+        try:
+            picture = stack.enter_context(Image.open(io.BytesIO(data), formats=("PNG", "TIFF")))
+        except UnidentifiedImageError:
+            remedy = "save a 16-bit .png or a float32 .tiff of one channel"
+            raise DerenderError("the picture is damaged, cut off, or of a rare kind", remedy=remedy) from None
+        except Image.DecompressionBombError:
+            raise DerenderError("the picture says that it has too many pixels", remedy="write it again") from None
+        if picture.width * picture.height > MOST_PIXELS:
+            raise DerenderError(f"{picture.width} x {picture.height} pixels are too many")
+        if picture.mode in ("1", "L", "P"):
+            raise DerenderError("8 bits a pixel are too coarse for depth", remedy=RAW)
+        if picture.mode not in ("I;16", "I;16B", "I;16L", "I", "F"):
+            raise DerenderError(_colour_words(picture), remedy=RAW)
+        pages = getattr(picture, "n_frames", 1)
+        if pages > 1:
+            raise DerenderError(f"the picture has {pages} pages", remedy="save the one that holds the depth by itself")
+        orientation = picture.getexif().get(ORIENTATION, 1)
+        if orientation not in TURNS_OF:
+            raise DerenderError("its EXIF orientation mirrors the image", remedy="save it without")
+        picture.load()
+        array, turn = np.array(picture), TURNS_OF[orientation]
+        if ORIENTATION not in picture.getexif():  # Pillow has turned it, as it does to a TIFF, but not its camera
+            array = np.rot90(array, turn // 90)
+    return Decoded(array.astype(array.dtype.newbyteorder("=")), turn=turn)
+
+
+def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:
+    """Return the bytes of a 16-bit .png in units of `depth_scale` mm; DerenderError where a depth does not fit."""
+    import imageio.v3 as imageio
+
+    units = np.round(depth.astype(np.float64) * (1000 / depth_scale))
+    if units.max(initial=0) >= SATURATED:
+        what = f"{depth.max():.4g} m does not fit into 16 bits of {depth_scale:g} mm"
+        raise DerenderError(what, path, "write .npz, .npy, .tiff or .exr, or a camera with a larger depth_scale")
+    return imageio.imwrite("<bytes>", units.astype(np.uint16), extension=".png", plugin="pillow")
+
+
+def encode_tiff(depth: np.ndarray) -> bytes:
+    """Return the bytes of a float32 .tiff."""
+    import imageio.v3 as imageio
+
+    return imageio.imwrite("<bytes>", depth, extension=".tiff", plugin="pillow")
+
+
+def _decode_exr(data: bytes) -> Decoded:
+    return Decoded(decode_exr(data))
+
+
+MAGIC: tuple[tuple[bytes, str, Callable[[bytes], Decoded]], ...] = (
+    (b"\x89PNG", ".png", _decode_picture),
+    (b"II*\x00", ".tiff", _decode_picture),
+    (b"MM\x00*", ".tiff", _decode_picture),
+    (b"II+\x00", ".tiff", _decode_picture),
+    (b"\x93NUMPY", ".npy", _decode_npy),
+    (b"PK\x03\x04", ".npz", decode_npz),
+    (b"v/1\x01", ".exr", _decode_exr),
+)

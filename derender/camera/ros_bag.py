@@ -181,7 +181,7 @@ def _uncompressed(data: bytes, kind: np.dtype, path: str) -> np.ndarray:
 
     Source: compressed_depth_image_transport of ROS.
     """
-    from derender.camera.depth_formats import recognise
+    from derender.camera.image_files import recognise
 
     picture = data[COMPRESSED_HEADER:]
     units = recognise(picture, path)[0](picture).array

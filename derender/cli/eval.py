@@ -94,8 +94,7 @@ def _numbers(text: str) -> list[int]:
 def _compare(left: Path, right: Path, frame, models, background, divisor, graph_iou) -> dict[str, Any]:
     """Compare one prediction with one truth."""
     from derender.evaluation.batch import LABEL_SUFFIXES
-    from derender.evaluation.condition import condition_of
-    from derender.evaluation.metrics import compare_scenes, mask_f1
+    from derender.evaluation.metrics import compare_scenes, condition_of, mask_f1
     from derender.evaluation.truth import read_labels
 
     scene, found = _scene(left)

@@ -1,7 +1,8 @@
-"""derender infer: a depth image in, a posterior over scene graphs out; or many images, and a table of all."""
+"""derender infer: a depth image in, a posterior over scene graphs out; of many images a table of all; or a film."""
 
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,9 +10,43 @@ from click.core import ParameterSource
 
 from derender.cli import options
 from derender.cli.options import Bar, Talk, command_line
+from derender.errors import DerenderError
 
 if TYPE_CHECKING:
-    from derender.camera.reading import Reading
+    from derender.camera.depth_file import Reading
+
+
+def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int | None:
+    """Follow the things of a film; arguments : those of `derender infer`, by name."""
+    from derender.structures.options import Options
+    from derender.tracking.run import track_to_folder
+
+    prior = arguments["prior"]
+    if prior and not arguments["dynamics"]:
+        raise DerenderError("--track finds everything from the film", "--prior", "leave it out, or give --dynamics")
+    known = {field.name for field in fields(Options)}
+    wanted = Options(**{key: value for key, value in arguments.items() if key in known})
+    watch = bool(arguments["watch"])
+    bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 and not watch else None
+    try:
+        outcome = track_to_folder(
+            images, wanted, arguments["output"], arguments["camera"], arguments["depth_scale"], arguments["fps"],
+            arguments["moving_camera"], watch, command_line(),
+            progress=bar, say=talk.say, warn=talk.warn, tell=click.echo if watch else lambda line: None,
+        )  # fmt: skip
+    finally:
+        if bar:
+            bar.close()
+    if not watch:
+        click.echo(outcome.table())
+    if arguments["dynamics"]:
+        from derender.tracking.materials import materials_to_folder
+
+        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line(), prior):
+            click.echo(line)
+    talk.say(f"wrote {outcome.folder}/")
+    return None
+
 
 # Options that say how many frames are worked on, not what is asked of each: results do not record them.
 OF_THE_RUN = frozenset(
@@ -198,8 +233,6 @@ def command(talk: Talk, **arguments) -> int | None:
         if value and not film["track"]:
             raise click.UsageError(f"--{name.replace('_', '-')} goes with --track")
     if film["track"]:
-        from derender.cli.tracking import follow
-
         if arguments.pop("together") or arguments.pop("poses"):
             raise click.UsageError("--track and --together are two things: a film, or a scene that stands still")
         return follow(talk, images, {**arguments, **film, "watch": watch})
@@ -306,7 +339,7 @@ def _many(
 
 def _reading(arguments: dict[str, Any]) -> "Reading":
     """Take the options that say how images are read out of the arguments, and return them as one object."""
-    from derender.camera.reading import Reading
+    from derender.camera.depth_file import Reading
 
     keys = ("camera", "depth_scale", "confidence", "least_confidence", "up", "topic")
     return Reading(rotate=int(arguments.pop("rotate")), **{key: arguments.pop(key) for key in keys})

@@ -46,7 +46,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     from derender.cli.reading import read_scene
     from derender.errors import DerenderError
     from derender.physics.next_view import next_views
-    from derender.report.next_view_picture import write_picture
+    from derender.report.pictures import write_picture
 
     found = read_scene(folder)
     if found.posterior is None or found.camera is None:

@@ -45,9 +45,9 @@ def _entries():
     """Yield each registered type: kind, name, what it is, its parameters."""
     from derender.posterior.kernels import kernels
     from derender.render.likelihoods import likelihoods
+    from derender.scene.codec.scene_file import structures
     from derender.scene.contacts import contacts
     from derender.scene.distributions import distributions
-    from derender.scene.priors.open_structure import structures
     from derender.scene.priors.reading import contact_parameters
     from derender.scene.priors.terms import term_types
     from derender.scene.shapes import shapes

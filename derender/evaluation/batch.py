@@ -66,7 +66,7 @@ def totals(results: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
     Parameters
     ----------
-    results : each as `metrics.compare_scenes` returns it, with `condition` from `condition.condition_of`; or with
+    results : each as `metrics.compare_scenes` returns it, with `condition` from `condition_of`; or with
         `masks` from `metrics.mask_f1`.
     """
     results = list(results)

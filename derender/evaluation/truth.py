@@ -10,8 +10,125 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.evaluation.bop import bop_scene, is_bop_frame, numbers_of
 from derender.json_text import parse_json
+
+MILLIMETRE = 1e-3
+TURNS = 64  # by which a continuous symmetry is stood for
+FOLDERS = ("models", "models_eval", "models_cad")
+
+
+def bop_scene(
+    tree: Mapping[str, Any], path: str | Path, frame: str | None = None, models: str | Path | None = None
+) -> dict[str, Any]:
+    """Return one frame of BOP's scene_gt.json as a scene: a mesh for each object, without supports (BOP has none).
+
+    Poses are moved from the models' origins to the middles of their boxes, sizes are the boxes' of models_info.json.
+    Where the models themselves lie beside it, objects have the `vertices` of their convex hulls; `symmetries` are the
+    rotations that models_info.json says leave a model as it is.
+    """
+    if frame is None:
+        if len(tree) > 1:
+            some = ", ".join(list(tree)[:5])
+            raise DerenderError(f"{len(tree)} frames are in this file", path, f"choose one with --frame: {some} ...")
+        frame = next(iter(tree))
+    if frame not in tree:
+        raise DerenderError(f"no frame {frame!r}", path, "choose from " + ", ".join(list(tree)[:8]))
+    information, folder = read_models_info(path, models)
+    objects, count = [], {}
+    for entry in tree[frame]:
+        number = str(entry["obj_id"])
+        rotation = numbers_of(entry["cam_R_m2c"], (9,))
+        position = numbers_of(entry["cam_t_m2c"], (3,))
+        if rotation is None or position is None:
+            raise DerenderError(f"object {number} has no pose", path)
+        if number not in information:
+            raise DerenderError(f"no model {number} in models_info.json", path, "give the right one with --models")
+        model = information[number]
+        low = np.array([model[f"min_{axis}"] for axis in "xyz"], float) * MILLIMETRE
+        size = np.array([model[f"size_{axis}"] for axis in "xyz"], float) * MILLIMETRE
+        middle = low + 0.5 * size
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.reshape(3, 3)
+        pose[:3, 3] = position * MILLIMETRE + pose[:3, :3] @ middle
+        count[number] = count.get(number, 0) + 1
+        name = f"object_{number}" + (f"_{count[number]}" if count[number] > 1 else "")
+        item = {"name": name, "type": "mesh", "size": size.tolist(), "pose": pose.tolist()}
+        item["symmetries"] = symmetries(model).tolist()
+        hull = model_hull(folder / f"obj_{int(number):06d}.ply")
+        if hull is not None:
+            item["vertices"] = hull - middle
+        objects.append(item)
+    return {"frame": "camera", "gravity": [0.0, 0.0, 0.0], "objects": objects}
+
+
+def model_hull(path: Path) -> np.ndarray | None:
+    """Return the (V, 3) corners of a model's convex hull in metres, model axes; None where there is no such file."""
+    if not path.is_file():
+        return None
+    import trimesh
+
+    try:
+        mesh: Any = trimesh.load(path, process=False)
+        return np.asarray(mesh.convex_hull.vertices, float) * MILLIMETRE
+    except Exception as fault:  # whatever a reader of other people's formats raises
+        raise DerenderError("this is no mesh", path, "leave it out, or export it anew") from fault
+
+
+def symmetries(model: Mapping[str, Any]) -> np.ndarray:
+    """Return the rotations (K, 3, 3) that leave a model as it is, the identity first: of models_info.json."""
+    found = [np.eye(3)]
+    for numbers in model.get("symmetries_discrete", ()):
+        matrix = numbers_of(numbers, (16,))
+        if matrix is not None:
+            found.append(matrix.reshape(4, 4)[:3, :3])
+    for entry in model.get("symmetries_continuous", ()):
+        axis = numbers_of(entry.get("axis") if isinstance(entry, Mapping) else None, (3,))
+        if axis is None or np.linalg.norm(axis) < 1e-9:
+            continue
+        x, y, z = axis / np.linalg.norm(axis)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        angles = 2.0 * np.pi * np.arange(TURNS) / TURNS
+        turns = [np.eye(3) + np.sin(a) * cross + (1.0 - np.cos(a)) * cross @ cross for a in angles]
+        found = [turn @ other for other in found for turn in turns]
+    return np.array(found)
+
+
+def read_models_info(path: str | Path, models: str | Path | None = None) -> tuple[dict[str, Any], Path]:
+    """Read BOP's models_info.json: as given, or in models/ or models_eval/ beside the scene or some folders above.
+
+    Returns it and its folder.
+    """
+    if models is not None:
+        given = Path(models)
+        candidates = [given / "models_info.json" if given.is_dir() else given]
+    else:
+        folders = list(Path(path).resolve().parents)[:4]
+        names = ("models_info.json", *(f"{folder}/models_info.json" for folder in FOLDERS))
+        candidates = [folder / name for folder in folders for name in names]
+    for candidate in candidates:
+        if candidate.is_file():
+            try:
+                return parse_json(candidate.read_text(encoding="utf-8"), candidate), candidate.parent
+            except UnicodeDecodeError as fault:
+                raise DerenderError("this is not JSON", candidate) from fault
+    raise DerenderError("sizes of the models are needed: no models_info.json", path, "give it with --models")
+
+
+def is_bop_frame(value: object) -> bool:
+    """Return whether this is what scene_gt.json holds for a frame."""
+    return isinstance(value, list) and all(
+        isinstance(entry, Mapping) and {"cam_R_m2c", "cam_t_m2c", "obj_id"} <= set(entry) for entry in value
+    )
+
+
+def numbers_of(value: object, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return finite numbers of that shape, or None."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    return array if array.shape == shape and np.all(np.isfinite(array)) else None
+
 
 LABEL_SUFFIXES = (".png", ".npy", ".tiff", ".tif")
 

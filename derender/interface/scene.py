@@ -128,9 +128,9 @@ class Scene:
         >>> derender.sample("stack", seed=0).to_mjcf()[:7]
         '<mujoco'
         """
-        from derender.report.export.mjcf import export
+        from derender.report.export import export_mjcf
 
-        (text,) = (data for name, data in export(self.graph, Path("scene.xml")).items() if name.endswith(".xml"))
+        (text,) = (data for name, data in export_mjcf(self.graph, Path("scene.xml")).items() if name.endswith(".xml"))
         return text.decode()
 
     def plot_depth(self, ax=None):

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.ascent.descent import Ascent, Cost, fixed_steps, levenberg
-from derender.posterior.ascent.placement import new_placement
+from derender.posterior.ascent import Ascent, Cost, fixed_steps, levenberg, new_placement
 from derender.registry import suggest
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import new_misfit

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.posterior.adaptation import centre_of, covariance_of, first_tuning, rescale
-from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, rescale
 from derender.posterior.smc import tempered
 from derender.posterior.space import Space
 from derender.sampling.metropolis import log_threshold

@@ -9,10 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from derender.posterior.adaptation import first_tuning, rescale
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.layout import Stretch
-from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
 from derender.sampling.chains import Segment
 

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.adaptation import first_tuning, rescale
-from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.space import Space
 from derender.sampling.smc import anneal, systematic
 from derender.scene.priors.terms import MOST_TRIES

@@ -51,10 +51,10 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":
-        from derender.report.export.glb import export
+        from derender.report.glb import glb_bytes
 
         with atomic_path(path) as temporary:
-            temporary.write_bytes(export(graph, path, camera, trajectory)[path.name])
+            temporary.write_bytes(glb_bytes(graph, trajectory))
         return
     assert camera is not None
     names = graph.solid_names

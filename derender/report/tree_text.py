@@ -11,8 +11,8 @@ from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.bare_image import BareImagePrior
-from derender.scene.priors.contacts import ContactPrior
 from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.objects import ContactPrior
 from derender.scene.priors.tree import TreePrior
 from derender.scene.priors.values import ROTATION
 from derender.scene.shapes import shapes

@@ -182,7 +182,7 @@ def write_labels(path: str | Path, label: np.ndarray) -> None:
 
 def write_explained(path: str | Path, depth: np.ndarray) -> None:
     """Write an explained depth (H, W) as a float32 .npy, whole or not at all."""
-    from derender.camera.depth_formats import encode_npy
+    from derender.camera.image_files import encode_npy
 
     with atomic_path(path) as temporary:
         temporary.write_bytes(encode_npy(np.asarray(depth, np.float32)))

@@ -11,6 +11,7 @@ over the draws, which know nothing of the contact.
 How probable the contact is beforehand, REACH and how much less what would tip off its parent alone, says the prior.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,9 +22,10 @@ from derender.detection.solids.beliefs import bare_image
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, SceneGraph
-from derender.scene.priors.bare_image import Loose
+from derender.scene.pose import inverse
+from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
-from derender.scene.support import balances, support_residual
+from derender.scene.vertex import nearest_contact
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
@@ -177,3 +179,46 @@ def together(part: StructurePosterior, other: StructurePosterior) -> StructurePo
         far = [np.hypot(part.weight - ends[0][k], other.weight - ends[1][k]) for k in range(2)]
         interval = float(max(weight - far[0], 0.0)), float(min(weight + far[1], 1.0))
     return replace(part, weight=weight, weight_error=error, weight_interval=interval)
+
+
+class SupportResidual(NamedTuple):
+    """How far an object is from resting on a second support.
+
+    Attributes
+    ----------
+    parent_face, child_face : the faces that would touch.
+    gap : metres between them along the support's normal; negative where they interpenetrate.
+    tilt : radians between them.
+    outside : metres by which their outlines miss each other.
+    """
+
+    parent_face: str | None
+    child_face: str | None
+    gap: float
+    tilt: float
+    outside: float
+
+    def distance(self, radius: float) -> float:
+        """Return one length: gap, miss and the tilt's arc at `radius` metres, as a root of the sum of squares."""
+        return float(np.sqrt(self.gap**2 + self.outside**2 + (radius * self.tilt) ** 2))
+
+
+def support_residual(graph: SceneGraph, name: str, support: str) -> SupportResidual:
+    """Return how far the vertex `name` is from resting on `support` with the feature that rests on its parent.
+
+    The support's face is the one that looks most squarely at it. A vertex that floats takes its best pair of faces.
+    """
+    vertex = graph.vertex(name)
+    poses = graph.poses()
+    kind = vertex.contact.type if vertex.contact.type != "6dof" else "face-to-face"
+    relative = inverse(poses[support]) @ poses[name]
+    body, child = graph.body(support), vertex.body
+    face = vertex.contact.child_face
+    upright = None
+    if face is not None and body.shape.face_names:
+        down = relative[:3, :3] @ child.face(face).frame[:3, 2]
+        upright = min(body.shape.face_names, key=lambda other: body.face(other).frame[:3, 2] @ down)
+    contact, left = nearest_contact(relative, body, child, kind, upright, face)
+    tilts = [value for key, value in left.slack.items() if key.startswith("tilt")]
+    tilt = math.hypot(*tilts) + left.angle
+    return SupportResidual(contact.parent_face, contact.child_face, left.slack.get("gap", 0.0), tilt, left.outside)

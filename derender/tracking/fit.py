@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.posterior.ascent.descent import solve_positive
+from derender.posterior.ascent import solve_positive
 from derender.render.raycast.canvas import FACE_BITS, NOTHING
 from derender.render.raycast.normal_equations import compare_rows, cost, normal_equations
-from derender.render.raycast.records import MOTION
+from derender.render.raycast.sensitivity import MOTION
 
 RIGID = 6  # coordinates of a rigid motion
 SMALLEST = 0.003  # metres: no extent becomes less

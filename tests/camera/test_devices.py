@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from derender.camera.camera_file import read_camera
-from derender.camera.depth_file import DepthImage
+from derender.camera.depth_file import DepthImage, Reading, direction, turned
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.camera.reading import Reading, direction, turned
 from derender.errors import DerenderError
 
 K = [[1500.0, 0.0, 959.5], [0.0, 1500.0, 719.5], [0.0, 0.0, 1.0]]

@@ -9,7 +9,7 @@ import pytest
 
 from derender.batch.frames import find_frames, is_many
 from derender.camera.depth_file import read_depth
-from derender.camera.depth_formats import encode_png
+from derender.camera.image_files import encode_png
 from derender.errors import DerenderError
 
 pytest.importorskip("rosbags")

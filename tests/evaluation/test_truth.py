@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 from derender.errors import DerenderError
-from derender.evaluation.condition import condition_of
-from derender.evaluation.metrics import add_s, compare_scenes, pose_and_size_errors
+from derender.evaluation.metrics import add_s, compare_scenes, condition_of, pose_and_size_errors
 from derender.evaluation.truth import checked_scene, read_json_scene, read_labels
 
 

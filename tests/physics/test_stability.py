@@ -3,7 +3,7 @@
 import pytest
 from test_simulate import FLOOR, GRAVITY, cube, matter
 
-from derender.evaluation.condition import floating, gaps, intersecting
+from derender.evaluation.metrics import floating, gaps, intersecting
 
 
 def test_gaps_floating_and_intersecting():

@@ -7,11 +7,10 @@ import pytest
 from invariance import State, bound, verdict
 from small_scenes import SCENES, TOWER, SceneWorld
 
-from derender.posterior.adaptation import first_tuning
 from derender.posterior.compiled.backend import CompiledBackend
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.model import NotCompiled
-from derender.posterior.kernels.base import kernels, mixture
+from derender.posterior.kernels.base import first_tuning, kernels, mixture
 from derender.posterior.settings import Settings
 from derender.scene.contacts import contacts
 from derender.structures.given import infer_scene

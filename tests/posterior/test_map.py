@@ -7,11 +7,11 @@ from smooth_image import SmoothLikelihood
 from derender import data_path
 from derender.document import read_document
 from derender.errors import DerenderError
-from derender.posterior.ascent.placement import find_motions, new_placement, place
+from derender.posterior.ascent import find_motions, new_placement, place
 from derender.posterior.forward import draw_documents, observe
 from derender.posterior.map import MapProblem, climb
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.records import MOTION
+from derender.render.raycast.sensitivity import MOTION
 from derender.scene.pose import inverse
 from derender.scene.solids import BOX, MESH
 from derender.structures.given import targets

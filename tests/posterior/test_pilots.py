@@ -10,7 +10,7 @@ from derender.posterior import pilots
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
-from derender.posterior.kernels.place_mixture import fitted, mixture_density
+from derender.posterior.kernels.relocate import fitted, mixture_density
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.settings import Settings
 from derender.posterior.space import Block, Unknown

@@ -8,8 +8,7 @@ from derender.render.blur import blur, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
 from derender.render.raycast.normal_equations import cost, new_misfit, normal_equations
-from derender.render.raycast.records import MOTION, new_records, spread
-from derender.render.raycast.sensitivity import record
+from derender.render.raycast.sensitivity import MOTION, new_records, record, spread
 from derender.scene.solids import Solids
 
 

@@ -25,8 +25,8 @@ from derender.render.blur import blur, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.records import MOTION
-from derender.render.raycast.smooth import blur_rectangle
+from derender.render.raycast.normal_equations import blur_rectangle
+from derender.render.raycast.sensitivity import MOTION
 from derender.scene.solids import BOX, CYLINDER, SPHERE, Solids
 
 

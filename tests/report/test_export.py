@@ -12,8 +12,7 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.bodies import matter_of_graph
 from derender.physics.simulate import judge, simulate
-from derender.report.export import EXPORTERS, export_scene
-from derender.report.export.urdf import roll_pitch_yaw
+from derender.report.export import EXPORTERS, export_scene, roll_pitch_yaw
 from derender.report.geometry import upright_pose
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation

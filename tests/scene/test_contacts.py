@@ -19,7 +19,7 @@ from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.scene import polygon
 from derender.scene.contacts import contacts
-from derender.scene.contacts.on_face import FaceToFace, SideOnFace
+from derender.scene.contacts.kinds import FaceToFace, SideOnFace
 from derender.scene.pose import random_rotation, rotation_x
 from derender.scene.separation import separation_of
 from derender.scene.shapes import shapes

@@ -18,10 +18,9 @@ from derender.scene.distributions import Categorical, distributions
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
-from derender.scene.priors.contacts import ContactPrior, ContactRule
 from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.objects import ContactPrior, ContactRule, ShapePrior
 from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot
-from derender.scene.priors.shapes import ShapePrior
 from derender.scene.priors.tree import TreeObject, TreePrior
 
 uniform = distributions["uniform"]
@@ -267,7 +266,7 @@ def test_grammar_masses_sum_to_one():
         ) if generations else 0.0  # fmt: skip
         return sum(math.exp(count.log_density(k)) * below**k for k in range(40))
 
-    from derender.scene.priors.contacts import top_face
+    from derender.scene.priors.objects import top_face
 
     def top_of(child, choice):
         return top_face(prior.shapes[child].type, choice[0], choice[2])

@@ -14,7 +14,7 @@ from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, random_rotation, translation
 from derender.scene.separation import overlaps
 from derender.scene.solids import BOX, PLANE
-from derender.scene.support import support_residual
+from derender.structures.bridges import support_residual
 
 
 def figure_3(which):

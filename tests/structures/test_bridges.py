@@ -14,8 +14,8 @@ from derender.report.tree_text import scene_lines
 from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
-from derender.scene.support import balances, support_residual
-from derender.structures.bridges import with_bridges
+from derender.scene.priors.bare_image import balances
+from derender.structures.bridges import support_residual, with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 

@@ -9,9 +9,8 @@ import pytest
 from invariance import bound, steps_of, verdict
 from small_scenes import OPENING, SceneWorld
 
-from derender.posterior.adaptation import first_tuning
 from derender.posterior.compiled.interpreted import InterpretedBackend
-from derender.posterior.kernels.base import mixture
+from derender.posterior.kernels.base import first_tuning, mixture
 from derender.posterior.target import SceneTarget
 
 # Two planks: where they lie across each other they touch at three times as many offsets as where they are parallel.

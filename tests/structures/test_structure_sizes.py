@@ -10,7 +10,7 @@ from derender.detection.solids.sizes import CUBE, box_log_density, log_density_a
 from derender.detection.solids.state import FLOOR, State
 from derender.document import read_prior_document
 from derender.scene.distributions import distributions
-from derender.scene.priors.shapes import ShapePrior
+from derender.scene.priors.objects import ShapePrior
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, SLOTS, make_chart
 from derender.structures.draws.metropolis import engine_of, run

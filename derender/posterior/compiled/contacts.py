@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import call_for_nothing, call_for_number, call_for_two_numbers, njit
-from derender.posterior.compiled.evaluate import fill, put_all
+from derender.posterior.compiled.evaluate import fill, place, put_all, seen_from
 from derender.posterior.compiled.layout import (
     CHILD_FACE,
     CONTACT,
@@ -28,7 +28,6 @@ from derender.posterior.compiled.layout import (
     TABLE,
     VERTEX,
 )
-from derender.posterior.compiled.poses import place, seen_from
 from derender.posterior.compiled.prior import wrap
 from derender.render.raycast.state import SIGMA
 from derender.scene.contacts.compiled import compose, outline

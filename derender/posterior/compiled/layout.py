@@ -34,7 +34,7 @@ class Model(NamedTuple):
     places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
     vertices : (8, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, the place among
         the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
-        root's; its contact code says how its numbers give its pose (poses.py).
+        root's; its contact code says how its numbers give its pose (evaluate.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
     terms : (T, 9) float64, the constraints, see terms.py. terms_at : address of `sum_of_terms`; 0 where T is 0.
     """

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from derender.compilation.cache import address_of
-from derender.posterior.compiled import poses
+from derender.posterior.compiled.evaluate import FIXED_ROOT, FREE_ROOT, LOOKED_AT
 from derender.posterior.compiled.layout import (
     CONTACT,
     HELD,
@@ -74,7 +74,7 @@ def model_of(target, address: Address = address_of) -> Model:
 
 
 def vertices_of(
-    graph: SceneGraph, root: int = poses.FIXED_ROOT, address: Address = address_of
+    graph: SceneGraph, root: int = FIXED_ROOT, address: Address = address_of
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Model.vertices and Model.extents of a graph. root : how the root's numbers give its pose."""
     count, index, size, frame = len(graph.vertices), np.int64(0), np.zeros(3), np.eye(4)
@@ -175,18 +175,18 @@ def check_faces(graph: SceneGraph, vertex: Vertex) -> None:
 def root_code(target) -> int:
     """Return how the root's numbers give its pose."""
     if not any(unknown.address.startswith("root.") for unknown in target.space.unknowns):
-        return poses.FIXED_ROOT
+        return FIXED_ROOT
     if isinstance(target.root_prior, FreeRoot):
-        return poses.FREE_ROOT
+        return FREE_ROOT
     if isinstance(target.root_prior, LookedAtRoot):
-        return poses.LOOKED_AT
+        return LOOKED_AT
     raise NotCompiled("this kind of root")
 
 
 ROOT_SLOTS = {
-    poses.FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"),
-    poses.LOOKED_AT: LookedAtRoot.KEYS,
-    poses.FIXED_ROOT: (),
+    FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"),
+    LOOKED_AT: LookedAtRoot.KEYS,
+    FIXED_ROOT: (),
 }
 
 
@@ -229,7 +229,7 @@ def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
     count, solids = len(graph.vertices), len(graph.solid_names)
     size, directions = len(target.space.addresses), int(target.space.directions[-1])
     numbers = np.tile(numbers_of(graph), (2, 1, 1))
-    if root_code(target) != poses.FIXED_ROOT:
+    if root_code(target) != FIXED_ROOT:
         coordinates = dict(target.root_prior.values(graph.root_pose))
         for key, value in zip(("qw", "qx", "qy", "qz"), coordinates.pop("root.quat_wxyz", ()), strict=False):
             coordinates[f"root.{key}"] = value

@@ -8,6 +8,8 @@ to which the sweep adds the change of the log posterior and, where an object's c
 Jacobian of their contacts; the step is accepted with probability min(1, exp(log ratio)). There is one source of each
 proposal and of the sweep: numba compiles it, and Python runs the same text where a model has no compiled form
 (`compiled/interpreted.py`).
+
+Warm-up learns from where the chain has been: a centre, a covariance, a scale for each kernel. Then it stops.
 """
 
 import math
@@ -20,6 +22,7 @@ from derender.compilation.cache import Kernel
 from derender.errors import DerenderError, at_fault
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
+from derender.sampling.metropolis import adapted_scale
 
 STEP, ROW, PLACING = range(3)  # forms of kernels: one proposal, a row of places to choose from, objects put down anew
 
@@ -172,3 +175,51 @@ def mixture(
 def _check(value: object, what: str, where: object, lower: float = -math.inf) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < lower:
         raise DerenderError(f"{what} is {value!r}", where, "give a number" + (" from 0 up" if lower == 0 else ""))
+
+
+PRIOR_SHARE = 1e-4  # of the prior's variance, with the weight of five draws: keeps a covariance of few draws regular
+
+
+def first_tuning(space: Space, values: np.ndarray, temperature: float = 1.0) -> Tuning:
+    """Return the tuning of a chain that knows only its prior: a tenth of its spread."""
+    return Tuning(values, np.diag((0.1 * space.scales) ** 2), {}, temperature)
+
+
+def centre_of(space: Space, history: np.ndarray) -> np.ndarray:
+    """Return (P,) a typical place: means on lines; on circles and rotations the mean step from the last place.
+
+    Parameters
+    ----------
+    history : (n, P) float, places in the order of the chain.
+    """
+    last = history[-1]
+    centre = last
+    for _ in range(2):  # the second time from a better origin, for rotations
+        centre = space.move(centre, space.everything, space.differences(history, centre).mean(axis=0))
+    return centre
+
+
+def covariance_of(space: Space, history: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return (D, D) the covariance of tangents from `centre`, kept regular by a little of the prior's."""
+    steps = space.differences(history, centre)
+    count = len(steps)
+    seen = steps.T @ steps / count
+    return (count * seen + 5 * PRIOR_SHARE * np.diag(space.scales**2)) / (count + 5)
+
+
+def rescale(scale: Mapping[str, float], parts: list[Part], counts: np.ndarray, gain: float) -> dict[str, float]:
+    """Return the kernels' scales after a stretch: up where more steps were accepted than wanted, down where fewer.
+
+    Parameters
+    ----------
+    counts : (K, 2), steps and accepted ones in the stretch, in the order of `parts`.
+    gain : how far log scale goes for an acceptance rate that is wrong by 1.
+    """
+    scale = dict(scale)
+    for part, (steps, accepted) in zip(parts, counts.tolist(), strict=True):
+        kind = kernels[part.type]
+        if kind.adapts and steps > 0:
+            trust = min(1.0, steps / 20)
+            former = scale.get(part.name, 1.0)
+            scale[part.name] = adapted_scale(former, accepted / steps, kind.acceptance, gain * trust)
+    return scale

@@ -1,22 +1,143 @@
-"""Objects put down anew in the world, where warm-up saw them or at any angle; their children stay where they are."""
+"""Objects put down anew in the world, where warm-up saw them or at any angle; their children stay where they are.
 
+`PlaceMixture` is a density over places of one object, fitted to those that warm-up saw: it follows every mode, however
+narrow.
+"""
+
+import functools
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.prior import wrap
 from derender.posterior.kernels.base import PLACING, KernelType, kernels
-from derender.posterior.kernels.place_mixture import DEGREES, PlaceMixture, fitted, mixture_density
 from derender.posterior.space import Block
+
+DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
+NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape
+LEAST = 1e-5  # radians and metres, a floor of the spread
+UNSEEN = (0.2, 0.02)  # spread of angles and of lengths about the places where there are few
+
+
+class PlaceMixture(NamedTuple):
+    """Multivariate t distributions with 5 degrees of freedom and equal weights, one about each of K places.
+
+    A place is D numbers, lengths and angles, such as (angle, x, y) of each of some objects.
+
+    Attributes
+    ----------
+    centres : (K, D) float64.
+    factors : (K, D, D) float64, lower triangular. inverses : theirs.
+    periods : (D,) float64, of angles, which live on circles; 0 of lengths.
+    """
+
+    centres: np.ndarray
+    factors: np.ndarray
+    inverses: np.ndarray
+    periods: np.ndarray
+
+    def flat(self) -> np.ndarray:
+        """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""
+        below = np.tril_indices(len(self.periods))
+        determinants = np.prod(np.diagonal(self.inverses, axis1=1, axis2=2), axis=1)
+        rows = [self.centres, self.factors[:, *below], self.inverses[:, *below], determinants[:, None]]
+        return np.concatenate(rows, axis=1).T.ravel()
+
+
+def shortest(steps: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """Return (..., D) steps with those of angles taken the short way."""
+    turns = periods > 0.0
+    half = 0.5 * periods[turns]
+    steps[..., turns] = (steps[..., turns] + half) % periods[turns] - half
+    return steps
+
+
+def fitted(centres: np.ndarray, periods: tuple[float, ...]) -> PlaceMixture:
+    """Return the mixture about (K, D) places; each component has the covariance of its nearest neighbours.
+
+    So each is as wide and as slanted as the posterior is there. Near is meant in units of the components' harmonic mean
+    covariance, found with a first round in units of all places'.
+    """
+    return _fitted(np.ascontiguousarray(centres).tobytes(), periods)
+
+
+@functools.lru_cache(128)
+def _fitted(content: bytes, periods: tuple[float, ...]) -> PlaceMixture:
+    size, around = len(periods), np.array(periods)
+    centres = np.frombuffer(content).reshape(-1, size)
+    steps = shortest(centres[None] - centres[:, None], around)
+    near = min(max(NEIGHBOURS, 2 * size), len(centres) - 1)
+    if near <= size:
+        covariances = np.tile(np.diag(np.square(np.where(around > 0.0, *UNSEEN))), (len(centres), 1, 1))
+    else:
+        floor = LEAST**2 * np.eye(size)
+        all_steps = steps.reshape(-1, size)
+        metric = all_steps.T @ all_steps / (2.0 * len(centres) ** 2) + floor
+        for _ in range(2):
+            white = np.linalg.inv(np.linalg.cholesky(metric)) @ all_steps.T
+            distances = np.sum(white * white, axis=0).reshape(len(centres), -1)
+            nearest = np.argpartition(distances, near, axis=1)[:, : near + 1]
+            close = np.take_along_axis(steps, nearest[..., None], axis=1)
+            covariances = close.transpose(0, 2, 1) @ close / near + floor
+            metric = np.linalg.inv(np.linalg.inv(covariances).mean(axis=0))
+    factors = np.linalg.cholesky(covariances)
+    return PlaceMixture(centres, factors, np.linalg.inv(factors), around)
+
+
+@njit(cache=True, nogil=True)
+def mixture_density(places, periods, place):
+    """Return q(place) up to its constant; steps of more than half a period are never proposed.
+
+    places : see PlaceMixture.flat. periods : of the angles, 0 of lengths.
+
+    Number by number over all components, and not component by component: so the processor takes several at once.
+    """
+    size = len(place)
+    first = size + size * (size + 1) // 2  # of the inverses' rows
+    count = len(places) // (2 * first - size + 1)
+    steps, white, squared = np.empty((size, count)), np.empty(count), np.zeros(count)
+    for i in range(size):
+        step, centre = steps[i], places[i * count : (i + 1) * count]
+        for k in range(count):
+            step[k] = place[i] - centre[k]
+        period = periods[i]
+        if period > 0.0:
+            for k in range(count):
+                step[k] -= period * math.floor(step[k] / period + 0.5)
+    at = first
+    for i in range(size):
+        white[:] = 0.0
+        for j in range(i + 1):
+            step, factor = steps[j], places[at * count : (at + 1) * count]
+            for k in range(count):
+                white[k] += factor[k] * step[k]
+            at += 1
+        for k in range(count):
+            squared[k] += white[k] * white[k]
+    for k in range(count):
+        squared[k] = 1.0 + squared[k] / DEGREES
+    power = white  # to the power of (DEGREES + size) / 2
+    power[:] = 1.0
+    if (DEGREES + size) % 2:
+        for k in range(count):
+            power[k] = math.sqrt(squared[k])
+    for _ in range((DEGREES + size) // 2):
+        for k in range(count):
+            power[k] *= squared[k]
+    determinant, total = places[at * count :], 0.0
+    for k in range(count):
+        total += determinant[k] / power[k]
+    return total
 
 
 @njit(cache=True, nogil=True)
 def seen_place(rng, places, periods, old, new):
     """Propose a place w' = (angle, x, y) on the floor below the object, from a mixture q over the places of an archive.
 
-    The archive was filled in warm-up by all chains and is frozen; q (`place_mixture`) does not look at the present
+    The archive was filled in warm-up by all chains and is frozen; q (`PlaceMixture`) does not look at the present
     place. A tangent beyond half an angle's period is refused: that is a proposal to stay, and q elsewhere is what it
     was. In the world's coordinates what is seen of one object hardly depends on where the others are, as it does in
     those of its contact, which hang on the parent.

@@ -13,6 +13,9 @@ a linear form on motions (a covector): `Records` list pixel, solid and form.
 """
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from derender.compilation.cache import njit
 from derender.render.raycast.canvas import FACE_BITS, FACE_MASK, NOTHING, QUADRIC
@@ -20,8 +23,56 @@ from derender.render.raycast.convex import FACES
 from derender.render.raycast.integral import TWO
 from derender.render.raycast.outline import DEPTH, LINES, NORMAL
 from derender.render.raycast.pieces import curved_inverse_depth
-from derender.render.raycast.records import MOTION
 from derender.scene.solids import CYLINDER, MESH
+
+MOTION = 9  # twist (v, w) and the rates of the three extents
+
+
+class Records(NamedTuple):
+    """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form .
+    motion[solid].
+
+    Attributes
+    ----------
+    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `filled[0]`
+        are filled.
+    filled : (1,) int64, how many are.
+    """
+
+    pixel: np.ndarray
+    solid: np.ndarray
+    form: np.ndarray
+    filled: np.ndarray
+
+
+def new_records(camera, solids: int) -> Records:
+    """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
+    size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
+    return Records(
+        np.zeros(size, np.int32),
+        np.zeros(size, np.int32),
+        np.zeros((size, MOTION)),
+        np.zeros(1, np.int64),
+    )
+
+
+@njit(cache=True, nogil=True)
+def spread(records, motions, moves, images):
+    """Forward mode: add the derivative of the antialiased image by parameters to images (P, H * W).
+
+    motions : (P, N, MOTION) float64, the motion of each solid per unit of each parameter; moves : (P, N) bool, where
+    that is not zero.
+    """
+    for m in range(records.filled[0]):
+        pixel, form = records.pixel[m], records.form[m]
+        k = records.solid[m]
+        for p in range(motions.shape[0]):
+            if moves[p, k]:
+                motion = motions[p, k]
+                value = 0.0
+                for c in range(MOTION):
+                    value += form[c] * motion[c]
+                images[p, pixel] += value
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)

@@ -1,28 +1,33 @@
-"""The model's part of a scene file (DESIGN section 6): root, objects, open structure; read into a prior.
+"""The model's part of a scene file: root, objects, open structure; read into a prior.
 
-A file whose numbers are all fixed is a prior with one scene.  The keys of other rooms (camera, likelihood, inference)
-are left to `derender.document`.
+A file whose numbers are all fixed is a prior with one scene. Open-universe priors are found by the name under
+`structure: {type: ...}`; each reads its own keys. The keys of other rooms (camera, likelihood, inference) are left to
+`derender.document`.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.registry import Registry
 from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
 from derender.scene.graph import STANDARD_GRAVITY
 from derender.scene.pose import from_quaternion
-from derender.scene.priors.base import Prior
-from derender.scene.priors.contacts import ON, TOP, ContactPrior, ContactRule
-from derender.scene.priors.open_structure import structures
+from derender.scene.priors.algorithm_1 import Algorithm1Prior
+from derender.scene.priors.bare_image import BareImagePrior, MayTip, read_loose
+from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.objects import ON, TOP, ContactPrior, ContactRule, ShapePrior
 from derender.scene.priors.physical import PHYSICAL, read_physical
 from derender.scene.priors.reading import (
     read_categorical,
     read_contact_values,
+    read_count,
     read_face,
     read_rotation,
     read_rules,
@@ -30,11 +35,68 @@ from derender.scene.priors.reading import (
     read_value,
 )
 from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, RootPrior
-from derender.scene.priors.terms import RestsOn, read_terms
-from derender.scene.priors.tree import ROOT, TreeObject, TreePrior
+from derender.scene.priors.terms import RestsOn, Term, read_terms
+from derender.scene.priors.tree import ROOT, Prior, TreeObject, TreePrior
 from derender.scene.priors.values import QUATERNION
 from derender.scene.shapes import shapes
 from derender.scene.vertex import is_name
+
+structures: Registry["Structure"] = Registry("structure", "derender.structures")
+
+
+class Structure:
+    """A kind of open-universe prior."""
+
+    name: str
+
+    def read(
+        self,
+        section: Section,
+        root: RootPrior,
+        objects: tuple[TreeObject, ...],
+        shapes: Mapping[str, ShapePrior],
+        contacts: ContactPrior,
+        constraints: tuple[Term, ...],
+    ) -> Prior:
+        """Return the prior of a file's `structure` section, with what its other sections gave."""
+        raise NotImplementedError
+
+
+@structures.register("algorithm-1")
+class Algorithm1(Structure):
+    """`{type: algorithm-1, mean_parents: 1.5, mean_children: 2}`: lambda_1 and lambda_2."""
+
+    def read(self, section, root, objects, shapes, contacts, constraints):
+        section.allow("type", "mean_parents", "mean_children")
+        if objects:
+            raise section.fault("Algorithm 1 starts from the bare root", "leave objects: out, or take type: grammar")
+        for name, shape in shapes.items():
+            if shape.weight != 1.0:
+                raise section.fault(f"the weight of {name} is not 1", "in Algorithm 1 each shape is as likely")
+        means = [section[key].number(lower=1e-9, upper=1000) for key in ("mean_parents", "mean_children")]
+        return Algorithm1Prior(root, shapes, contacts, *means, constraints)
+
+
+@structures.register("grammar")
+class Grammar(Structure):
+    """`{type: grammar, offspring: {floor: {poisson: 2}, box: {geometric: 0.2}}}`: how many grow on each."""
+
+    def read(self, section, root, objects, shapes, contacts, constraints):
+        section.allow("type", "offspring")
+        offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
+        return GrammarPrior(root, objects, shapes, contacts, offspring, constraints)
+
+
+@structures.register("bare-image")
+class BareImage(Structure):
+    """`{type: bare-image, offspring: {...}, slack: 1.5 mm, tipping: 0.01}`: a grammar, and what is loose about it."""
+
+    def read(self, section, root, objects, shapes, contacts, constraints):
+        loose = read_loose(section)
+        offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
+        terms = (*constraints, MayTip(loose.tipping))
+        return BareImagePrior(root, objects, shapes, contacts, offspring, terms, loose)
+
 
 KEYS = ("root", "gravity", "objects", "structure", "shapes", "contacts", "constraints")
 MOST_OBJECTS = 2000

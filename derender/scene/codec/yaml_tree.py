@@ -1,20 +1,21 @@
-"""Strict YAML: a file becomes a tree of nodes (`yaml_nodes`) that know their file, line and address.
+"""Strict YAML: a file becomes a tree of nodes (`yaml_nodes`) that know their file, line and address; and back.
 
 PyYAML parses; nothing is constructed.  Refused, each with its line: duplicate keys, tabs, tags, several documents,
-aliases that blow up, deep nesting, huge files.
+aliases that blow up, deep nesting, huge files. What is written (`to_yaml`) reads back bit for bit.
 """
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from derender.errors import DerenderError
-from derender.scene.codec.yaml_nodes import Item, List, Node, Section, shown
+from derender.scene.codec.yaml_nodes import Item, List, Node, Section, reads_as_text, shown, write_number
 
 __all__ = ["Item", "List", "Node", "Section", "parse_yaml", "read_yaml"]
 
@@ -191,3 +192,49 @@ class _Builder:
             )
         parent.lines[key] = place.line
         stack[-1] = (parent, event)
+
+
+_PLAIN = re.compile(r"[A-Za-z0-9_+/.-]([A-Za-z0-9_+/. -]*[A-Za-z0-9_+/.-])?")
+
+
+def to_yaml(data: Mapping[str, Any], block_levels: Mapping[str, int] | None = None) -> str:
+    """Return YAML text of a mapping.
+
+    `block_levels` says for a key of the top how many levels below it get a line for each entry (0 when not named).
+    """
+    lines = []
+    for key, value in data.items():
+        _emit(lines, 0, key, value, (block_levels or {}).get(key, 0))
+    return "\n".join(lines) + "\n"
+
+
+def _emit(lines: list[str], indent: int, key: str, value: Any, levels: int) -> None:
+    start = " " * indent + _quoted(key) + ":"
+    if levels > 0 and isinstance(value, Mapping) and value:
+        lines.append(start)
+        for inner, item in value.items():
+            _emit(lines, indent + 2, inner, item, levels - 1)
+    else:
+        lines.append(f"{start} {_flow(value)}")
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_quoted(key)}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, str):
+        return _quoted(value)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value is None:
+        return "null"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return write_number(value if isinstance(value, int) else float(value))
+
+
+def _quoted(value: Any) -> str:
+    """Return a text plain where every reader takes it for text, else in double quotes."""
+    value = str(value)
+    if _PLAIN.fullmatch(value) and reads_as_text(value) and not value.startswith(("- ", "-- ", "---")) and value != "-":
+        return value
+    return json.dumps(value)  # JSON's escapes are YAML's

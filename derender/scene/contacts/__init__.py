@@ -1,8 +1,7 @@
 """The library of contacts. A new one is a file with a class under `@contacts.register(name)`, here or elsewhere."""
 
-from derender.scene.contacts.base import ContactType, Inverse, SurfaceContact, contacts
-
 # The built-in types register themselves when they are imported.
-from derender.scene.contacts import on_face, six_dof  # noqa: F401  # isort: skip
+from derender.scene.contacts import kinds  # noqa: F401 - registered by being imported
+from derender.scene.contacts.base import ContactType, Inverse, SurfaceContact, contacts
 
 __all__ = ["ContactType", "Inverse", "SurfaceContact", "contacts"]

@@ -8,13 +8,8 @@ True
 2.65926
 """
 
-from derender.scene.distributions import (  # noqa: F401  (importing registers)
-    angles,
-    counts,
-    interval,
-    line,
-)
+from derender.scene.distributions import angles, continuous, discrete  # noqa: F401 - registered by being imported
 from derender.scene.distributions.base import ROW, Distribution, DistributionType, distributions
-from derender.scene.distributions.categorical import Categorical
+from derender.scene.distributions.discrete import Categorical
 
 __all__ = ["ROW", "Categorical", "Distribution", "DistributionType", "distributions"]

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph, Vertex
-from derender.scene.priors.base import Prior
-from derender.scene.priors.contacts import ContactPrior, top_face
+from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, top_face
 from derender.scene.priors.root import RootPrior
-from derender.scene.priors.shapes import ShapePrior, draw_vertex
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
-from derender.scene.priors.tree import ROOT, seat, vertex_addresses
+from derender.scene.priors.tree import ROOT, Prior, seat, vertex_addresses
 from derender.scene.priors.values import fault
 
 

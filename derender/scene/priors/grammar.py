@@ -16,12 +16,10 @@ import numpy as np
 
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import SceneGraph, Vertex
-from derender.scene.priors.base import Prior
-from derender.scene.priors.contacts import ContactPrior, top_face
+from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, top_face
 from derender.scene.priors.root import RootPrior
-from derender.scene.priors.shapes import ShapePrior, draw_vertex
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
-from derender.scene.priors.tree import ROOT, TreeObject, TreePrior, seat, vertex_addresses
+from derender.scene.priors.tree import ROOT, Prior, TreeObject, TreePrior, seat, vertex_addresses
 from derender.scene.priors.values import fault
 
 MOST_OBJECTS = 10_000

@@ -11,8 +11,7 @@ from derender.scene.codec.yaml_tree import Item, List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
 from derender.scene.parameter import Parameter
-from derender.scene.priors.contacts import ON, RESTING, TOP, ContactRule
-from derender.scene.priors.shapes import ShapePrior, check_places
+from derender.scene.priors.objects import ON, RESTING, TOP, ContactRule, ShapePrior, check_places
 from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quaternion
 from derender.scene.shapes import shapes
 

@@ -30,7 +30,7 @@ from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.grammar import GrammarPrior
-from derender.scene.priors.shapes import ShapePrior
+from derender.scene.priors.objects import ShapePrior
 from derender.scene.priors.tree import seat
 
 Choice = tuple[str, str | None, str | None]  # contact type, parent's face, child's face

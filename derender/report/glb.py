@@ -5,7 +5,6 @@ Written by hand, since the format is short: a JSON chunk and a chunk of numbers.
 
 import json
 import struct
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from derender.scene import solids as kinds
 from derender.scene.pose import quaternion, rotation_x
 
 if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
     from derender.physics.trajectory import Trajectory
     from derender.scene.graph import SceneGraph
 
@@ -25,18 +23,11 @@ FLOAT, UNSIGNED = 5126, 5125
 VERTICES, TRIANGLES = 34962, 34963
 
 
-def export(
-    graph: "SceneGraph", path: Path, camera: "Camera | None" = None, trajectory: "Trajectory | None" = None
-) -> dict[str, bytes]:
-    """Return the file's bytes by its name.
+def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> bytes:
+    """Return the scene as the bytes of a GLB.
 
     trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
     """
-    return {path.name: glb_bytes(graph, trajectory)}
-
-
-def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> bytes:
-    """Return the scene as the bytes of a GLB. trajectory : see `export`."""
     solids, names = graph.solids(), graph.solid_names
     colours = colours_of(solids, graph.solid_names) / 255
     tree: dict[str, Any] = {

@@ -1,1 +1,0 @@
-"""Maximum a posteriori estimation: second-order steps, the paper's fixed-step ascent, and their parts."""

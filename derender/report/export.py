@@ -1,0 +1,223 @@
+"""Scenes in the formats of other programs, by suffix; glTF's is in `glb.py`.
+
+An exporter takes (graph, path, camera) and returns the files to write, bytes by name, the first of which is the one
+asked for; others (a material library, meshes) go beside it.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from derender import __version__
+from derender.atomic import atomic_path
+from derender.camera.intrinsics import Camera
+from derender.errors import DerenderError
+from derender.physics.bodies import DENSITY
+from derender.report.geometry import plane_patch, solid_mesh, upright_pose
+from derender.report.glb import glb_bytes
+from derender.report.pictures import colours_of
+from derender.scene import solids as kinds
+from derender.scene.graph import SceneGraph
+
+MILLIMETRES = 1000.0
+PLANE_THICKNESS = 0.01  # metres, of the box that stands for a plane in URDF
+
+
+def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = None) -> list[Path]:
+    """Write a scene in the format of the suffix, and return the names of the files written.
+
+    Raises
+    ------
+    DerenderError : a suffix that none of the formats has, or a folder that cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in EXPORTERS:
+        raise DerenderError(f"no format has the suffix {suffix!r}", path, "choose from " + " ".join(EXPORTERS))
+    written = []
+    for name, data in EXPORTERS[suffix](graph, path, camera).items():
+        target = path.parent / name
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(data)
+        written.append(target)
+    return written
+
+
+def export_glb(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
+    """Return the bytes of a .glb: the scene graph as nodes, each child under its parent."""
+    return {path.name: glb_bytes(graph)}
+
+
+def export_obj(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
+    """Return the bytes of a Wavefront .obj, one object for each solid, z up, and of the .mtl with its materials."""
+    solids = graph.solids()
+    up = upright_pose(graph)
+    library = path.with_suffix(".mtl").name
+    lines, materials, count = [f"# derender {__version__}: metres, z up", f"mtllib {library}"], [], 1
+    for index, (name, colour) in enumerate(
+        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
+    ):
+        pose, extent = solids.pose[index], 1.0
+        if solids.kind[index] == kinds.PLANE:
+            pose, extent = plane_patch(solids, index)
+        vertices, triangles = solid_mesh(solids, index, extent)
+        placed = up @ pose
+        word = name.replace(" ", "_")
+        lines += [f"o {word}", f"usemtl {word}"]
+        lines += _triangles(vertices @ placed[:3, :3].T + placed[:3, 3], triangles, count)
+        count += len(vertices)
+        materials += [f"newmtl {word}", "Kd " + " ".join(f"{part:.4f}" for part in colour), ""]
+    return {path.name: ("\n".join(lines) + "\n").encode(), library: "\n".join(materials).encode()}
+
+
+def _triangles(vertices: np.ndarray, triangles: np.ndarray, first: int = 1) -> list[str]:
+    """Return the lines of an .obj for vertices (V, 3) and triangles (T, 3); first : number of the first vertex."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+    return lines + [f"f {a} {b} {c}" for a, b, c in triangles + first]
+
+
+def export_mjcf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
+    """Return the bytes of MuJoCo's XML, meshes and all: the very model that `derender simulate` runs."""
+    from derender.physics.bodies import Matter, matter_of_graph
+    from derender.physics.mujoco_model import Units, World
+
+    matter = matter_of_graph(graph)
+    up = upright_pose(graph)
+    bodies = tuple(body._replace(pose=up @ body.pose) for body in matter.bodies)
+    world = World(Matter(bodies, up[:3, :3] @ matter.gravity, matter.supports), units=Units(1.0, 1.0, 1.0))
+    colours = dict(zip(graph.solid_names, colours_of(graph.solids(), graph.solid_names) / 255, strict=True))
+    for geom in world.spec.geoms:
+        geom.rgba = [*colours[geom.name.split("/")[0]], 1.0]
+    world.spec.worldbody.add_light(pos=[0.5, -1, 2], dir=[-0.25, 0.5, -1])
+    return {path.name: world.to_xml(path.stem).encode()}
+
+
+def export_urdf(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
+    """Return the bytes of the .urdf for robot simulators, and of an .obj for each mesh.
+
+    The floor and every solid is a link, each on a joint from the world: fixed or floating. URDF knows boxes, spheres
+    and cylinders; a mesh goes into an .obj beside the file. A plane is a thin box under it all.
+    """
+    solids = graph.solids()
+    up = upright_pose(graph)
+    robot = ElementTree.Element("robot", name=path.stem)
+    ElementTree.SubElement(robot, "link", name="world")
+    files: dict[str, bytes] = {path.name: b""}
+    for index, (name, colour) in enumerate(
+        zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
+    ):
+        kind, size, pose = int(solids.kind[index]), solids.size[index], up @ solids.pose[index]
+        fixed = kind == kinds.PLANE
+        if fixed:
+            patch, extent = plane_patch(solids, index)
+            size = np.array([2 * extent, 2 * extent, PLANE_THICKNESS])
+            pose = up @ patch
+            pose[:3, 3] -= 0.5 * PLANE_THICKNESS * pose[:3, 2]
+        link = ElementTree.SubElement(robot, "link", name=name)
+        if not fixed:
+            _add_inertia(link, kind, size, graph.vertex(name).options)
+        for role in ("visual", "collision"):
+            part = ElementTree.SubElement(link, role)
+            geometry = ElementTree.SubElement(part, "geometry")
+            if kind == kinds.SPHERE:
+                ElementTree.SubElement(geometry, "sphere", radius=_text(0.5 * size[0]))
+            elif kind == kinds.CYLINDER:
+                ElementTree.SubElement(geometry, "cylinder", radius=_text(0.5 * size[0]), length=_text(size[2]))
+            elif kind == kinds.MESH:
+                file = f"{path.stem}_{name}.obj"
+                files[file] = ("\n".join(_triangles(*solid_mesh(solids, index))) + "\n").encode()
+                ElementTree.SubElement(geometry, "mesh", filename=file)
+            else:
+                ElementTree.SubElement(geometry, "box", size=_text(*size))
+            if role == "visual":
+                material = ElementTree.SubElement(part, "material", name=f"{name}_colour")
+                ElementTree.SubElement(material, "color", rgba=_text(*colour, 1.0))
+        joint = ElementTree.SubElement(robot, "joint", name=f"{name}_joint", type="fixed" if fixed else "floating")
+        ElementTree.SubElement(joint, "parent", link="world")
+        ElementTree.SubElement(joint, "child", link=name)
+        ElementTree.SubElement(joint, "origin", xyz=_text(*pose[:3, 3]), rpy=_text(*roll_pitch_yaw(pose)))
+    ElementTree.indent(robot)
+    files[path.name] = ElementTree.tostring(robot, xml_declaration=True, encoding="utf-8")
+    return files
+
+
+def roll_pitch_yaw(pose: np.ndarray) -> tuple[float, float, float]:
+    """Return the turns about fixed x, y, z axes, in this order, that make up a rotation (URDF's rpy), radians."""
+    rotation = pose[:3, :3]
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
+        # Looking straight up roll and yaw are one turn: all of it is roll.
+        return float(np.arctan2(-rotation[1, 2], rotation[1, 1])), float(pitch), 0.0
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def _add_inertia(link, kind: int, size: np.ndarray, options) -> None:
+    a, b, c = size
+    volume = float(np.prod(size)) * {kinds.SPHERE: np.pi / 6, kinds.CYLINDER: np.pi / 4}.get(kind, 1.0)
+    mass = options.get("mass") or volume * options.get("density", DENSITY)
+    if kind == kinds.SPHERE:
+        moments = np.full(3, mass * a * a / 10)
+    elif kind == kinds.CYLINDER:
+        across = mass * (3 * (a / 2) ** 2 + c * c) / 12
+        moments = np.array([across, across, mass * (a / 2) ** 2 / 2])
+    else:
+        # A mesh is taken as its oriented box.
+        moments = mass * np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 12
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value=_text(mass))
+    inertia = ElementTree.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0")
+    for key, moment in zip(("ixx", "iyy", "izz"), moments, strict=True):
+        inertia.set(key, _text(moment))
+
+
+def _text(*numbers: float) -> str:
+    return " ".join(f"{number:.9g}" for number in numbers)
+
+
+def export_bop(graph: SceneGraph, path: Path, camera: Camera | None = None) -> dict[str, bytes]:
+    """Return the bytes of BOP's scene_gt file, the pose of each solid in the camera's frame in millimetres.
+
+    Beside it models_info.json with the sizes, and with a camera scene_camera.json.
+    """
+    poses = graph.poses()
+    entries, models = [], {}
+    for vertex in graph.vertices:
+        size = vertex.body.size()
+        if size is None:
+            continue
+        number = len(entries) + 1
+        pose = poses[vertex.name]
+        extent = np.asarray(size, float) * MILLIMETRES
+        entries.append(
+            {
+                "cam_R_m2c": pose[:3, :3].ravel().tolist(),
+                "cam_t_m2c": (pose[:3, 3] * MILLIMETRES).tolist(),
+                "obj_id": number,
+            }
+        )
+        models[str(number)] = {
+            # Of the box that holds it: the diameter of a sphere or cylinder is a little less.
+            "diameter": float(np.linalg.norm(extent)),
+            **{f"min_{axis}": float(-0.5 * length) for axis, length in zip("xyz", extent, strict=True)},
+            **{f"size_{axis}": float(length) for axis, length in zip("xyz", extent, strict=True)},
+            "name": vertex.name,
+            "type": vertex.shape,
+        }
+    files = {path.name: json.dumps({"0": entries}, indent=1), "models_info.json": json.dumps(models, indent=1)}
+    if camera is not None:
+        matrix = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
+        files["scene_camera.json"] = json.dumps({"0": {"cam_K": matrix, "depth_scale": camera.depth_scale}}, indent=1)
+    return {name: (text + "\n").encode() for name, text in files.items()}
+
+
+EXPORTERS: dict[str, Callable[[SceneGraph, Path, Camera | None], dict[str, bytes]]] = {
+    ".glb": export_glb,
+    ".obj": export_obj,
+    ".xml": export_mjcf,
+    ".urdf": export_urdf,
+    ".json": export_bop,
+}
