@@ -72,13 +72,16 @@ def silence() -> Iterator[None]:
         log.setLevel(level)
 
 
-GREY, COLOUR = 0, 2  # colour types of the format
+GREY, COLOUR, PALETTE = 0, 2, 3  # colour types of the format
 
 
-def png_bytes(pixels: np.ndarray) -> bytes:
-    """Return a PNG file of pixels: (height, width, 3) uint8, or (height, width) uint16 as 16-bit grey."""
+def png_bytes(pixels: np.ndarray, palette: np.ndarray | None = None) -> bytes:
+    """Return a PNG file of pixels: (height, width, 3) uint8, or (height, width) uint16 as 16-bit grey.
+
+    palette : (256, 3) uint8, colours of which pixels (height, width) uint8 are numbers.
+    """
     height, width = pixels.shape[:2]
-    colour = GREY if pixels.ndim == 2 else COLOUR
+    colour = PALETTE if palette is not None else GREY if pixels.ndim == 2 else COLOUR
     lines = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">"))).view(np.uint8).reshape(height, -1)
     rows = np.zeros((height, 1 + lines.shape[1]), dtype=np.uint8)  # each begins with its filter: none
     rows[:, 1:] = lines
@@ -87,8 +90,9 @@ def png_bytes(pixels: np.ndarray) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     header = struct.pack(">IIBBBBB", width, height, 8 * pixels.dtype.itemsize, colour, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + body
+    colours = chunk(b"PLTE", palette.tobytes()) if palette is not None else b""
+    body = colours + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + body
 
 
 DEPTH_NAMES = ("Z", "depth", "Depth", "V", "Y", "R")  # the renderers' names for it, the surest first

@@ -37,10 +37,16 @@ def blur(image: np.ndarray, sigma: float) -> np.ndarray:
 
 def _blur_along(image: np.ndarray, taps: np.ndarray, axis: int) -> np.ndarray:
     radius, length = len(taps) - 1, image.shape[axis]
-    if axis == 1:  # whole rows are added: columns would be strides apart
-        image = image.T
-    padded = image.take(np.clip(np.arange(-radius, length + radius), 0, length - 1), axis=0)
-    blurred = taps[0] * padded[radius : radius + length]
+    padded = image.take(np.clip(np.arange(-radius, length + radius), 0, length - 1), axis=axis)
+
+    def shifted(by: int) -> np.ndarray:
+        inside = slice(radius + by, radius + by + length)
+        return padded[inside] if axis == 0 else padded[:, inside]
+
+    blurred = taps[0] * shifted(0)
+    both = np.empty_like(blurred)
     for k in range(1, radius + 1):
-        blurred += taps[k] * (padded[radius - k : radius - k + length] + padded[radius + k : radius + k + length])
-    return np.ascontiguousarray(blurred.T) if axis == 1 else blurred
+        np.add(shifted(-k), shifted(k), out=both)
+        both *= taps[k]
+        blurred += both
+    return blurred

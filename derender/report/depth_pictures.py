@@ -178,7 +178,7 @@ def picture(
     ramp = ", ".join("#" + colour for colour in anchors)
     form = ".2f" if unit == "m" else "+.1f"
     return (
-        f'<figure><div class="layers"><img src="{pictures.png_uri(pictures.paint(values, low, high, anchors))}" '
+        f'<figure><div class="layers"><img src="{pictures.painted_uri(values, low, high, anchors)}" '
         f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '
         f'<span class="bar" style="background:linear-gradient(90deg, {ramp})"></span> {high:{form}} {unit}</span>'
         "</figcaption></figure>"

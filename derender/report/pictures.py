@@ -17,6 +17,7 @@ from derender.scene.pose import inverse
 from derender.scene.solids import Solids
 
 MISSING = np.array([58, 58, 64], dtype=np.uint8)
+LEVELS = 255  # colours of a map: with that of what is missing they make a palette
 
 # Anchors of two maps, evenly spaced: viridis (perceptually even, for depth) and red - white - blue (for residuals).
 DEPTH_ANCHORS = ("fde725", "90d743", "35b779", "21918c", "31688e", "443983", "440154")
@@ -36,28 +37,35 @@ NAMED_COLOURS = {
 }
 
 
-def png_uri(pixels: np.ndarray) -> str:
-    """Return the picture as a data: URI for an HTML page."""
-    return "data:image/png;base64," + base64.b64encode(png_bytes(pixels)).decode()
+def png_uri(pixels: np.ndarray, palette: np.ndarray | None = None) -> str:
+    """Return the picture as a data: URI for an HTML page; see `png_bytes`."""
+    return "data:image/png;base64," + base64.b64encode(png_bytes(pixels, palette)).decode()
+
+
+def painted_uri(values: np.ndarray, low: float, high: float, anchors: tuple[str, ...] = DEPTH_ANCHORS) -> str:
+    """Return `paint`'s picture as a data: URI, with a palette: a third of the bytes to compress."""
+    return png_uri(_levels(values, low, high), colour_table(anchors))
 
 
 def paint(values: np.ndarray, low: float, high: float, anchors: tuple[str, ...] = DEPTH_ANCHORS) -> np.ndarray:
     """Return (height, width, 3) uint8 colours of values between `low` and `high`; what is not finite is dark grey."""
-    table = colour_table(anchors)
+    return colour_table(anchors)[_levels(values, low, high)]
+
+
+def _levels(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return (height, width) uint8, numbers of colours in a `colour_table`."""
     finite = np.isfinite(values)
     share = (np.where(finite, values, low) - low) / max(high - low, 1e-12)
-    pixels = table[np.clip(np.round(share * 255), 0, 255).astype(int)]
-    pixels[~finite] = MISSING
-    return pixels
+    return np.where(finite, np.clip(np.round(share * (LEVELS - 1)), 0, LEVELS - 1), LEVELS).astype(np.uint8)
 
 
 @lru_cache(maxsize=8)
 def colour_table(anchors: tuple[str, ...]) -> np.ndarray:
-    """Return (256, 3) uint8, the colours between the anchors (hexadecimal, evenly spaced)."""
+    """Return (256, 3) uint8, the LEVELS colours between the anchors (hexadecimal, evenly spaced), and MISSING."""
     points = np.array([[int(text[k : k + 2], 16) for k in (0, 2, 4)] for text in anchors], float)
-    place = np.linspace(0, len(points) - 1, 256)
+    place = np.linspace(0, len(points) - 1, LEVELS)
     table = np.column_stack([np.interp(place, np.arange(len(points)), points[:, k]) for k in range(3)])
-    return np.round(table).astype(np.uint8)
+    return np.vstack([np.round(table), MISSING]).astype(np.uint8)
 
 
 def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[float, float]:

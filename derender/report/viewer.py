@@ -16,6 +16,7 @@ from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent
 SHOWN_POINTS = 12_000
+STILL = 320  # columns, about, of the picture that stands in where a browser draws nothing in three dimensions
 # The greatest contact force is half as long as the greatest extent of a solid, and a tenth of that wide at its tail.
 FORCE_LENGTH, FORCE_WIDTH = 0.5, 0.1
 FORCE_COLOUR = (200, 30, 60)
@@ -62,11 +63,10 @@ def viewer_html(report: Report, colours: np.ndarray) -> str:
         colour = np.tile(np.array(FORCE_COLOUR, np.uint8), (len(needles), 1))
         data["forces"] = {"positions": _base64(needles.astype("<f4")), "colours": _base64(colour)}
     text = json.dumps(data).replace("</", "<\\/")
-    still = (
-        pictures.png_uri(pictures.shade(report.solids, report.camera, report.solid_names, samples=1))  # seldom seen
-        if report.camera is not None
-        else "data:,"
-    )
+    still = "data:,"
+    if report.camera is not None:
+        small = report.camera.downscaled(max(1, round(report.camera.width / STILL)))
+        still = pictures.png_uri(pictures.shade(report.solids, small, report.solid_names, samples=1))
     return f"""<canvas id="scene" tabindex="0" role="img" aria-label="The scene in three dimensions"></canvas>
 <img id="still" alt="The scene" src="{still}" style="display:none;width:100%">
 <p><label><input type="checkbox" id="show-solids" checked> solids</label>

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FLOOR = 0  # the label of what shows a plane
 BOXES = ("box", "cube")
 LEAST_PIXELS = 30  # of a face away from its edges, that tell its normal
+MOST_PIXELS = 5_000  # and of how many it is told: more make it surer than SQUARE_WITHIN lets it count
 ROUNDS, NO_NOISE = 4, 3.0  # of leaving out what is off the plane by more than so many deviations
 SQUARE_WITHIN = np.radians(1.5)  # by which real faces, seen by a biased sensor, are off a right angle
 MOST_OF_ONE = 9.0  # squared deviations that one pair of faces may speak with: some solids are not what they seem
@@ -48,11 +49,13 @@ def wrong_focal_length(graph: "SceneGraph", fit: Fit, camera: Camera, observed: 
 
 def doubts_of(found: list[Face], camera: Camera) -> list[Doubt]:
     """Return the doubt that Faces raise about a camera, if any."""
+    if len(found) < 2:
+        return []
     focal = np.sqrt(camera.fx * camera.fy)
     stretch = np.array([camera.fx / focal, camera.fy / focal, 1.0])  # of pixels that are not square
     faces = [face._replace(plane=face.plane * stretch, covariance=face.covariance * np.outer(stretch, stretch))
              for face in found]  # fmt: skip
-    all_pairs, own = np.array([misfit(faces, focal * scale) for scale in SCALES]).T
+    all_pairs, own = misfit(faces, focal * SCALES)
     given, place = len(SCALES) // 2, int(np.argmin(all_pairs))
     best = float(SCALES[place])
     better = all_pairs[given] - all_pairs[place] > SURELY and own[place] < LEFT * own[given]
@@ -84,6 +87,8 @@ def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray
     found = []
     for each in np.unique(key[inner]):
         rows, columns = np.nonzero(inner & (key == each))
+        some = slice(None, None, -(-len(rows) // MOST_PIXELS))
+        rows, columns = rows[some], columns[some]
         face = fitted(int(each) // 6, columns - camera.cx, rows - camera.cy, observed[rows, columns])
         if face is not None:
             found.append(face)
@@ -92,43 +97,44 @@ def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray
 
 def fitted(label: int, across: np.ndarray, down: np.ndarray, depth: np.ndarray) -> Face | None:
     """Return the Face through the depths of most of the pixels (N,), so far from the centre; None: they are too few."""
-    design, inverse = np.column_stack([across, down, np.ones(len(down))]), 1.0 / depth
+    design, inverse = np.array([across, down, np.ones(len(down))], float), 1.0 / depth
     kept = np.ones(len(down), bool)
     for _ in range(ROUNDS):
         if kept.sum() < LEAST_PIXELS:
             return None
-        plane = np.linalg.lstsq(design[kept], inverse[kept], rcond=None)[0]
-        off = np.abs(inverse - design @ plane)
+        some = design[:, kept]
+        spread = some @ some.T
+        if np.linalg.matrix_rank(spread) < 3:
+            return None
+        plane = np.linalg.solve(spread, some @ inverse[kept])
+        off = np.abs(inverse - plane @ design)
         deviation = 1.4826 * float(np.median(off[kept])) + np.finfo(float).eps
         within = off < NO_NOISE * deviation
         if (within == kept).all():
             break
         kept = within
-    spread = design[kept].T @ design[kept]
-    if kept.sum() < LEAST_PIXELS or np.linalg.matrix_rank(spread) < 3:
-        return None
     return Face(label, plane, deviation**2 * np.linalg.inv(spread))
 
 
-def misfit(faces: list[Face], focal: float) -> tuple[float, float]:
+def misfit(faces: list[Face], focal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the squared deviations by which pairs of faces are not at right angles: of all, and of one object.
+
+    focal : (S,) pixels; both results are (S,).
 
     Seen with a wrong focal length one box is taken for several, so that all pairs tell which is right. Boxes that are
     turned against each other are so with every one, and speak with no more than MOST_OF_ONE.
     """
-    scale = np.array([focal, focal, 1.0])
-    normals, variances = [], []
-    for face in faces:
-        normal, length = face.plane * scale, float(np.linalg.norm(face.plane * scale))
-        across = np.eye(3) - np.outer(normal, normal) / length**2
-        normals.append(normal / length)
-        variances.append(np.trace(across @ (face.covariance * np.outer(scale, scale)) @ across) / (2.0 * length**2))
-    total = own = 0.0
-    for i, one in enumerate(faces):
-        for j, other in enumerate(faces[:i]):
-            angle = float(np.arcsin(min(abs(normals[i] @ normals[j]), 1.0)))
-            off = min(angle, 0.5 * np.pi - angle)
-            square = min(off**2 / (variances[i] + variances[j] + 2.0 * SQUARE_WITHIN**2), MOST_OF_ONE)
-            total += square
-            own += square if one.label == other.label or other.label == FLOOR else 0.0
-    return total, own
+    scale = np.column_stack([focal, focal, np.ones(len(focal))])[:, None]  # (S, 1, 3): below come faces, then axes
+    normal = np.array([face.plane for face in faces]) * scale
+    length = np.linalg.norm(normal, axis=2, keepdims=True)
+    normal /= length
+    across = np.eye(3) - normal[..., :, None] * normal[..., None, :]
+    covariance = np.array([face.covariance for face in faces]) * (scale[..., :, None] * scale[..., None, :])
+    variance = np.einsum("sfij,sfji->sf", covariance, across) / (2.0 * length[..., 0] ** 2)
+    label = np.array([face.label for face in faces])
+    one, other = np.tril_indices(len(faces), -1)
+    angle = np.arcsin(np.minimum(np.abs(np.sum(normal[:, one] * normal[:, other], axis=2)), 1.0))
+    off = np.minimum(angle, 0.5 * np.pi - angle)
+    square = np.minimum(off**2 / (variance[:, one] + variance[:, other] + 2.0 * SQUARE_WITHIN**2), MOST_OF_ONE)
+    own = (label[one] == label[other]) | (label[other] == FLOOR)
+    return square.sum(axis=1), square[:, own].sum(axis=1)

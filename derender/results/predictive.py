@@ -16,7 +16,7 @@ LEAST_SIDE, MOST_ACROSS = 8, 20  # pixels of a block's side; blocks across the i
 LEAST_FILLED = 0.5  # share of a block's pixels that returned a depth: with fewer it is left out
 # Draws of which the blocks are scored, and of which images are drawn: at most, and at least of an image with more than
 # so many pixels. To score 400 of 640 x 480 pixels took as long as to infer them; 100 do for leave-one-out.
-SCORED, DRAWN, LEAST_SCORED, LEAST_DRAWN, PIXELS = 400, 50, 100, 20, 320 * 240
+SCORED, DRAWN, LEAST_SCORED, LEAST_DRAWN, PIXELS = 400, 50, 100, 10, 320 * 240
 
 
 class Blocks(NamedTuple):

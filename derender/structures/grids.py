@@ -12,6 +12,7 @@ The gap is unknown, and another one along each axis. Where no seam can show, as 
 probability spreads over all numbers of parts that the prior has.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -187,8 +188,7 @@ def blocks_of(graph: SceneGraph) -> list[str]:
 def grids_of(graph: SceneGraph, name: str, image: Image, beliefs: Beliefs) -> list[Grid]:
     """Return the Grids that a box may be; none where the prior leaves no hope."""
     cartons, size = beliefs.loose.cartons, np.array(graph.body(name).size())
-    before = {parts: prior_odds(parts, size, cartons, beliefs, image.unit)
-              for parts in product(range(1, cartons.most + 1), repeat=3) if np.prod(parts) >= FEWEST}  # fmt: skip
+    before = prior_odds(size, cartons, beliefs, image.unit)
     if max(before.values()) < HOPELESS:
         return []
     index = render_depth(graph.solids(), image.camera)[1]
@@ -205,19 +205,22 @@ def grids_of(graph: SceneGraph, name: str, image: Image, beliefs: Beliefs) -> li
     return found
 
 
-def prior_odds(parts: Sequence[int], size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> float:
-    """Return the log odds of a grid against one box, which is as likely a carton as anything else."""
+def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> dict[tuple[int, ...], float]:
+    """Return the log odds of each grid against one box of this size (3,), which is as likely a carton as anything else.
 
-    def density(extents):
-        return sum(cartons.extent.log_density(float(x) * unit) for x in extents) + 3.0 * np.log(unit)
-
-    one = np.logaddexp(density(size), box_log_density(beliefs.sizes[BOX], size, True)) - np.log(2.0)
-    numbers = np.array([*product(range(1, cartons.most + 1), repeat=3)])
-    share = 1.0 / numbers.prod(axis=1)
-    share = share[numbers.prod(axis=1) >= FEWEST].sum()
-    count = -np.log(np.prod(parts)) - np.log(share)
-    many = density(size / parts) - np.log(np.prod(parts))
-    return float(np.log(cartons.probability / (1.0 - cartons.probability)) + count + many - one)
+    The keys are the numbers of cartons along its axes.
+    """
+    numbers = range(1, cartons.most + 1)
+    # Of a carton's extent where one of the box's is cut into so many equal parts: (3, most).
+    density = np.array([[cartons.extent.log_density(float(extent) / n * unit) + np.log(unit) for n in numbers]
+                        for extent in size])  # fmt: skip
+    one = np.logaddexp(density[:, 0].sum(), box_log_density(beliefs.sizes[BOX], size, True)) - np.log(2.0)
+    grids = {parts: math.prod(parts) for parts in product(numbers, repeat=3) if math.prod(parts) >= FEWEST}
+    shares = sum(1.0 / count for count in grids.values())
+    base = float(np.log(cartons.probability / (1.0 - cartons.probability)) - np.log(shares) - one)
+    # Twice a share of one over the count: that of the prior, and the Jacobian.
+    return {parts: base + sum(float(density[axis, n - 1]) for axis, n in enumerate(parts)) - 2.0 * math.log(count)
+            for parts, count in grids.items()}  # fmt: skip
 
 
 def divide(part: StructurePosterior, name: str, grids: Sequence[Grid]) -> list[StructurePosterior]:

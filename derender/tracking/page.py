@@ -72,9 +72,9 @@ def _film(track, frames, camera) -> str:
         explained, _ = render_depth(solids_at(track, t), camera)
         observed = np.where(np.asarray(frames[t]) > 0, frames[t], np.nan)
         uris.append([
-            pictures.png_uri(pictures.paint(observed, low, high)),
-            pictures.png_uri(pictures.paint(explained, low, high)),
-            pictures.png_uri(pictures.paint(1e3 * (observed - explained), -20, 20, pictures.RESIDUAL_ANCHORS)),
+            pictures.painted_uri(observed, low, high),
+            pictures.painted_uri(explained, low, high),
+            pictures.painted_uri(1e3 * (observed - explained), -20, 20, pictures.RESIDUAL_ANCHORS),
         ])  # fmt: skip
     strips = "".join(
         f'<div class="shot" data-t="{t}" hidden>' + "".join(f'<img src="{uri}" alt="">' for uri in row) + "</div>"

@@ -100,7 +100,7 @@ def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_bo
     cartons = beliefs.loose.cartons
 
     def odds(parts, size, unit=1.0):
-        return prior_odds(parts, np.array(size) / unit, cartons, beliefs, unit)
+        return prior_odds(np.array(size) / unit, cartons, beliefs, unit)[parts]
 
     assert odds((3, 3, 2), [0.9, 0.8, 0.5]) > 0.0 > odds((2, 2, 1), [0.45, 0.45, 0.3])
     assert odds((2, 2, 1), [0.1, 0.09, 0.08]) < -12.0
