@@ -283,8 +283,9 @@ def _shape_data(vertex: Any, folder: Path | None) -> Any:
             data["hull"] = False
     if vertex.options.get("surface"):
         data["surface"] = vertex.options["surface"]
-    if vertex.options.get("parts"):
-        data["parts"] = list(vertex.options["parts"])
+    for key in ("parts", "patch"):
+        if vertex.options.get(key):
+            data[key] = list(vertex.options[key])
     return data if len(data) > 1 else vertex.shape
 
 

@@ -11,6 +11,7 @@ from derender.scene.graph import STANDARD_GRAVITY
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
+SLAB = 0.02  # metres of the slab that bears for a plane that ends: thicker than what engines let sink in
 KIND_NAMES = {kinds.PLANE: "plane", kinds.BOX: "box", kinds.SPHERE: "sphere", kinds.CYLINDER: "cylinder"}
 
 DENSITY = 500.0
@@ -161,6 +162,10 @@ def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None)
         given = {key: options[key] for key in MATERIAL if key in options}
         size, pose, own = np.array(solids.size[index]), np.array(solids.pose[index]), graph.body(name)
         parts = own.shape.convex_parts(own.psi, own.options)
+        if kind == "box" and not own.shape.bounded:  # a plane that ends bears as a slab under it would
+            size[2] = SLAB
+            pose[:3, 3] -= 0.5 * SLAB * pose[:3, 2]
+            given["fixed"] = True
         bodies.append(Body(name, kind, size, pose, vertices, **given, parts=parts))
     names = {body.name for body in bodies}
     supports = [

@@ -137,10 +137,11 @@ def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids
     for index, vertex in enumerate(vertices):
         body = vertex.body
         pose[index] = poses[vertex.name]
-        assert body.shape.solid_kind is not None, "a frame is no solid"
-        kind[index] = body.shape.solid_kind
-        extents = body.size()
-        size[index] = 0.0 if extents is None else extents
+        drawn_as, size[index], own = body.drawn()
+        assert drawn_as is not None, "a frame is no solid"
+        kind[index] = drawn_as
+        if own is not None:
+            pose[index] = pose[index] @ own
         if kind[index] == MESH:
             key, arrays = body.shape.drawn_mesh(body.psi, body.options)
             if key not in places:

@@ -142,6 +142,8 @@ def _kind(shape: str) -> int:
 def extents_of(vertex) -> np.ndarray:
     """Return (4, 3): the extents at numbers 0, and what each of the first three numbers adds to them for each metre."""
     shape, others = shapes[vertex.shape], vertex.psi[MOST_NUMBERS:]
+    if not shape.bounded and shape.drawn(vertex.psi, vertex.options)[0] != shape.solid_kind:
+        raise NotCompiled(f"a {vertex.shape} that ends")
     count = min(len(shape.parameters), MOST_NUMBERS)
 
     def size(psi) -> np.ndarray:

@@ -134,11 +134,11 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
             shape.check([parameter.default for parameter in shape.parameters], options)  # reads the mesh
         except DerenderError as error:
             raise node["file"].fault(f"{error.where or options['file']}: {error.what}", error.remedy) from None
-    if "parts" in shape.options:
+    if {"parts", "patch"} & set(shape.options):
         try:
             shape.check([parameter.default for parameter in shape.parameters], options)
         except DerenderError as error:
-            raise (node.get("parts") or node).fault(error.what, error.remedy) from None
+            raise (node.get("parts") or node.get("patch") or node).fault(error.what, error.remedy) from None
     return ShapePrior(kind, values, options)
 
 

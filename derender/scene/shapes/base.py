@@ -87,6 +87,12 @@ class Shape:
         """Return the (3,) full extents in metres along the object axes, or None without extent."""
         raise NotImplementedError
 
+    def drawn(self, psi, options: Mapping[str, Any] = {}) -> tuple[int | None, Any, np.ndarray | None]:  # noqa: B006
+        """Return (kind, full extents, pose) of what `Solids` have of it: one of its kinds, (3,) metres, and the (4, 4)
+        pose in object axes, None where these are its own."""
+        extents = self.size(psi, options)
+        return self.solid_kind, np.zeros(3) if extents is None else extents, None
+
     def psi_from_size(self, size, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
         raise NotImplementedError
@@ -160,6 +166,10 @@ class Body(NamedTuple):
     def size(self) -> np.ndarray | None:
         """Return the (3,) full extents in metres, or None."""
         return self.shape.size(self.psi, self.options)
+
+    def drawn(self) -> tuple[int | None, Any, np.ndarray | None]:
+        """Return (kind, extents, pose) of what `Solids` have of it, see `Shape.drawn`."""
+        return self.shape.drawn(self.psi, self.options)
 
 
 def box_face(name: str, size) -> Face:

@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from derender.errors import DerenderError
 from derender.scene import solids
+from derender.scene.pose import rotation_z
 from derender.scene.shapes.base import UNBOUNDED, Face, Shape, Symmetry, box_face, shapes
 
 
@@ -26,15 +28,39 @@ class Frame(Shape):
 
 
 DRAWN_SIDE = 20.0  # metres; of the square that stands for the plane in exports and previews
+THICKNESS = 1e-5  # metres of the sheet as which a bounded plane is drawn: nothing that a depth image shows
 
 
 @shapes.register("plane")
 class Plane(Shape):
-    """The plane z = 0 of its own axes, with the faces +z and -z (the paper's 1 and 0)."""
+    """The plane z = 0 of its own axes, with the faces +z and -z (the paper's 1 and 0).
+
+    Options: `patch` [x, y, length, width, turn], metres and radians: the rectangle of it that is there, by its middle
+    and the turn of its length from x. Contacts take it as unbounded all the same; it is drawn, and bears, as far as it
+    is there.
+    """
 
     solid_kind = solids.PLANE
     bounded = False
     face_names = ("+z", "-z")
+    options = ("patch",)
+
+    def drawn(self, psi, options={}):  # noqa: B006 - never changed
+        if not options.get("patch"):
+            return super().drawn(psi, options)
+        x, y, length, width, turn = options["patch"]
+        pose = rotation_z(turn)
+        pose[:2, 3] = x, y
+        return solids.BOX, np.array([length, width, THICKNESS]), pose
+
+    def check(self, psi, options={}, where=None):  # noqa: B006
+        patch = options.get("patch")
+        if patch is None:
+            return
+        numbers = isinstance(patch, list | tuple) and all(isinstance(number, int | float) for number in patch)
+        if not numbers or len(patch) != 5 or not np.isfinite(patch).all() or min(patch[2:4]) <= 0.0:
+            remedy = "write [x, y, length, width, turn] in metres and radians, length and width above 0"
+            raise DerenderError("the patch of the plane is none", where, remedy)
 
     def size(self, psi=(), options={}):  # noqa: B006 - never changed
         return None
