@@ -193,7 +193,10 @@ def dropped(rng, low, high, spread, upright):
 
 
 def leaning_board(rng):
-    """Return (types, sizes, poses, parents, supports) of a box and a board that stands on the floor and leans on it."""
+    """Return (types, sizes, poses, parents) of a box and a board that stands on the floor and leans on it.
+
+    As in all made scenes an object's parent is what bears most of it; against what else it leans is not asked.
+    """
     box = rng.uniform((0.06, 0.1, 0.06), (0.1, 0.16, 0.12))
     thick, wide, foot = rng.uniform(0.008, 0.02), rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1)
     long = np.hypot(foot, box[2]) * rng.uniform(1.1, 1.5)
@@ -205,7 +208,7 @@ def leaning_board(rng):
     board[:3, 3] = [-0.5 * box[0] - foot, 0, 0] + 0.5 * long * along + 0.5 * thick * normal
     board[1, 3] = rng.uniform(-0.02, 0.02)
     poses = [turn @ at(0, 0, 0.5 * box[2]), turn @ board]
-    return ["box", "box"], [box, np.array([long, wide, thick])], poses, ["floor", "floor"], [[], [0]]
+    return ["box", "box"], [box, np.array([long, wide, thick])], poses, ["floor", "floor"]
 
 
 def stacked_cartons(rng):
@@ -273,7 +276,7 @@ def arranged(rng, name):
     elif name == "heap":
         types, sizes, poses, parents = dropped(rng, 5, 8, 0.04, 0.0)
     elif name == "boards":
-        types, sizes, poses, parents, supports = leaning_board(rng)
+        types, sizes, poses, parents = leaning_board(rng)
     elif name == "bridges":
         types, sizes, poses, parents, supports = settled_bridge(rng)
     else:
