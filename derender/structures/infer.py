@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from derender.detection.leftovers import leftovers
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
-from derender.detection.search.observation import CORRELATED, nearest_pixels, observe, patches_of
+from derender.detection.search.observation import CORRELATED, observe, of_whole_image, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
@@ -202,6 +203,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     from derender.structures.grids import with_grids
     from derender.structures.known.library import chosen_library
     from derender.structures.stills import averaged
+    from derender.structures.supports import added, further_supports, with_supports
     from derender.structures.together import first_look, look_from, together_parts
 
     options = options or Options()
@@ -255,10 +257,24 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         parts = parts_about(interrupted or options.method == "map")
     except KeyboardInterrupt:
         interrupted, parts = True, parts_about(True)
-    likeliest = parts[0]
-    parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
-    if settings.free_forms:
-        parts = with_grids(parts, image_of(seen, depth, camera, settings.temper, options.unit or 1.0), beliefs)
+    extras = parts[0].extras
+
+    def finished(parts, state, seen):
+        parts = with_things(rng, with_bridges(parts, settings.slack, loose), seen, state)
+        if not settings.free_forms:
+            return parts
+        return with_grids(parts, image_of(seen, depth, camera, settings.temper, options.unit or 1.0), beliefs)
+
+    parts, observations = finished(parts, state, seen), [seen]
+    if settings.free_forms and plane is None and len(looks) == 1 and not (interrupted or library):
+        others = []
+        for there, other in further_supports(seen, depth.shape, partial(point_estimate, rng, depth, camera, asked)):
+            own = settings_for(asked, other)
+            more = parts_of(rng, other, there, [], own, chains, draws, options.method == "map")
+            extras = added(extras, more[0].extras)
+            others.append((finished(more, there, other), other))
+            observations.append(other)
+        parts = with_supports(parts, seen, others)
     if isinstance(plane, str) or (seen.no_floor and seen.things):  # an empty scene keeps its floor, far below
         parts = [without_floor(part) for part in parts]
     if progress:
@@ -266,64 +282,68 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     meta = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "no_floor": seen.no_floor, "interrupted": interrupted,
-            "existence": {thing_name(k): thing.existence for k, thing in enumerate(seen.things)},
-            "hidden_expected": likeliest.extras.get("hidden_expected"),
-            "likelihood": likelihood_of(parts, seen, depth, camera, settings.temper)}  # fmt: skip
+            "existence": {thing_name(k): thing.existence
+                          for k, thing in enumerate(thing for each in observations for thing in each.things)},
+            "hidden_expected": extras.get("hidden_expected"),
+            "likelihood": likelihood_of(parts, observations, depth, camera, settings.temper)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     graph = posterior.best_graph()
     if len(looks) > 1:
         into = np.array(posterior.best_part.extras["into"])
         posterior.meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], frames, strict=True)]
-    told = explanation_of(graph, seen, depth, camera)
-    missed = 0.0 if library else missed_by(seen, likeliest, loose.missed, told.share(depth))
+    told = explanation_of(graph, observations, depth, camera)
+    missed = 0.0 if library else missed_by(observations, extras, loose.missed, told.share(depth))
     posterior.meta.update(missed=missed, wrong_if_missed=loose.missed.wrong)
     parts = tuple(part.scaled(1.0 - missed) for part in posterior.parts)
     return replace(posterior, parts=parts, explanation=told)
 
 
-def missed_by(seen, part, missed, explained):
+def missed_by(observations, extras, missed, explained):
     """Return the probability that the search has missed what is there.
 
     That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
 
     Parameters
     ----------
-    seen : Observation. part : the likeliest structure's, whose extras say in how many independent pixels each solid
-        shows and how many spots are unexplained. missed : Missed, what the prior says. explained : share of the pixels.
+    observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
+        which say in how many independent pixels each solid shows and how many spots are unexplained. missed : Missed,
+        what the prior says. explained : share of the pixels.
     """
-    settled = seen.agreed and part.extras.get("unexplained", 0) == 0
+    seen = observations[0]
+    settled = all(each.agreed for each in observations) and extras.get("unexplained", 0) == 0
     whole = missed.no_floor if seen.no_floor else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
-    found = 1.0 - missed.few * np.exp(-np.array(part.extras.get("pixels", [])) / missed.pixels)
+    found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)
     return float(1.0 - (1.0 - whole) * np.prod(found))
 
 
 def view_data(graph, into, look, frame):
     """Return what is kept of a further view: its name, pose (to the first camera), and the share that is explained."""
     there = replace(graph, root_pose=into @ graph.root_pose)
-    told = explanation_of(there, look.seen, frame.depth, frame.camera)
+    told = explanation_of(there, [look.seen], frame.depth, frame.camera)
     return {"image": frame.name, "pose": inverse(into).tolist(), "explained": told.share(frame.depth)}
 
 
-def explanation_of(graph, seen, depth, camera):
-    """Return what a scene says of each pixel of the image as it came, an Explanation."""
+def explanation_of(graph, observations, depth, camera):
+    """Return what a scene says of each pixel of the image as it came, an Explanation.
+
+    observations : of the image, one for each plane on which something stands.
+    """
     from derender.results.explanation import explain
 
-    camera = whole_camera(camera, depth.shape)
-    bent = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
-    for thing in seen.things:
-        bent &= ~thing.mask
-    behind, bent = (of_whole_image(mask, seen, depth.shape) for mask in (seen.behind, bent))
-    bend = 0.0 if seen.bend is None else of_whole_image(seen.bend, seen, depth.shape)
-    return explain(graph, depth, camera, seen.floor.sigma, behind, bent, bend, seen.factor)
-
-
-def of_whole_image(mask, seen, shape):
-    """Return what is known of each pixel of an Observation's image, (h, w), of the image (H, W) as it came."""
-    rows, columns = (nearest_pixels(after, 1, before, seen.factor)
-                     for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
-    return mask[rows[:, None], columns]
+    behind, bent, bend = np.ones(depth.shape, bool), np.zeros(depth.shape, bool), np.zeros(depth.shape)
+    for seen in observations:
+        own = (np.abs(seen.image.floor - seen.image.depth) < AS_SEEN) & ~seen.behind
+        for thing in seen.things:
+            own &= ~thing.mask
+        there = ~of_whole_image(seen.behind, seen, depth.shape)
+        behind &= ~there
+        bent |= of_whole_image(own, seen, depth.shape)
+        if seen.bend is not None:
+            bend = np.where(there, of_whole_image(seen.bend, seen, depth.shape), bend)
+    noise, coarse = (max(values) for values in zip(*((s.floor.sigma, s.factor) for s in observations), strict=True))
+    return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse)
 
 
 def image_of(seen, depth, camera, temper, unit):
@@ -343,7 +363,7 @@ def whole_camera(camera, shape):
     return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
-def likelihood_of(parts, seen, depth, camera, temper):
+def likelihood_of(parts, observations, depth, camera, temper):
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
     That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene:
@@ -351,11 +371,11 @@ def likelihood_of(parts, seen, depth, camera, temper):
     """
     from derender.structures.draws.sensor import image_likelihood, too_far
 
-    best = max(parts, key=lambda part: part.weight)
+    best, seen = max(parts, key=lambda part: part.weight), observations[0]
     if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
         return best.extras["likelihood"]
     camera = whole_camera(camera, depth.shape)
     worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
-    other = too_far(depth) | of_whole_image(seen.behind, seen, depth.shape)
+    other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
     name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), worth)
     return {"type": name, **numbers}

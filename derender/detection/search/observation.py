@@ -37,6 +37,7 @@ MARGIN = 0.01  # metres beyond the outline of the visible floor that still count
 # more is no plane, or not the floor; but where neighbours scatter so, by ROUGHER times less, it is noise.
 SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
 NO_FLOOR = 6.0  # standard deviations of consumer sensors by which a floor is off its plane at most
+TOLERANCE = 0.008  # metres off a plane, as it is seen at first, that points on it may be
 LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
 
 
@@ -84,17 +85,36 @@ class Observation(NamedTuple):
     agreed: bool = True
 
 
+class Support(NamedTuple):
+    """A plane that is taken for the floor because another one, or others, are so already.
+
+    Attributes
+    ----------
+    normal, offset : of the plane at first sight, in camera axes: normal . p = offset.
+    others : (H, W) bool, pixels of the image as it came that show the others or what stands on them.
+    """
+
+    normal: np.ndarray
+    offset: float
+    others: np.ndarray
+
+
 def observe(depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
-    plane : the floor as it is given, see given_floor.read_floor; None: find it.
+    plane : the floor as it is given, see given_floor.read_floor, or a Support; None: find it.
     floating : whether solids may hang in the air.
     """
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole = depth
     depth, camera, factor = reduce(whole, camera, widest)
-    if plane is not None:
+    if isinstance(plane, Support):
+        others = single_pixels(plane.others, factor) > 0.0
+        alone = np.where(others, np.nan, depth)
+        floor = plane_through(alone, back_project(alone, camera), plane.normal, plane.offset, TOLERANCE)
+        seen = on_its_floor(depth, camera, factor, floor, rounding, floating, others)
+    elif plane is not None:
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
         backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
@@ -109,12 +129,14 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
     return seen._replace(single=single_pixels(whole, factor))
 
 
-def on_its_floor(depth, camera, factor, floor, rounding, floating):
+def on_its_floor(depth, camera, factor, floor, rounding, floating, others=None):
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
+
+    others : (h, w) bool, pixels that are explained otherwise, and background here; None: none.
 
     Raises NoFloor where what was taken as the floor is rougher than any sensor makes it.
     """
-    seen = tell_apart(depth, camera, factor, floor, None, rounding, floating)
+    seen = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
     if seen.correlation <= CORRELATED:
         return seen
     bend = bend_of(depth, floor, camera)
@@ -127,7 +149,7 @@ def on_its_floor(depth, camera, factor, floor, rounding, floating):
         floor = floor_beside(floor, depth, camera, seen.mask)
     if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
         raise NoFloor("no plane is one that things could stand on")
-    straight = tell_apart(depth, camera, factor, floor, None, rounding, floating)
+    straight = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
     return straight._replace(bend=bend, correlation=seen.correlation)
 
@@ -140,10 +162,11 @@ def without_floor(depth, camera, factor, rounding):
     return seen._replace(mask=np.zeros_like(off), behind=off, background=1.0, no_floor=True, correlation=1.0)
 
 
-def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False):
+def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False, others=None):
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
     backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
+    others : (h, w) bool, what another floor explains: background of this one; None: nothing.
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
@@ -160,9 +183,10 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False)
     beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint, image.origin), good, image.origin)
     inside = good & (beyond_edge < MARGIN)
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
-    beyond |= walls_behind(points, good, above, sigma, image.origin)
+    own = good if others is None else good & ~others
+    beyond |= walls_behind(points, own, above & own, sigma, image.origin) | (good & ~own)
     held = np.zeros(good.shape, bool)
-    if floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
+    if others is None and floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
         held = joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
         inside |= held
     mask = above & inside & ~beyond
@@ -200,6 +224,13 @@ def nearest_pixels(count, factor, among, others):
     """Return (count,) int: of `among` pixels of an image reduced by `others` those nearest to one's by `factor`."""
     place = np.arange(count) * factor + sampled(factor)
     return np.clip(np.rint((place - sampled(others)) / others), 0, among - 1).astype(int)
+
+
+def of_whole_image(mask, seen, shape):
+    """Return what is known of each pixel of an Observation's image, (h, w), of the image (H, W) as it came."""
+    rows, columns = (nearest_pixels(after, 1, before, seen.factor)
+                     for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
+    return mask[rows[:, None], columns]
 
 
 def near(mask, reach):

@@ -1,0 +1,95 @@
+"""Planes at other heights than the main one: a second table, a shelf's boards, the steps of a stair.
+
+They are looked for among what the main plane takes as background: level, with a good part of the image. What stands on
+one rises from it as from any floor.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from derender.detection.floor import LEVEL, back_project
+from derender.detection.local_planes import local_planes
+from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.search.observation import CORRELATED
+from derender.detection.search.proposals import smallest_rectangle
+from derender.detection.segments import TIGHT
+
+LEAST_SHARE = 0.03  # of the pixels with a depth that show a plane: less carries nothing that can be told
+LEAST_AREA = 0.04  # square metres of it that are seen: a tray of 20 by 20 cm
+NEAR, NOISES = 0.01, 4.0  # metres, and standard deviations of the noise, off a plane that still lie on it
+# Share of its points beyond each end of the rectangle that is there: flying pixels; metres by which that reaches beyond
+# the last pixels that show it.
+ENDS, RIM = 0.002, 0.01
+MOST = 4  # planes
+# Metres below the main plane from which on a plane is the room's floor below a table: what stands there is furniture.
+ROOM = 0.45
+STEP = 0.03  # metres over or under the main plane, at least: less may be its own bend, or a mat on it
+
+
+class Level(NamedTuple):
+    """A level plane, as it is first seen.
+
+    Attributes
+    ----------
+    normal, offset : of the plane in camera axes, towards the camera: normal . p = offset.
+    mask : (h, w) bool, pixels of the reduced image that show it.
+    """
+
+    normal: np.ndarray
+    offset: float
+    mask: np.ndarray
+
+
+def levels_of(seen):
+    """Return the Levels among the background of an Observation of a real sensor's image, the largest first.
+
+    Pieces of one height are one plane, such as a table with things on it that cut it in two.
+    """
+    good = seen.image.weight > 0
+    candidate = seen.behind & good
+    if seen.no_floor or seen.correlation <= CORRELATED or candidate.mean() < LEAST_SHARE:
+        return []
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    normal, _, _ = local_planes(seen.points, candidate, seen.image.origin, jump, 2)
+    level = candidate & (normal[..., 2] > LEVEL)
+    label, count = label_bodies(seen.points, level, TIGHT * jump)
+    found: list[Level] = []
+    pixels = np.bincount(label[label >= 0], minlength=count)
+    points = back_project(np.where(good, seen.image.depth, np.nan), seen.camera)
+    taken = np.zeros(good.shape, bool)
+    for k in np.argsort(-pixels, kind="stable"):
+        if pixels[k] < LEAST_SHARE * good.sum() or len(found) == MOST:
+            break
+        own = (label == k) & ~taken
+        if own.sum() < LEAST_SHARE * good.sum():
+            continue
+        centre = points[own].mean(axis=0)
+        axes = np.linalg.svd(points[own] - centre, full_matrices=False)[2]
+        across = axes[2] * np.sign(-axes[2] @ centre)
+        offset = float(across @ centre)
+        height = points @ across - offset
+        with np.errstate(invalid="ignore"):
+            mask = level & ~taken & (np.abs(height) < np.maximum(NOISES * seen.sigma, NEAR))
+        slope = np.maximum(np.abs(points @ across) / np.linalg.norm(points, axis=-1), 1e-3)
+        area = float(np.nansum(np.where(mask, seen.footprint**2 / slope, 0.0)))
+        rise = float(seen.points[mask][:, 2].mean()) if mask.any() else 0.0
+        if across @ seen.floor.pose[:3, 2] > LEVEL and area > LEAST_AREA and rise > -ROOM and abs(rise) > STEP:
+            found.append(Level(across, offset, mask))
+            taken |= mask
+    return found
+
+
+def patch_of(seen):
+    """Return [x, y, length, width, turn] of the rectangle of its floor's plane that an Observation shows, None: none.
+
+    Metres and radians, in the floor's frame.
+    """
+    flat = seen.points[seen.floor.inliers & ~seen.behind][:, :2]
+    if len(flat) < 3:
+        return None
+    turn = float(smallest_rectangle(flat))
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    low, high = np.quantile(flat @ axes, [ENDS, 1.0 - ENDS], axis=0)
+    x, y = axes @ (0.5 * (low + high))
+    return [float(x), float(y), *map(float, high - low + 2.0 * RIM), turn]
