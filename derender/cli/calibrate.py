@@ -16,9 +16,9 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
     """Learn a depth camera's noise from FRAMES that show a bare table and little else.
 
     Writes its numbers as a prior, under `likelihood: {type: correlated}`: noise and how it grows with depth, how much
-    of it each pixel has for itself, how far the rest reaches, how much of it is a slow bend. `derender sample` draws
-    from the file; data/sensors has four kinds of cameras. All frames must be of one camera; several, from different
-    distances, tell how the noise grows.
+    of it each pixel has for itself, how far the rest reaches along rows and columns, how heavy its tails are.
+    `derender sample` draws from the file; data/sensors has four kinds of cameras. All frames must be of one camera;
+    several, from different distances, tell how the noise grows.
 
     \b
     Examples:
@@ -38,8 +38,8 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
         pairs.append(residuals(depth, seen.camera.to_dict(), name))
     fit = fit_sensor(pairs)
     before, after = fit.correlation
-    talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:.2f}; "
-             f"{fit.beyond:.1%} of whitened differences are beyond the normal's 99 %")  # fmt: skip
+    talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:+.2f} at most; "
+             f"99 % of whitened residuals are within {fit.beyond:.2f} times the normal's limit")  # fmt: skip
     assert seen is not None
     text = sensor_text(fit, seen.camera, len(frames))
     if output == "-":

@@ -5,20 +5,38 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.detection.floor import back_project, find_floor
 from derender.errors import DerenderError
-from derender.render.likelihoods.correlated import SHARE, offset_variances, tree_log_density, whitened
+from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated
+from derender.render.raycast.engine import new_engine, rescore_state
+from derender.render.raycast.state import DEPTH, PAD, SIGMA
+from derender.scene.solids import Solids
 
+NOISE = Correlated()
 LEAST_PIXELS = 2000  # on the table, in each frame: fewer tell nothing of what neighbours share
-ROUNDS, AGAIN = 200, 2  # of the simplex, at most, and how often it is begun
+ROUNDS, AGAIN = 250, 2  # of the simplex, at most, and how often it is begun
 ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
-BEGIN = {"sigma": 0.001, "sigma_growth": 0.002, "white": 0.2, "reach": 8.0, "bias": 1.0}
-KNOWN = 0.3  # spread of the logarithm with which the numbers of a few frames hold for the next
+# Where the simplex begins. The slow bias is held: a plane was fitted to these very frames, which takes it out, and
+# between frames it is about as large as the rest.
+BEGIN = {
+    "sigma": 0.001,
+    "sigma_growth": 0.002,
+    "white": 0.05,
+    "reach": 4.0,
+    "reach_down": 2.0,
+    "tail": 0.1,
+    "bias": 1.0,
+}
+FITTED, SHARES = ("sigma", "sigma_growth", "reach", "reach_down"), ("white", "tail")
+ON_TABLE = 1e-6  # share of outliers among pixels that were chosen because they lie on the table
+KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
+NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
 
 
 class Fit(NamedTuple):
-    """values : numbers of the likelihood `correlated`. pixels : looked at. correlation : of neighbours as they come
-    and when whitened; beyond : share of whitened differences beyond the normal's 99 % quantile."""
+    """values : numbers of the likelihood `correlated`. pixels : looked at. correlation : of neighbours as they come,
+    and the greatest of those when whitened; beyond : 99 % quantile of whitened residuals, times the normal's."""
 
     values: dict[str, float]
     pixels: int
@@ -45,72 +63,78 @@ def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:
     """Return the Fit of (residual, depth) pairs of frames by one sensor: most likely numbers, by a simplex search."""
     from scipy.optimize import minimize
 
-    def loss(free: np.ndarray) -> float:
-        values = numbers(free)
-        return -sum(log_density(residual, depth, values) for residual, depth in pairs)
+    engines = [engine_of(residual, depth) for residual, depth in pairs]
 
-    start = np.array([
-        math.log(BEGIN["sigma"]), math.log(BEGIN["sigma_growth"]), math.log(BEGIN["white"] / (1.0 - BEGIN["white"])),
-        math.log(BEGIN["reach"]), math.log(BEGIN["bias"]),
-    ])  # fmt: skip
+    def loss(free: np.ndarray) -> float:
+        row = NOISE.row(numbers(free), 0)
+        for engine in engines:
+            engine.parameters[SIGMA : SIGMA + 3] = row[:3]
+            engine.parameters[SIGMA + 4 : SIGMA + len(row)] = row[4:]
+        return -sum(rescore_state(engine) for engine in engines)
+
+    start = np.array([*(math.log(BEGIN[name]) for name in FITTED),
+                      *(math.log(BEGIN[name] / (1.0 - BEGIN[name])) for name in SHARES)])  # fmt: skip
     for _ in range(AGAIN):
         settings = {"maxfev": ROUNDS, "fatol": ACCURATE, "xatol": ACCURATE, "adaptive": True}
         start = minimize(loss, start, method="Nelder-Mead", options=settings).x
     values = numbers(start)
-    apart = np.concatenate(
-        [np.ravel(level) for residual, depth in pairs for level in levels_of(residual, depth, values)]
-    )
-    apart = apart[np.isfinite(apart)]
-    first = [next(iter(levels_of(residual, depth, values))) for residual, depth in pairs]
-    return Fit(values, int(sum(np.isfinite(residual).sum() for residual, _ in pairs)),
-               (neighbours([residual for residual, _ in pairs]), neighbours(first)),
-               float(np.mean(np.abs(apart) > NORMAL_99)))  # fmt: skip
+    white = [whitened(residual, depth, values) for residual, depth in pairs]
+    every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
+    return Fit({name: values[name] for name in BEGIN}, int(every.size),
+               (correlation([residual for residual, _ in pairs], 0, 1),
+                max((correlation(white, *neighbour) for neighbour in NEIGHBOURS), key=abs)),
+               float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip
 
 
-NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
+def engine_of(residual: np.ndarray, depth: np.ndarray) -> Any:
+    """Return the EngineState of a clean depth (H, W) that is given, not drawn, and of residuals (H, W) about it."""
+    height, width = depth.shape
+    camera = Camera(1.0, 1.0, 0.0, 0.0, width, height)  # through which nothing is drawn
+    nothing = Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32), ())
+    row = NOISE.row(NOISE.complete(BEGIN), 0)
+    engine = new_engine(camera, depth + residual, nothing, NOISE.code, row, 0.0)
+    engine.images[DEPTH, :, PAD : PAD + width] = depth
+    return engine
 
 
 def numbers(free: np.ndarray) -> dict[str, float]:
-    """Return the likelihood's numbers of five free ones."""
-    white = float(np.clip(1.0 / (1.0 + math.exp(-float(np.clip(free[2], -30.0, 30.0)))), *SHARE))
-    sigma, growth, reach, bias = (math.exp(float(np.clip(free[k], -16.0, 4.0))) for k in (0, 1, 3, 4))
-    return {"sigma": max(sigma, 1e-6), "sigma_growth": min(growth, 1.0), "white": white,
-            "reach": float(np.clip(reach, 0.1, 1000.0)), "bias": bias}  # fmt: skip
-
-
-def scaled_by(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    spread = values["sigma"] + values["sigma_growth"] * depth**2
-    return residual / spread, spread
+    """Return the likelihood's numbers, complete, of free ones: FITTED, then SHARES."""
+    size = np.exp(np.clip(free[: len(FITTED)], -16.0, 4.0))
+    share = 1.0 / (1.0 + np.exp(-np.clip(free[len(FITTED) :], -30.0, 30.0)))
+    values = {**BEGIN, "outlier": ON_TABLE, **dict(zip(FITTED, map(float, size), strict=True)),
+              **dict(zip(SHARES, map(float, np.clip(share, *SHARE)), strict=True))}  # fmt: skip
+    limits = {p.name: (p.lower, p.upper) for p in NOISE.parameters}
+    return NOISE.complete({name: float(np.clip(value, *limits[name])) for name, value in values.items()})
 
 
 def log_density(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> float:
     """Return the log density of residuals (H, W), NaN where there is none, about a surface at `depth`."""
-    scaled, spread = scaled_by(residual, depth, values)
-    total, _ = tree_log_density(scaled, values["white"], offset_variances(scaled.shape, values))
-    return total - float(np.log(spread[np.isfinite(residual)]).sum())
+    return NOISE.log_density(depth + residual, depth, values)
 
 
-def levels_of(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> Any:
-    """Return the iterator of whitened differences of a frame, level by level."""
-    scaled, _ = scaled_by(residual, depth, values)
-    return whitened(scaled, values["white"], offset_variances(scaled.shape, values))
+def whitened(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
+    """Return residuals (H, W) about a surface at `depth`, whitened, NaN where there is none."""
+    return NOISE.whitened(depth + residual, depth, {**values, "outlier": ON_TABLE})
 
 
-def neighbours(images: list[np.ndarray]) -> float:
-    """Return the correlation of neighbours along rows of images (H, W), NaN where missing; of one pixel in each block
-    of two and the next block's, for what the blocks share is taken out of whitened ones."""
-    pairs = [(image[:, 1:-1:2].ravel(), image[:, 2::2].ravel()) for image in images]
-    left = np.concatenate([a[: min(len(a), len(b))] for a, b in pairs])
-    right = np.concatenate([b[: min(len(a), len(b))] for a, b in pairs])
-    both = np.isfinite(left) & np.isfinite(right)
-    return float(np.corrcoef(left[both], right[both])[0, 1]) if both.sum() > 2 else math.nan
+def correlation(images: list[np.ndarray], up: int, left: int) -> float:
+    """Return the correlation of pixels of images (H, W), NaN where missing, with those some rows up, columns left."""
+    there = np.concatenate([np.pad(image, 2, constant_values=np.nan)[2 - up :, 2 - left :][: image.shape[0],
+                            : image.shape[1]].ravel() for image in images])  # fmt: skip
+    here = np.concatenate([image.ravel() for image in images])
+    both = np.isfinite(here) & np.isfinite(there)
+    return float(np.corrcoef(here[both], there[both])[0, 1]) if both.sum() > 2 else math.nan
 
 
 def sensor_text(fit: Fit, camera: Any, frames: int) -> str:
     """Return the YAML of a sensor as a prior over its numbers, about those of the fit, seen on a bare table."""
-    held = {key: f"{{log-normal: [{value:.4g}, {KNOWN}]}}" for key, value in fit.values.items() if key != "white"}
-    worth, own = 20.0, fit.values["white"]  # draws of a share that its beta density is worth
-    white = f"{{beta: [{max(worth * own, 0.5):.3g}, {max(worth * (1.0 - own), 0.5):.3g}, {SHARE[0]}, {SHARE[1]}]}}"
+    believed = {}
+    for key, value in fit.values.items():
+        if key in SHARES:
+            believed[key] = (f"{{beta: [{max(DRAWS * value, 0.5):.3g}, {max(DRAWS * (1.0 - value), 0.5):.3g}, "
+                             f"{SHARE[0]}, {SHARE[1]}]}}")  # fmt: skip
+        else:
+            believed[key] = f"{{log-normal: [{value:.4g}, {KNOWN}]}}"
     camera_line = ", ".join(f"{key}: {value}" for key, value in camera.to_dict().items() if key != "depth_scale")
     lines = [
         f"# The noise of a depth camera, from {frames} frame{'s' if frames > 1 else ''} of a bare table: "
@@ -122,6 +146,6 @@ def sensor_text(fit: Fit, camera: Any, frames: int) -> str:
         "  table: {shape: plane, contact: {type: 6dof}}",
         "likelihood:",
         "  type: correlated",
-        *(f"  {key}: {held[key] if key in held else white}" for key in fit.values),
+        *(f"  {key}: {text}" for key, text in believed.items()),
     ]
     return "\n".join(lines) + "\n"

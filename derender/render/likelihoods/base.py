@@ -38,7 +38,7 @@ class Likelihood:
     ----------
     name : registered name.
     parameters : the numbers that a file can give, or distributions over them.
-    code : which compiled score the engine uses (raycast.state.GAUSSIAN or ROBUST).
+    code : which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED).
     """
 
     name: str

@@ -1,7 +1,12 @@
-"""Noise that neighbouring pixels share: a sum of random steps on blocks of every size, from the pixel to the frame."""
+"""Noise that neighbouring pixels share: each pixel is predicted from earlier ones of its surface, or an outlier.
+
+The factors of a nearest-neighbour Gaussian process in the order of reading: Vecchia, Journal of the Royal Statistical
+Society B, 1988; Datta, Banerjee, Finley and Gelfand, Journal of the American Statistical Association, 2016.
+"""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,29 +17,50 @@ from derender.render.likelihoods.base import (
     SIGMA,
     Likelihood,
     blurred_depth,
-    has_return,
     likelihoods,
+    with_wall,
 )
 from derender.scene.parameter import Parameter
 
-SLOW = 6  # log2 of the side of the blocks on which half of the slow bias lives; the other half is the frame's
+# (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
+NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+GROUPS = (0, 1, 2, 2, 2, 2)
 SHARE = (1e-3, 1.0 - 1e-3)  # of the variance that is each pixel's own: both it and the rest are some
+RATE = (1e-30, 0.5)  # of outliers
+# Times as wide as the others are the heavy tails' innovations, about those of rounded disparities on real frames; the
+# compiled score counts on it
+WIDER = 4.0
+LIMIT = 4.0  # standard deviations of a residual from which a pixel is an outlier, and tells the next ones nothing
+
+
+class Factors(NamedTuple):
+    """Of each pixel (H, W): the residual in standard deviations, its mean given earlier ones, and the deviation about
+    that; the inverse of the noise's standard deviation in metres; whether it holds a depth."""
+
+    residual: np.ndarray
+    mean: np.ndarray
+    deviation: np.ndarray
+    inverse: np.ndarray
+    seen: np.ndarray
 
 
 @likelihoods.register("correlated")
 class Correlated(Likelihood):
-    """With m the blurred depth and g = sigma + sigma_growth m^2, the residuals of the pixels with a return are
+    """With m the blurred depth and g = sigma + sigma_growth m^2, the noise (observed - m) / g is a Gaussian field with
 
-        observed - m = g w,    w = sqrt(white) e + sum over levels l of s_l u_l[block of side 2^l] + bias (...),
+        covariance = white [same pixel] + (1 - white) (1 + h) exp(-h) + bias^2,
+        h^2 = (columns apart / reach)^2 + (rows apart / reach_down)^2:
 
-    with e and all u independent standard normal numbers: each pixel has its own noise, and each block of 2, 4, 8 ...
-    pixels' side, up to the frame, an offset. The variances s_l^2 add up to 1 - white and fall off so that what two
-    pixels share is about exp(-distance / reach). Besides, a slow bias of `bias` times as much spans blocks of 64 pixels
-    and the frame, half its variance each: a frame may be off by as much as its noise and still tell where steps are.
+    each pixel's own noise, what neighbours share (a Matern field of smoothness 3/2), and a slow bias that spans the
+    frame. Each pixel has the normal density that this gives it given those of its earlier neighbours that tell of it:
+    the one to the left, the one above, and the four beyond (both diagonals, two to the left, two above) together. None
+    tells that has no return, is an outlier (over four standard deviations off), or lies across a jump in the clean
+    depth of more than `jump` of it; four of which one does not tell do not tell at all. The order is that of reading,
+    so the product of all pixels' densities integrates to one for each set of pixels that return.
 
-    The density is exact and takes time in proportion to the pixels: a tree of blocks passes what each tells of the
-    offset above it. Missing pixels tell nothing, and cost nothing. Blocks are aligned to the image's corner, so two
-    neighbours that a block's border parts share less than others do.
+    Innovations of real sensors have heavy tails: a share `tail` of them is four times as wide, and `outlier` of the
+    pixels are Uniform(near, far). A pixel without a return is evidence of nothing. One that holds minus a depth shows
+    what is no part of the scene: see `robust`.
     """
 
     parameters = (
@@ -42,116 +68,154 @@ class Correlated(Likelihood):
         BLUR,
         BACKGROUND,
         Parameter("sigma_growth", "1/m", 0.0, 1.0, 0.0),
-        Parameter("white", "", *SHARE, 0.2),
-        Parameter("reach", "", 0.1, 1000.0, 8.0),
+        Parameter("white", "", *SHARE, 0.05),
+        Parameter("reach", "", 0.05, 1000.0, 4.0),
+        Parameter("reach_down", "", 0.05, 1000.0, 2.0),
         Parameter("bias", "", 0.0, 100.0, 1.0),
+        Parameter("tail", "", 0.0, SHARE[1], 0.1),
+        Parameter("outlier", "", *RATE, 0.02),
+        Parameter("near", "m", 0.0, 1000.0, 0.1),
+        Parameter("far", "m", 0.0, 1000.0, 10.0),
+        Parameter("jump", "", 1e-4, 100.0, 0.04),
     )
-    code = -1  # none of the engine's
+    code = 2
+
+    def check(self, values):
+        if not values["near"] < values["far"]:
+            raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
     def counted_pixels(self, observed):
-        return int(has_return(observed).sum())
+        return int((np.isfinite(observed) & (observed != 0.0)).sum())
 
     def row(self, values, pixels):
-        what = "the likelihood correlated scores whole images only"
-        raise DerenderError(what, "likelihood", "infer under gaussian or robust; derender calibrate and sample know it")
+        weights, deviations = prediction(values)
+        numbers = [values[name] for name in ("sigma_growth", "outlier", "near", "far", "tail")]
+        numbers = [values["sigma"], values["background"], 1.0, 0.0, *numbers, values["jump"], most(values)]
+        return np.concatenate([numbers, weights.ravel(), 1.0 / deviations])
+
+    def factors(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]) -> Factors:
+        """Return the Factors of an image under complete values."""
+        value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
+        seen, model = value > 0.0, blurred_depth(depth, values)
+        model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
+        inverse = 1.0 / (values["sigma"] + values["sigma_growth"] * model**2)
+        residual = np.where(seen, (value - model) * inverse, 0.0)
+        tells = links(depth, values)
+        telling = seen & (observed > 0.0) & (np.abs(residual) <= tells.limit)
+        mean, deviation = tells.predict(np.pad(residual, 2), np.pad(telling, 2), *np.indices(depth.shape))
+        return Factors(residual, mean, deviation, inverse, seen)
 
     def per_pixel(self, observed, depth, values=None):
         values = self.complete(values)
-        seen = has_return(observed)
-        if not seen.any():
-            return np.zeros(seen.shape)
-        model = blurred_depth(depth, values)
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        scaled = np.where(seen, (np.where(seen, observed, 0.0) - model) / spread, np.nan)
-        total, weighted = tree_log_density(scaled, values["white"], offset_variances(scaled.shape, values))
-        quadratic = np.where(seen, np.nan_to_num(scaled) * weighted, 0.0)
-        even = (total + 0.5 * quadratic.sum()) / seen.sum()  # the determinant, which no pixel owns
-        return np.where(seen, even - 0.5 * quadratic - np.log(spread), 0.0)
+        found = self.factors(observed, depth, values)
+        z = (found.residual - found.mean) / found.deviation
+        narrow, wide = np.exp(-0.5 * z**2), np.exp(-0.5 * (z / WIDER) ** 2) / WIDER
+        surface = (1.0 - values["tail"]) * narrow + values["tail"] * wide
+        surface *= found.inverse / (found.deviation * math.sqrt(2.0 * math.pi))
+        depths = np.abs(np.where(found.seen, observed, 0.0))
+        inside = (depths >= values["near"]) & (depths <= values["far"])
+        floor = values["outlier"] / (values["far"] - values["near"])
+        density = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
+        return np.where(found.seen, np.log(density), 0.0)
+
+    def whitened(self, observed, depth, values=None) -> np.ndarray:
+        """Return an image's noise (H, W) without what earlier neighbours tell of it, NaN where nothing returned.
+
+        Each pixel's quantile among those that it might have had given these, as the quantile of a normal number: under
+        the right values independent standard normal numbers.
+        """
+        from scipy.special import ndtr, ndtri
+
+        values = self.complete(values)
+        found = self.factors(observed, depth, values)
+        z = (found.residual - found.mean) / found.deviation
+        below = (1.0 - values["tail"]) * ndtr(z) + values["tail"] * ndtr(z / WIDER)
+        extent = values["far"] - values["near"]
+        nearer = np.clip((np.abs(np.where(found.seen, observed, 0.0)) - values["near"]) / extent, 0.0, 1.0)
+        below = (1.0 - values["outlier"]) * below + values["outlier"] * nearer
+        return np.where(found.seen, ndtri(np.clip(below, 1e-15, 1.0 - 1e-15)), np.nan)
 
     def sample(self, rng, depth, values=None):
         values = self.complete(values)
         model = blurred_depth(depth, values)
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        noise = math.sqrt(values["white"]) * rng.standard_normal(depth.shape)
-        for level, variance in enumerate(offset_variances(depth.shape, values), start=1):
-            shape = tuple(-(-side // 2**level) for side in depth.shape)
-            offsets = math.sqrt(variance) * rng.standard_normal(shape)
-            noise += offsets.repeat(2**level, axis=0).repeat(2**level, axis=1)[: depth.shape[0], : depth.shape[1]]
-        result = model + spread * noise
+        deviation = values["sigma"] + values["sigma_growth"] * model**2
+        noise = rng.standard_normal(depth.shape)
+        noise = np.where(rng.random(depth.shape) < values["tail"], WIDER * noise, noise)
+        outliers = rng.random(depth.shape) < values["outlier"]
+        anywhere = (rng.uniform(values["near"], values["far"], depth.shape) - model) / deviation
+        tells, residual = links(depth, values), np.zeros([side + 4 for side in depth.shape])
+        telling = np.zeros(residual.shape, bool)
+        rows, columns = np.indices(depth.shape).reshape(2, -1)
+        front = columns + 2 * rows  # a pixel's neighbours lie on earlier fronts, so those of one are drawn together
+        order = np.argsort(front, kind="stable")
+        for at in np.split(order, np.cumsum(np.bincount(front))[:-1]):
+            pixel = rows[at], columns[at]
+            mean, spread = tells.predict(residual, telling, *pixel)
+            drawn = np.where(outliers[pixel], anywhere[pixel], mean + spread * noise[pixel])
+            place = rows[at] + 2, columns[at] + 2
+            residual[place], telling[place] = drawn, np.abs(drawn) <= tells.limit
+        result = model + deviation * residual[2:-2, 2:-2]
         return np.where(result > 0.0, result, np.nan)
 
 
-def offset_variances(shape: tuple[int, ...], values: Mapping[str, float]) -> np.ndarray:
-    """Return the variances (L,) of the offsets of blocks of side 2, 4 ... 2^L, the last the whole image.
+def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    """Return the covariance of unit noise of pixels so many rows and columns apart."""
+    h = np.hypot(columns / values["reach"], rows / values["reach_down"])
+    own = np.where((rows == 0) & (columns == 0), values["white"], 0.0)
+    return own + (1.0 - values["white"]) * (1.0 + h) * np.exp(-h) + values["bias"] ** 2
 
-    Beside unit noise: the pixels' own share is `white`, the slow bias comes on top.
+
+def most(values: Mapping[str, float]) -> float:
+    """Return the unit noise beyond which a pixel is an outlier, which tells the next ones nothing."""
+    return LIMIT * math.sqrt(1.0 + values["bias"] ** 2)
+
+
+def prediction(values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (6, 8) weights of the neighbours and (8,) deviations about what they predict, for each set of groups.
+
+    Set s has group k where s has bit k.
     """
-    levels = max(1, math.ceil(math.log2(max(*shape, 2))))
-    sides = 2.0 ** np.arange(levels + 1)
-    shared = np.exp(-0.5 * sides / values["reach"])  # by pixels about half a side apart
-    steps = shared[:-1] - shared[1:]
-    steps[-1] += shared[-1]
-    found = (1.0 - values["white"]) * steps / steps.sum()
-    found[min(SLOW, levels) - 1] += 0.5 * values["bias"] ** 2
-    found[-1] += 0.5 * values["bias"] ** 2
-    return found
+    places = np.array([(0, 0), *NEIGHBOURS], float)
+    apart = places[:, None] - places[None]
+    matrix = covariance(apart[..., 0], apart[..., 1], values)
+    weights, deviations = np.zeros((len(NEIGHBOURS), 8)), np.empty(8)
+    for some in range(8):
+        members = [k for k, group in enumerate(GROUPS) if some >> group & 1]
+        known = [k + 1 for k in members]
+        weights[members, some] = np.linalg.solve(matrix[np.ix_(known, known)], matrix[known, 0])
+        deviations[some] = math.sqrt(matrix[0, 0] - weights[members, some] @ matrix[known, 0])
+    return weights, deviations
 
 
-def tree_log_density(scaled: np.ndarray, white: float, variances: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the log density of an image (H, W) of noise, NaN where missing, and C^-1 times it (H, W).
+class Links(NamedTuple):
+    """Which pixels tell of which. same : (6, H, W) bool, whether a neighbour is in the image and on a pixel's surface.
+    weights : (6, 8), deviations : (8,), see `prediction`. limit : unit noise from which a pixel tells nothing."""
 
-    white : variance of each pixel's own noise. variances : (L,) of the offsets of blocks of side 2^l, see above.
+    same: np.ndarray
+    weights: np.ndarray
+    deviations: np.ndarray
+    limit: float
 
-    What a block of pixels tells of the sum of the offsets above it is a normal: a mean and a precision. Those of its
-    four parts multiply; then its own offset widens the product. On the way down the offsets' means given all pixels
-    follow, and so what is left to each pixel's own noise, e: C^-1 w = e / white.
-    """
-    mean, precision = np.nan_to_num(scaled), np.isfinite(scaled) / white
-    total = -0.5 * float(np.isfinite(scaled).sum()) * math.log(2.0 * math.pi * white)
-    total -= 0.5 * float((mean**2 * precision).sum())
-    ups = []
-    for variance in variances:
-        whole, weighted = blocks(precision), blocks(precision * mean)
-        seen = whole > 0.0
-        mean = np.divide(weighted, whole, out=np.zeros_like(whole), where=seen)
-        # the parts' product is that of a normal of their mean, times this; then the offset widens it
-        total += 0.5 * float((mean**2 * whole).sum())
-        widened = np.divide(1.0, 1.0 / np.where(seen, whole, 1.0) + variance, out=np.zeros_like(whole), where=seen)
-        total -= 0.5 * float(np.log1p(variance * whole[seen]).sum()) + 0.5 * float((mean**2 * widened).sum())
-        ups.append((mean, whole, variance))
-        precision = widened
-    above = np.zeros((1, 1))
-    for mean, whole, variance in reversed(ups):
-        height, width = mean.shape
-        above = above.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
-        above = above + variance * whole / (1.0 + variance * whole) * (mean - above)
-    height, width = scaled.shape
-    above = above.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
-    return total, np.where(np.isfinite(scaled), np.nan_to_num(scaled) - above, 0.0) / white
+    def predict(self, residual, telling, rows, columns):
+        """Return the mean and the deviation of unit noise at pixels (any shape), given what earlier ones hold.
+
+        residual : (H + 4, W + 4), telling : bool, whether each tells at all; two pixels wider than the image all round.
+        """
+        some, near = np.zeros(rows.shape, np.int64), []
+        told = [np.ones(rows.shape, bool) for _ in range(3)]
+        for (up, left), group, same in zip(NEIGHBOURS, GROUPS, self.same, strict=True):
+            place = rows + 2 - up, columns + 2 - left
+            told[group] &= telling[place] & same[rows, columns]
+            near.append(residual[place])
+        for group in range(3):
+            some += told[group] * 2**group
+        return sum(self.weights[k, some] * each for k, each in enumerate(near)), self.deviations[some]
 
 
-def blocks(image: np.ndarray) -> np.ndarray:
-    """Return the sums (ceil(H / 2), ceil(W / 2)) of an image (H, W) over blocks of two by two."""
-    height, width = image.shape
-    padded = np.pad(image, ((0, height % 2), (0, width % 2)))
-    return padded[0::2, 0::2] + padded[1::2, 0::2] + padded[0::2, 1::2] + padded[1::2, 1::2]
-
-
-def whitened(scaled: np.ndarray, white: float, variances: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield, level by level, how far the parts of its blocks lie from the blocks' mean, (H', W') standard deviations.
-
-    They are those differences that the levels above know nothing of: standard normal numbers where the noise is as the
-    likelihood says; NaN where a part has nothing to be compared with.
-    """
-    mean, precision = np.nan_to_num(scaled), np.isfinite(scaled) / white
-    for variance in variances:
-        whole, weighted = blocks(precision), blocks(precision * mean)
-        seen = whole > 0.0
-        middle = np.divide(weighted, whole, out=np.zeros_like(whole), where=seen)
-        height, width = mean.shape
-        wide = [each.repeat(2, axis=0).repeat(2, axis=1)[:height, :width] for each in (middle, whole)]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            apart = (mean - wide[0]) / np.sqrt(1.0 / precision - 1.0 / wide[1])
-        yield np.where((precision > 0.0) & (wide[1] > precision * (1.0 + 1e-9)), apart, np.nan)
-        widened = 1.0 / (1.0 / np.where(seen, whole, 1.0) + variance)
-        mean, precision = middle, np.where(seen, widened, 0.0)
+def links(depth: np.ndarray, values: Mapping[str, float]) -> Links:
+    """Return the Links of a clean depth image (H, W)."""
+    clean = with_wall(depth, values["background"])
+    (height, width), padded = clean.shape, np.pad(clean, 2, constant_values=np.nan)
+    near = [padded[2 - up : 2 - up + height, 2 - left : 2 - left + width] for up, left in NEIGHBOURS]
+    same = np.abs(np.array(near) - clean) <= values["jump"] * clean
+    return Links(same, *prediction(values), most(values))

@@ -24,11 +24,13 @@ from derender.render.raycast.filter import blur_for
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED, add_region, draw_region, score_region, whole_image
 from derender.render.raycast.score import score_gaussian, score_robust
+from derender.render.raycast.score_correlated import score_correlated
 from derender.render.raycast.state import (
     ACCEPTED,
     BLUR,
     BOUND,
     CANDIDATE,
+    CORRELATED,
     CURRENT,
     DEPTH,
     DRAW,
@@ -44,6 +46,8 @@ from derender.render.raycast.state import (
     RASTERISE,
     RATE,
     REGIONS,
+    RESIDUALS,
+    ROBUST,
     SCORE,
     SETTLE,
     SIGMA,
@@ -56,6 +60,7 @@ from derender.render.raycast.state import (
 )
 from derender.scene.solids import MESH
 
+SCORES = {GAUSSIAN: score_gaussian, ROBUST: score_robust, CORRELATED: score_correlated}
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
 
 
@@ -195,6 +200,9 @@ def propose_state(state, count, indices, poses, sizes):
             _copy_solid(images, kind, pose, size, prepared, rectangle, CURRENT, k)
         _copy_pixels(images, DEPTH + CURRENT, DEPTH + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         _copy_pixels(images, SCORE + CURRENT, SCORE + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
+        if settings[LIKELIHOOD] == CORRELATED:
+            last = len(images) - RESIDUALS
+            _copy_pixels(images, last + CURRENT, last + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         settings[STALE] = 0
     settings[PENDING], settings[REGIONS] = count, 0
     for n in range(count):
@@ -236,7 +244,11 @@ def settle_state(state, source):
         left = 0 if drawn[0] == 0 else drawn[0] + PAD  # with the replicated edges
         right = (drawn[1] if drawn[1] < width else width + LANES) + PAD
         _copy_pixels(images, DEPTH + source, DEPTH + target, left, right, drawn[2], drawn[3])
-        _copy_pixels(images, SCORE + source, SCORE + target, scored[0] + PAD, scored[1] + PAD, scored[2], scored[3])
+        left, right, top, bottom = scored[0] + PAD, scored[1] + PAD, scored[2], scored[3]
+        _copy_pixels(images, SCORE + source, SCORE + target, left, right, top, bottom)
+        if settings[LIKELIHOOD] == CORRELATED:
+            last = len(images) - RESIDUALS
+            _copy_pixels(images, last + source, last + target, left, right, top, bottom)
     settings[PENDING], settings[REGIONS] = 0, 0
     if source == CANDIDATE:
         total[CURRENT] = total[CANDIDATE]
@@ -269,9 +281,7 @@ def new_engine(camera, observed, solids, kind, parameters, blur):
         state.regions[0, 0],
     )
     settings[BLUR] = _blur_address(state)
-    settings[RATE] = address_of(
-        score_gaussian if kind == GAUSSIAN else score_robust, state.parameters, images, *6 * [index]
-    )
+    settings[RATE] = address_of(SCORES[kind], state.parameters, images, *6 * [index])
     return state
 
 

@@ -10,6 +10,7 @@ from derender.render.raycast.lane_names import LANES
 
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
+TABLE = ir.VectorType(ir.FloatType(), 8)
 INTEGERS = ir.VectorType(ir.IntType(32), LANES)
 
 

@@ -1,17 +1,11 @@
 """Functions of sixteen float32 side by side (`lanes`): reciprocal, square root, exponential, logarithm."""
 
-from llvmlite import binding, ir
-from numba.core import cgutils, config
+from llvmlite import ir
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from derender.render.raycast import lane_code as code
-from derender.render.raycast.lanes import float_lanes, greater_of
-
-
-def _has_estimate() -> bool:
-    """Whether the machine compiled for has AVX-512's 14-bit reciprocals."""
-    features = vars(config)["CPU_FEATURES"]
-    return "+avx512f" in features if features is not None else bool(binding.get_host_cpu_features().get("avx512f"))
+from derender.render.raycast.lanes import float_lanes, greater_of, machine_has
 
 
 @intrinsic
@@ -20,7 +14,7 @@ def reciprocal(typing, a):
 
     def generate(context, builder, signature, arguments):
         one, value = code.constant(1.0), arguments[0]
-        if not _has_estimate():
+        if not machine_has("avx512f"):  # which has reciprocals of 14 bits
             return builder.fdiv(one, value)
         mask = ir.IntType(16)
         kind = ir.FunctionType(code.FLOATS, [code.FLOATS, code.FLOATS, mask])

@@ -7,8 +7,8 @@ and the full evaluation agree to the last bit. Arrays are C-contiguous float32; 
 may be read. Functions of a number are in `lane_functions`, the blur's in `lane_blur`.
 """
 
-from llvmlite import ir
-from numba.core import types
+from llvmlite import binding, ir
+from numba.core import cgutils, config, types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, register_model
 
@@ -17,17 +17,27 @@ from derender.render.raycast.lane_names import LANES
 
 
 class _LanesType(types.Type):
-    """The numba type of sixteen float32 or float64."""
+    """The numba type of sixteen float32 or float64, or of a table of eight float32."""
 
 
 float_lanes = _LanesType("float32x16")
 double_lanes = _LanesType("float64x16")
+small_table = _LanesType("float32x8")
+_MODELS = {float_lanes.name: code.FLOATS, double_lanes.name: code.DOUBLES, small_table.name: code.TABLE}
+
+
+def machine_has(feature: str) -> bool:
+    """Whether the machine compiled for has an extension of its instructions, such as avx2."""
+    features = vars(config)["CPU_FEATURES"]
+    if features is not None:
+        return f"+{feature}" in features
+    return bool(binding.get_host_cpu_features().get(feature))
 
 
 @register_model(_LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, numba_type):
-        super().__init__(manager, numba_type, code.FLOATS if numba_type.name == float_lanes.name else code.DOUBLES)
+        super().__init__(manager, numba_type, _MODELS[numba_type.name])
 
 
 def _check(array):
@@ -131,6 +141,17 @@ def where_at_least(typing, a, b, yes, no):
 
 
 @intrinsic
+def all_at_least(typing, a, b):
+    """Whether all sixteen a >= b."""
+
+    def generate(context, builder, signature, arguments):
+        yes = builder.bitcast(builder.fcmp_ordered(">=", *arguments), ir.IntType(LANES))
+        return builder.icmp_unsigned("==", yes, ir.Constant(ir.IntType(LANES), -1))
+
+    return types.boolean(float_lanes, float_lanes), generate
+
+
+@intrinsic
 def zero_sum(typing):
     """Sixteen float64 zeros: the start of a sum."""
 
@@ -163,3 +184,41 @@ def sum_lanes(typing, total):
         return terms[0]
 
     return types.float64(double_lanes), generate
+
+
+@intrinsic
+def load_table(typing, array, first):
+    """Eight elements of a 1-D float64 array from `first` on, rounded to float32: a table for `look_up`."""
+
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        eight = ir.VectorType(ir.DoubleType(), 8)
+        at = builder.bitcast(builder.gep(data, [arguments[1]]), eight.as_pointer())
+        return builder.fptrunc(builder.load(at, align=8), code.TABLE)
+
+    return small_table(array, types.int64), generate
+
+
+@intrinsic
+def look_up(typing, table, place):
+    """The entries of a table at sixteen places, each 0, 1, ..., or 7."""
+
+    def generate(context, builder, signature, arguments):
+        table, places = arguments[0], builder.fptosi(arguments[1], code.INTEGERS)
+        if not machine_has("avx2"):
+            value = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
+            for k in range(1, 8):
+                entry = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
+                value = builder.select(builder.icmp_signed("==", places, code.integer(k)), entry, value)
+            return value
+        index = ir.VectorType(ir.IntType(32), 8)
+        permute = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(code.TABLE, [code.TABLE, index]), "llvm.x86.avx2.permps"
+        )
+        halves = [
+            builder.call(permute, [table, builder.shuffle_vector(places, places, ir.Constant(index, list(part)))])
+            for part in (range(8), range(8, LANES))
+        ]
+        return builder.shuffle_vector(*halves, ir.Constant(code.INTEGERS, list(range(LANES))))
+
+    return float_lanes(small_table, float_lanes), generate

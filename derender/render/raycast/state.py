@@ -20,29 +20,33 @@ CURRENT, CANDIDATE = np.int64(0), np.int64(1)
 WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = range(9)
 # of `settings`: the addresses of kernels, see engine.py
 PROPOSE, SETTLE, BOUND, DRAW, BLUR, RATE, RASTERISE = range(9, 16)
-GAUSSIAN, ROBUST = range(2)  # values of settings[LIKELIHOOD]
-# entries of `parameters` (float64): camera, likelihood; those of ROBUST follow, see raycast/score.py
+GAUSSIAN, ROBUST, CORRELATED = range(3)  # values of settings[LIKELIHOOD]
+# entries of `parameters` (float64): camera, likelihood; those of the others follow, see their scores
 FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
-LIKELIHOOD_PARAMETERS = 8
-# images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes
+LIKELIHOOD_PARAMETERS, PARAMETERS = 8, 80
+# images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes,
+# and the last two are CORRELATED's residuals
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
+RESIDUALS = 2
+NO_RESIDUAL = np.float32(1e30)  # of a pixel that tells its neighbours nothing
 
 
 class EngineState(NamedTuple):
     """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
 
     settings : (16,) int64, see WIDTH ... RASTERISE.
-    parameters : (64,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a pixel's
-        density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the gaussian
-        likelihood `log_likelihood_of` is right at once, with the robust one after `rescore_state`.
+    parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a
+        pixel's density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the
+        gaussian likelihood `log_likelihood_of` is right at once, with others after `rescore_state`.
     total : (2,) float64, sums of the scores.
     taps : (R + 1,) float32, blur weights from the centre outwards.
-    images : (5 + 2 M, H, P) float32; pixel i of a row is at column i + PAD.
-        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under the robust one they are 0,
-            and below zero where they show what is no part of the scene, see `Robust`),
+    images : (5 + 2 M, H, P; under CORRELATED 7 + 2 M) float32; pixel i of a row is at column i + PAD.
+        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and
+            below zero where they show what is no part of the scene, see `Robust`),
         [DEPTH + half] clean model depth, edges replicated,
-        [SCORE + half] each pixel's squared residual (gaussian) or log density (robust),
-        [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only.
+        [SCORE + half] each pixel's squared residual (gaussian) or log density (others),
+        [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only,
+        [-RESIDUALS + half] each pixel's residual, see raycast/score_correlated.py.
     strip : (H, LANES) float32, scratch for wide blurs.
     kind : (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's.
     pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64. rectangle : (2, N, 4) int64.
@@ -84,8 +88,12 @@ def taps_of(blur: float) -> np.ndarray:
 
 
 def set_reach(settings: np.ndarray, radius: int) -> None:
-    """Write how far a pixel is blurred, and how far it tells on scores: the robust one sees its neighbours too."""
-    settings[RADIUS], settings[MARGIN] = radius, max(radius, 1) if settings[LIKELIHOOD] == ROBUST else radius
+    """Write how far a pixel is blurred, and how far it tells on scores, two pixels farther where noise is shared.
+
+    The robust score looks at its neighbours' clean depths.
+    """
+    kind = settings[LIKELIHOOD]
+    settings[RADIUS], settings[MARGIN] = radius, radius + 2 if kind == CORRELATED else max(radius, int(kind == ROBUST))
 
 
 def new_state(
@@ -93,7 +101,8 @@ def new_state(
 ) -> EngineState:
     """Allocate the state of one chain for an image and for scenes with as many solids of the same kinds as `solids`.
 
-    observed : (height, width) metres, NaN where nothing returned. kind : GAUSSIAN or ROBUST, with its `parameters`.
+    observed : (height, width) metres, NaN where nothing returned. kind : GAUSSIAN, ROBUST or CORRELATED, with its
+        `parameters`.
     blur : sigma in pixels. Kernels take what `engine.new_engine` makes of it.
     """
     height, width = camera.height, camera.width
@@ -105,11 +114,13 @@ def new_state(
     meshes = FlatMeshes(solids.meshes)
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
-    images = np.ones((MESHES + 2 * int(is_mesh.sum()), height, padded), np.float32)
+    last = MESHES + 2 * int(is_mesh.sum())
+    images = np.ones((last + (RESIDUALS if kind == CORRELATED else 0), height, padded), np.float32)
     images[OBSERVED_IMAGE] = np.nan
     images[SCORE:MESHES] = 0.0  # the padding never scores
+    images[last:] = NO_RESIDUAL
     images[OBSERVED_IMAGE, :, PAD : PAD + width] = np.where(seen, observed, missing)
-    numbers = np.zeros(64)
+    numbers = np.zeros(PARAMETERS)
     numbers[:4] = camera_array(camera)
     numbers[SIGMA : SIGMA + len(parameters)] = parameters
     numbers[OBSERVED] = seen.sum()
