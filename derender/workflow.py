@@ -29,6 +29,12 @@ WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
 SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-floating"}
 
+# Why an option says nothing.
+NO_DRAWS = "--method map and --quick find the best scene, and draw nothing"
+POPULATIONS = "populations of --method smc have a fixed size"
+WALKS = "it is for --method mcmc or smc, or for a scene given with --scene"
+THE_PRIOR = "it is the prior that says what --method mcmc and smc may visit"
+
 AS_IT_IS = Reading()
 
 Say = Callable[[str], None]
@@ -198,20 +204,31 @@ def check_request(options: Options, document: Document | None, prior: object, gr
     from derender.detection.solids.image import KINDS
 
     given, method = has_objects(document), options.method
-    if gradient != "exact" and (method != "map" or not given):
-        warn("--gradient says nothing here: it is for --method map with a scene given by --scene")
+    walks = method in ("mcmc", "smc") or given
+    idle = (
+        ("--gradient", gradient != "exact" and not (method == "map" and given), "it is for --method map with --scene"),
+        ("--chains", options.chains is not None and method == "map" and not given, NO_DRAWS),
+        ("--draws", options.draws is not None and method == "map", NO_DRAWS),
+        ("--warmup", options.warmup is not None and method == "map", NO_DRAWS),
+        ("--budget", options.budget is not None and not given and method != "auto", "it is for --method auto"),
+        ("--draws", options.draws is not None and given and method == "smc", POPULATIONS),
+        ("--warmup", options.warmup is not None and given and method == "smc", POPULATIONS),
+        ("--warmup", options.warmup is not None and method == "auto" and not walks, WALKS),
+        ("--resume", options.resume and not walks, WALKS),
+        ("--shapes", bool(options.shapes) and walks and not given, THE_PRIOR),
+        ("--allow-interpenetration", options.may_overlap and walks and not given, THE_PRIOR),
+        ("--allow-floating", options.may_float and walks and not given, THE_PRIOR),
+    )
+    for option, dropped, why in idle:
+        if dropped:
+            warn(f"{option} says nothing here: {why}")
     if given:
-        from derender.structures.given import SMC_PARTICLES
-
         if options.frames:
             raise DerenderError("--together is for images without a scene", prior, "leave out --together or --scene")
         for key in FOR_BARE_IMAGES:
             if getattr(options, key):
                 option = SWITCHES.get(key, "--" + key.replace("_", "-"))
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
-        for option, number in (("--draws", options.draws), ("--warmup", options.warmup)):
-            if method == "smc" and number is not None:
-                warn(f"{option} says nothing here: each population of --method smc has {SMC_PARTICLES} particles")
         return
     if options.frames:
         for option, present in (("--known", options.known), ("--floor", options.floor),
@@ -223,9 +240,6 @@ def check_request(options: Options, document: Document | None, prior: object, gr
             raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
     if method in ("mcmc", "smc") and options.known is not None:
         raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
-    for option, present in (("--resume", options.resume), ("--warmup", options.warmup is not None)):
-        if present and method in ("auto", "map"):
-            warn(f"{option} says nothing here: it is for --method mcmc or smc, or for a scene given with --scene")
 
 
 def infer_image(

@@ -9,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from derender.cli import options
-from derender.cli.options import Bar, Talk, command_line
+from derender.cli.options import Bar, Idle, Talk, command_line
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
@@ -48,9 +48,24 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     return None
 
 
+def _is_recording(image: str) -> bool:
+    from derender.camera.ros_bag import is_bag
+
+    return is_bag(image)
+
+
 # Options that say how many frames are worked on, not what is asked of each: results do not record them.
 OF_THE_RUN = frozenset(
     {"images", "output", "jobs", "watch", "scheduler", "page", "strict", "quiet", "verbose", "resume"}
+)
+# Options that are dropped where others stand; what depends on files is told by `workflow.check_request`.
+OF_IMAGES = ("rotate", "confidence", "least_confidence", "up", "topic", "method", "quick", "gradient", "chains",
+             "draws", "warmup", "budget", "assume_stable", "scheduler", "strict", "resume", "jobs", "page")  # fmt: skip
+IDLE = (
+    Idle(OF_IMAGES, lambda given: given["track"], "--track follows what the first frame of a film shows"),
+    Idle(("least_confidence",), lambda given: not given["confidence"], "it is for --confidence"),
+    Idle(("topic",), lambda given: not any(map(_is_recording, given["images"])), "it is for a recording (.bag, .mcap)"),
+    Idle(("jobs",), lambda given: given["scheduler"], "the cluster of --scheduler has its own workers"),
 )
 
 
@@ -168,6 +183,7 @@ OF_THE_RUN = frozenset(
 @options.output("Folder for the results. Default: the image's name with _inferred.", None, "DIR")
 @options.strict
 @options.verbosity
+@options.tells_idle(*IDLE)
 def command(talk: Talk, **arguments) -> int | None:
     """Infer the scene graph behind each depth image IMAGE.
 
@@ -301,11 +317,17 @@ def _many(
     order = Order(Options(**arguments, jobs=1), prior, reading, gradient, bool(page), _words())
     bar = _bar(talk)
 
+    idle: set[str] = set()
+
     def tell(done) -> None:
         if bar:
             bar.close()
         for line in done.warnings:
-            talk.detail(f"{done.frame.name}: {line}")
+            if not line.startswith("--"):
+                talk.detail(f"{done.frame.name}: {line}")
+            elif line not in idle:  # about an option, and so about all frames
+                idle.add(line)
+                talk.warn(line)
         if done.error:
             click.echo(f"derender: {done.frame.name}: {done.error}", err=True)
             talk.detail(done.trace)
@@ -329,7 +351,7 @@ def _many(
     doubtful = f" ({tally.doubtful} not to be trusted)" if tally.doubtful else ""
     before = f", {tally.before} were done before" if tally.before else ""
     failed = f", {tally.failed} failed" if tally.failed else ""
-    talk.say(f"{tally.done} frames done{doubtful} in {duration(tally.seconds)}{failed}{before}")
+    talk.say(f"{tally.done} frame{'s' * (tally.done != 1)} done{doubtful} in {duration(tally.seconds)}{failed}{before}")
     talk.say(f"wrote {output}/index.html, results.csv and results.jsonl")
     if tally.interrupted and not watch:
         talk.say("interrupted: the same command does the frames that are missing", always=True)

@@ -17,10 +17,11 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import click
+from click.core import ParameterSource
 
 PATIENCE = 2.0  # seconds that a person waits without asking what is going on
 
@@ -105,6 +106,41 @@ def quiet(function: Callable[..., Any]) -> Callable[..., Any]:
 def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add -v and -q, for commands that have details to tell; the command gets `talk`, a `Talk`."""
     return click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")(quiet(function))
+
+
+class Idle(NamedTuple):
+    """Options that say nothing beside others: whoever typed one is told so, in place of being ignored in silence.
+
+    Attributes
+    ----------
+    names : of the parameters. here : given all arguments by name, whether it is so. why : what they are for.
+    """
+
+    names: tuple[str, ...]
+    here: Callable[[Mapping[str, Any]], Any]
+    why: str
+
+
+def tells_idle(*rules: Idle) -> Callable[..., Any]:
+    """Have a command, which takes `talk`, warn of options that were typed and say nothing."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def wrapper(talk: Talk, **arguments: Any) -> Any:
+            context = click.get_current_context()
+            for parameter in context.command.params:
+                typed = context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
+                off = arguments.get(str(parameter.name)) is False and parameter.secondary_opts
+                option = max(off or parameter.opts, key=len)
+                for rule in rules:
+                    if typed and parameter.name in rule.names and rule.here(arguments):
+                        talk.warn(f"{option} says nothing here: {rule.why}")
+                        break
+            return function(talk=talk, **arguments)
+
+        return wrapper
+
+    return decorate
 
 
 def processors() -> int:

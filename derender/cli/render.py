@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from derender.cli import options
-from derender.cli.options import Talk
+from derender.cli.options import Idle, Talk
 from derender.cli.reading import read_scene_document
 from derender.errors import DerenderError
 
@@ -36,6 +36,9 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @click.option("--preview", is_flag=True, help="Draw a shaded colour picture instead of depth.")
 @options.seed
 @options.quiet
+@options.tells_idle(
+    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth"),
+)
 def command(
     scenes: tuple[str, ...],
     output: str | None,

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from derender.cli import options
-from derender.cli.options import Talk
+from derender.cli.options import Idle, Talk
 
 
 @click.command()
@@ -22,6 +22,10 @@ from derender.cli.options import Talk
 @options.renderer
 @options.seed
 @options.verbosity
+@options.tells_idle(
+    Idle(("noise", "renderer", "images"), lambda given: given["output"] == "-", "-o - streams scenes without images"),
+    Idle(("noise", "renderer"), lambda given: not given["images"], "--no-images draws none"),
+)
 def command(
     prior: str,
     count: int,

@@ -8,7 +8,7 @@ import click
 
 from derender import __version__
 from derender.cli import options
-from derender.cli.options import Talk
+from derender.cli.options import Idle, Talk
 from derender.errors import DerenderError
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
@@ -66,6 +66,10 @@ class Percent(click.ParamType):
 @options.jobs
 @options.seed
 @options.quiet
+@options.tells_idle(
+    Idle(("duration", "push", "shake"), lambda given: given["engine"] == "statics", "statics judges a scene at rest"),
+    Idle(("draws",), lambda given: given["until"], "--until says how many draws there are"),
+)
 def command(
     scenes: tuple[str, ...],
     duration: float,
@@ -114,6 +118,9 @@ def command(
     _check_names(animate, settle, output, many)
     ask = {"duration": duration, "draws": draws, "until": until, "engine": engine, "jobs": jobs, "seed": seed}
     if many:
+        for option, dropped in (("--forces", forces), ("--json", as_json and output is not None)):
+            if dropped:
+                talk.warn(f"{option} says nothing here: many scenes make a table")
         return _table(paths, what, ask, margin, output, as_json, talk)
     found, best, source = _one(paths[0], what, ask, margin or as_json, forces, talk)
     made = {"seed": seed, "version": __version__, "command": options.command_line()}
@@ -155,6 +162,8 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     for sentence in assumed:
         talk.warn(sentence)
     runs = [best]
+    if ask["until"] and not (source.uncertain or what.jitter):
+        talk.warn("--until says nothing here: a scene without jitter is the same in every draw")
     if (source.uncertain or what.jitter) and ask["draws"]:
         limit = MOST_DRAWS if ask["until"] else ask["draws"]
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)

@@ -144,8 +144,14 @@ def test_too_few_pixels_names_the_image(tmp_path):
 
 def test_options_that_say_nothing_here_are_told(tmp_path):
     np.save(tmp_path / "only_a_floor.npy", np.full((24, 32), 0.9))
-    result = infer(tmp_path / "only_a_floor.npy", "--resume", "--warmup", 3, "--method", "map", "-o", tmp_path / "out")
-    assert result.stderr.count("says nothing here") == 2
+    words = ("--resume", "--warmup", 3, "--draws", 9, "--chains", 3, "--budget", "2s", "--gradient",
+             "finite-difference", "--least-confidence", 2, "--topic", "depth")  # fmt: skip
+    result = infer(tmp_path / "only_a_floor.npy", "--method", "map", *words, "-o", tmp_path / "out")
+    told = {line.split()[1] for line in result.stderr.splitlines() if "says nothing here: " in line}
+    assert told == {word for word in words if str(word).startswith("--")}
+    many = infer(tmp_path / "only_a_floor.npy", tmp_path / "only_a_floor.npy", "--quick", "--draws", 9, "-j", 1,
+                 "-o", tmp_path / "many")  # fmt: skip
+    assert many.stderr.count("--draws says nothing here") == 1
 
 
 @pytest.mark.slow

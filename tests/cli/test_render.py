@@ -155,3 +155,21 @@ def test_a_folder_that_cannot_be_written_is_named(folder, capsys):
     assert run("scene_a.yaml", "-o", "file/d.npz") == 1
     error = capsys.readouterr().err
     assert "file" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        ("render scene_a.yaml --preview --noise --antialias 2 -o picture.png", ["--noise", "--antialias"]),
+        ("render scene_a.yaml --noise -o depth.npy", []),
+        ("sample --no-images --no-noise", ["--no-noise"]),
+        ("sample -o - --no-noise", ["--no-noise"]),
+        ("simulate scene_a.yaml --engine statics --duration 1 --until 1%", ["--duration", "--until"]),
+        ("simulate scene_a.yaml scene_b.yaml --engine statics --forces", ["--forces"]),
+    ],
+)
+def test_options_that_say_nothing_here_are_told(words, told, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    lines = [line for line in capsys.readouterr().err.splitlines() if "says nothing here: " in line]
+    assert not ended.value.code and sorted(line.split()[1] for line in lines) == sorted(told)
