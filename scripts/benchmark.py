@@ -178,6 +178,7 @@ class MeshRow:
 
     def embree_rays(self, count: int) -> None:
         """Cast the rays against a scene built beforehand (moving the mesh would cost Embree a new tree on top)."""
+        assert self.embree is not None, "who asks has seen that Embree is there"
         for _ in range(count):
             self.embree.run(self.origins, self.rays, query="DISTANCE")
 

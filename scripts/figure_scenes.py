@@ -23,8 +23,9 @@ FLUSH = 1e-6
 """Metres: two solids touch where they are nearer than this, and interpenetrate where they overlap by more."""
 
 
-def picture(graph: SceneGraph, camera: Camera) -> np.ndarray:
+def picture(graph: SceneGraph, camera: Camera | None) -> np.ndarray:
     """Return a shaded picture of a scene, about 480 pixels wide; cubes have the colours of their names."""
+    assert camera is not None, "the files of the figures name their cameras"
     return shade(graph.solids(), enlarged(camera, max(1, round(480 / camera.width))), graph.solid_names)
 
 

@@ -3,8 +3,6 @@
 import argparse
 import sys
 import time
-from collections.abc import Mapping
-from typing import cast
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from derender.document import read_document
 from derender.posterior.forward import draw_documents, observe
 from derender.posterior.map import MapProblem
 from derender.render.raycast.depth import render_depth
+from derender.report.contents import likelihood_numbers
 
 ADDRESSES = ("yellow.contact.theta", "yellow.contact.u", "yellow.contact.v")
 REACHED = 3.0  # nats below the truth that count as the truth
@@ -26,9 +25,9 @@ def ascents(scenes: int, starts: int, seed: int, method: str, iterations: int) -
     for draw in draw_documents(document, scenes, seed, {}):
         clean, _ = render_depth(draw.graph.solids(), draw.camera, antialias=16, background=10.0)
         depth = observe(draw.rng, clean, draw.likelihood)
-        values = cast(Mapping[str, float], draw.likelihood.values)
-        problem = MapProblem(draw.graph, ADDRESSES, draw.camera, depth, sigma=float(values["sigma"]),
-                             blur=float(values["blur"]))  # fmt: skip
+        values = likelihood_numbers(draw.likelihood)
+        sigma, blur = values["sigma"], values["blur"]
+        problem = MapProblem(draw.graph, ADDRESSES, draw.camera, depth, sigma=sigma, blur=blur)
         truth = problem.log_density(problem.values)
         places = problem.random_starts(draw.rng, starts)
         begin = time.perf_counter()

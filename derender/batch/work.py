@@ -147,12 +147,12 @@ def leave_with_parent() -> None:
     """End this process as soon as the one that started it has gone, however that came about."""
     import multiprocessing
     import threading
+    from multiprocessing.process import BaseProcess
 
-    parent = multiprocessing.parent_process()
-
-    def wait() -> None:
+    def end_with(parent: BaseProcess) -> None:
         parent.join()
         os._exit(1)
 
+    parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=wait, daemon=True).start()
+        threading.Thread(target=end_with, args=(parent,), daemon=True).start()

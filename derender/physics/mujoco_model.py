@@ -244,9 +244,8 @@ class World:
 
     def set_materials(self, friction: Mapping[str, float | None], elasticity: Mapping[str, float]) -> None:
         """Set the friction and elasticity of some bodies."""
-        for values, given in ((self._rough, friction), (self._bouncy, elasticity)):
-            for name, value in given.items():
-                values[self.names.index(name)] = value
+        self._rough = [friction.get(name, value) for name, value in zip(self.names, self._rough, strict=True)]
+        self._bouncy = [elasticity.get(name, value) for name, value in zip(self.names, self._bouncy, strict=True)]
         self._set_materials()
 
     def to_xml(self, name: str) -> str:

@@ -109,7 +109,7 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     for index, body in enumerate(bodies):
         points = 0
         faces = 0
-        if body.kind == "mesh":
+        if body.vertices is not None:
             rotation, place = pose[index, :3, :3], pose[index, :3, 3]
             vertices.append(body.vertices @ rotation.T + place)
             normals.append(_face_normals(body.vertices.tobytes()) @ rotation.T)

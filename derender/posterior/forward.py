@@ -49,7 +49,7 @@ class Draw:
         camera = camera or self.camera
         depth, label = renderer.render_depth(self.graph.solids(), camera)
         if noise:
-            depth = observe(self.rng, depth, self.likelihood or LikelihoodPrior())
+            depth = observe(self.rng, depth, self.likelihood)
         write_depth(path, depth, camera, dict(self.made), label)
 
 
@@ -65,12 +65,13 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
         yield Draw(graph, camera, likelihood, {**made, "draw": number}, rng)
 
 
-def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior) -> np.ndarray:
+def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior | None) -> np.ndarray:
     """Return an observation (H, W) of a clean depth image, drawn from the likelihood; NaN stays without a return.
 
     What an image is worth in independent pixels is left out: it is no property of the pixels that a camera makes.
     """
     from derender.render.likelihoods import likelihoods
 
+    likelihood = likelihood or LikelihoodPrior()
     values = {name: value for name, value in likelihood.sample(rng).items() if name != "effective_pixels"}
     return likelihoods[likelihood.type].sample(rng, depth, values)
