@@ -78,7 +78,8 @@ class Body(NamedTuple):
         if self.kind == "mesh":
             return sum(_hull(corners)[0] for corners in self.parts or (self.vertices,))
         share = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}[self.kind]
-        return share * float(np.prod(self.size))
+        length, width, height = self.size
+        return share * float(length * width * height)
 
     def reach(self) -> float:
         """Return the radius in metres of a ball around its origin that holds it."""

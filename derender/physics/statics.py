@@ -85,7 +85,7 @@ class StaticVerdict(NamedTuple):
 
 def unit_of_length(matter: Matter) -> float:
     """Return the smallest extent among the bodies, metres: contacts are near or far in terms of it."""
-    return min((float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"), default=0.1)
+    return min((float(min(body.size)) for body in matter.bodies if body.kind != "plane"), default=0.1)
 
 
 def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
@@ -103,13 +103,13 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     for index, body in enumerate(bodies):
         if body.kind == "plane" and not plane_is_below(matter, body):
             pose[index, :3, 1:3] *= -1.0
-    radius = np.array([body.reach() for body in bodies])
+    radius = 0.5 * np.linalg.norm(size, axis=1)
     vertices, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     vertex_start, normal_start = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
     for index, body in enumerate(bodies):
-        points = 0
-        faces = 0
+        points = faces = 0
         if body.vertices is not None:
+            radius[index] = body.reach()
             rotation, place = pose[index, :3, :3], pose[index, :3, 3]
             vertices.append(body.vertices @ rotation.T + place)
             normals.append(_face_normals(body.vertices.tobytes()) @ rotation.T)
@@ -155,7 +155,7 @@ class Equilibrium:
         place = np.full(len(bodies), -1, dtype=np.int64)
         place[self.moving] = np.arange(len(self.moving))
         centre = np.array([body.centre_of_mass() for body in bodies], dtype=float).reshape(-1, 3)
-        extent = np.array([max(float(np.max(body.size)), 1e-12) for body in bodies])
+        extent = np.array([max(*body.size, 1e-12) for body in bodies])
         self.weight = clamped_masses(bodies)[self.moving] * (strength or STANDARD_GRAVITY)
         first, second, point, normal, _ = self.contacts
         rough = np.array([np.nan if body.friction is None else body.friction for body in bodies], dtype=float)
@@ -221,11 +221,10 @@ def judge_statics(matter: Matter, margin: bool = False) -> StaticVerdict:
 
 def plane_is_below(matter: Matter, plane: Body) -> bool:
     """Return whether what rests on a plane (all bodies, where nothing says so) lies on the side that its +z shows."""
-    children = {child for child, parent in matter.supports if parent == plane.name}
-    others = [body for body in matter.bodies if body.kind != "plane"]
-    seen = [body for body in others if body.name in children] or others
-    heights = [float((body.pose[:3, 3] - plane.pose[:3, 3]) @ plane.pose[:3, 2]) for body in seen]
-    return not heights or float(np.mean(heights)) >= 0.0
+    places = {body.name: body.pose[:3, 3] for body in matter.bodies if body.kind != "plane"}
+    children = [child for child, parent in matter.supports if parent == plane.name and child in places]
+    seen = [places[name] for name in children or places]
+    return not seen or float((np.mean(seen, axis=0) - plane.pose[:3, 3]) @ plane.pose[:3, 2]) >= 0.0
 
 
 @lru_cache(maxsize=256)
