@@ -157,12 +157,28 @@ def refine(rng, views, floor_pose, state, rules, tries=THREADS):
         for view in views
     )
     sensor = first._replace(others=tuple(others))
+    start = refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
     refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
+    refined = with_lost_back(rng, start, refined)
     kept = without_unseen(refined.state, refined)
     if len(kept) == len(refined.state):
         return refined
     chart, values = make_chart(kept, floor_pose_of(refined), rules)
     return settled(rng, best_climb(rng, kept, chart, values, refined.sensor, tries), tries)
+
+
+def with_lost_back(rng, start, refined):
+    """Return the Refined with the solids that its walk lost from sight where they were at first, if that is likelier.
+
+    Of a sensor whose pixels tell little each, a hot walk leads small solids behind others, from where none leads back.
+    """
+    lost = np.flatnonzero((pixels_of(start) > 0) & (pixels_of(refined) == 0))
+    if len(lost) == 0:
+        return refined
+    members, values = members_of(refined.chart, lost), refined.values.copy()
+    values[members] = start.values[members]
+    back = climb(rng, refined.state, refined.chart, values, refined.sensor, ANNEALING, None, ())
+    return max(refined, with_sensor_refitted(rng, back), key=height)
 
 
 def without_unseen(state, refined):
