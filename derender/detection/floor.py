@@ -169,13 +169,20 @@ def floor_beside(floor, depth, camera, standing):
     feet = feet[:: max(1, len(feet) // FEET)]
     if len(feet) == 0:
         return floor
-    nearest = np.full(len(flat), np.inf)
-    seen = np.isfinite(flat[:, 0])
-    apart = np.sum(flat[seen] ** 2, axis=1)[:, None] - 2.0 * flat[seen] @ feet.T + np.sum(feet**2, axis=1)
-    nearest[seen] = np.maximum(apart.min(axis=1), 0.0)
+    nearest = squares_to_nearest(np.ascontiguousarray(flat), feet)
     normal = floor.pose[:3, 2]
     weight = 1.0 / (1.0 + nearest / BESIDE**2)
     return plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma, weight)
+
+
+@njit(cache=True, nogil=True)
+def squares_to_nearest(points, others):
+    """Return (N,) the squared distances of points (N, 2) to the nearest of others (M, 2); inf where a point is NaN."""
+    found = np.full(len(points), np.inf)
+    for k in range(len(points)):
+        for other in others:
+            found[k] = min(found[k], (points[k, 0] - other[0]) ** 2 + (points[k, 1] - other[1]) ** 2)
+    return found
 
 
 def plane_through(depth, points, normal, offset, scale, weight=None):

@@ -6,6 +6,8 @@ beside the image's steps.
 
 import numpy as np
 
+from derender.compilation.cache import njit
+
 # Standard deviations beyond which residuals are no noise, and how wide a standard normal number scatters within.
 NO_NOISE, WITHIN = 3.0, 0.9866
 # Share of residuals that surely are noise, and what so many of standard normal ones are below.
@@ -47,17 +49,28 @@ def spread_of(residual):
     depths that a sensor rounds to steps as wide as its noise a median tells where a step lies, not how wide they
     scatter.
     """
-    square = np.sort(np.square(residual))  # so that those within a limit are the first ones
-    sums = np.cumsum(square)
+    square = np.square(residual)
     low, between = divmod(MOST * (len(square) - 1), 1.0)
-    low, high = square[int(low)], square[min(int(low) + 1, len(square) - 1)]
-    spread, count = np.sqrt(low + between * (high - low)) / AT_MOST, 0
+    places = int(low), min(int(low) + 1, len(square) - 1)
+    low, high = np.partition(square, places)[list(places)]
+    return float(_spread_within(square, np.sqrt(low + between * (high - low)) / AT_MOST))
+
+
+@njit(cache=True, nogil=True)
+def _spread_within(square, spread):
+    """Return the standard deviation of residuals, given squared (N,), within NO_NOISE times that `spread`, again and
+    again."""
+    before = -1
     for _ in range(ROUNDS):
-        kept = int(np.searchsorted(square, (NO_NOISE * spread) ** 2, "right"))
-        if kept == count:
+        total, count, limit = 0.0, 0, (NO_NOISE * spread) ** 2
+        for value in square:
+            if value <= limit:
+                total += value
+                count += 1
+        if count == before:
             break
-        spread, count = np.sqrt(sums[kept - 1] / kept) / WITHIN, kept
-    return float(spread)
+        spread, before = np.sqrt(total / count) / WITHIN, count
+    return spread
 
 
 # Median share of a step that leaks across it, by the blur's standard deviation in pixels: measured on ideal steps in

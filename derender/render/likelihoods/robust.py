@@ -21,12 +21,35 @@ from derender.scene.parameter import Parameter
 
 RATE = (1e-30, 1.0 - 1e-12)  # of a share: its logarithm and that of the rest are finite; {uniform: [0, 1]} fits in
 DEGREE = 7  # of the polynomial in depth for the log normaliser of a tempered pixel
+KEPT = 256  # normalisers that are not computed anew: sensors that differ in their blur alone share one
 
 
 @functools.cache
 def _quadrature() -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights on [-1, 1]."""
     return np.polynomial.legendre.leggauss(200)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _normaliser(sigma, growth, outlier, near, far, background, exponent, missing) -> np.ndarray:
+    """Return what `Robust.normaliser` does, through its values at Chebyshev's points between 0 and the background."""
+    shares = 0.5 + 0.5 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    spread = sigma + growth * np.square(background * shares)
+    extent = far - near
+    floor = outlier / extent
+    height = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
+    # In z = |x - m| / spread the integrand is smooth; beyond `reach` the normal is below the floor's last digit.
+    reach = np.sqrt(2.0 * np.maximum(np.log(height / floor) + 40.0, 1.0))
+    nodes, weights = _quadrature()
+    z = 0.5 * reach[:, None] * (nodes + 1.0)
+    excess = (height[:, None] * np.exp(-0.5 * z * z) + floor) ** exponent - floor**exponent
+    integral = extent * floor**exponent + reach * spread * (excess @ weights)
+    logs = np.log(missing**exponent + (1.0 - missing) ** exponent * integral)
+    found = np.linalg.solve(np.vander(shares, increasing=True), logs) / background ** np.arange(DEGREE + 1)
+    if growth == 0.0:
+        found[0], found[1:] = logs[0], 0.0
+    found.flags.writeable = False
+    return found
 
 
 @likelihoods.register("robust")
@@ -92,34 +115,10 @@ class Robust(Likelihood):
 
         log of missing^t + integral ((1 - missing) f)^t, f the density of a return; exact where sigma does not grow.
         """
-        result = np.zeros(DEGREE + 1)
         if exponent == 1.0:
-            return result
-        if values["sigma_growth"] == 0.0:
-            result[0] = self.log_normaliser(values, exponent, missing, values["sigma"])
-            return result
-        from numpy.polynomial import Chebyshev, Polynomial
-
-        def at(depths):
-            spreads = values["sigma"] + values["sigma_growth"] * np.square(depths)
-            return np.array([self.log_normaliser(values, exponent, missing, spread) for spread in spreads])
-
-        fitted = Chebyshev.interpolate(at, DEGREE, domain=[0.0, values["background"]]).convert(kind=Polynomial).coef
-        result[: len(fitted)] = fitted
-        return result
-
-    def log_normaliser(self, values, exponent: float, missing: float, spread: float) -> float:
-        """Return the log integral of a tempered pixel whose m lies well inside [near, far]."""
-        outlier, extent = values["outlier"], values["far"] - values["near"]
-        floor = outlier / extent
-        height = (1.0 - outlier) / (spread * math.sqrt(2.0 * math.pi))
-        # In z = |x - m| / spread the integrand is smooth; beyond `reach` the normal is below the floor's last digit.
-        reach = math.sqrt(2.0 * max(math.log(height / floor) + 40.0, 1.0))
-        nodes, weights = _quadrature()
-        z = 0.5 * reach * (nodes + 1.0)
-        excess = (height * np.exp(-0.5 * z * z) + floor) ** exponent - floor**exponent
-        integral = extent * floor**exponent + reach * spread * float(weights @ excess)
-        return math.log(missing**exponent + (1.0 - missing) ** exponent * integral)
+            return np.zeros(DEGREE + 1)
+        names = ("sigma", "sigma_growth", "outlier", "near", "far", "background")
+        return _normaliser(*(values[name] for name in names), exponent, missing)
 
     def missing_rate(self, depth, values) -> np.ndarray:
         """Return the probability of no return, (H, W)."""

@@ -76,6 +76,7 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     peak = splat(np.float32((1.0 - outlier) / math.sqrt(2.0 * math.pi)))
     floor = splat(np.float32(outlier / (parameters[FAR] - parameters[NEAR])))
     lost, lost_edge = parameters[MISSING], parameters[MISSING_EDGE]
+    edges = lost != lost_edge  # else it makes no difference where they are
     found_score, found_score_edge = np.float32(temper * math.log1p(-lost)), np.float32(temper * math.log1p(-lost_edge))
     lost_score, lost_score_edge = np.float32(temper * math.log(lost)), np.float32(temper * math.log(lost_edge))
     step, exponent = splat(np.float32(parameters[EDGE_STEP])), splat(np.float32(temper))
@@ -91,29 +92,26 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
             told, model = load(observed, row, column), load(score, row, column)
             value = absolute(told)
             model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
-            here = load(depth, row, column)
-            twice = add(here, here)
-            along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
-            down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
-            bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
             inverse = divide(one, multiply_add(growth, multiply(model, model), sigma))
             z = multiply(subtract(value, model), inverse)
             surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
             inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
             density = multiply(exponent, logarithm(add(surface, inside)))
-            found = add(density, where_at_least(zero, bend, splat(found_score), splat(found_score_edge)))
-            missed = where_at_least(zero, bend, splat(lost_score), splat(lost_score_edge))
-            result = where_at_least(zero, value, missed, found)  # a missing pixel's value is 0
+            found, missed, normaliser = splat(found_score), splat(lost_score), zero
             if temper < 1.0:
-                result = subtract(
-                    result,
-                    where_at_least(
-                        zero,
-                        bend,
-                        _polynomial(parameters, NORMALISER, model),
-                        _polynomial(parameters, NORMALISER + 8, model),
-                    ),
-                )
+                normaliser = _polynomial(parameters, NORMALISER, model)
+            if edges:
+                here = load(depth, row, column)
+                twice = add(here, here)
+                along = subtract(add(load(depth, row, column - 1), load(depth, row, column + 1)), twice)
+                down = subtract(add(load(depth, above, column), load(depth, below, column)), twice)
+                bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
+                found = where_at_least(zero, bend, found, splat(found_score_edge))
+                missed = where_at_least(zero, bend, missed, splat(lost_score_edge))
+                if temper < 1.0:
+                    normaliser = where_at_least(zero, bend, normaliser, _polynomial(parameters, NORMALISER + 8, model))
+            result = where_at_least(zero, value, missed, add(density, found))  # a missing pixel's value is 0
+            result = subtract(result, normaliser)
             result = where_at_least(value, zero, result, zero)  # NaN: the padding
             old = accumulate(old, load(current, row, column))
             store(score, row, column, result)
