@@ -162,15 +162,26 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
 
 def weights(sensor, base):
     """Return (H, W) the precision of each pixel's residual, given the model's depth (H, W); 0 where none returned."""
-    padded = np.pad(base, 1, mode="edge")
+    growth = sensor.values.get("sigma_growth", 0.0)
+    return precision_of_pixels(sensor.observed, base, sensor.values["sigma"], growth, sensor.worth)
+
+
+@njit(cache=True, nogil=True)
+def precision_of_pixels(observed, base, sigma, growth, worth):
+    """As `weights`; noise is sigma + growth depth^2, of which each pixel tells the share `worth`."""
     height, width = base.shape
-    step = np.zeros_like(base)
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # what a slope does on both sides is no step
-        one = padded[1 + down : 1 + down + height, 1 + right : 1 + right + width] - base
-        other = padded[1 - down : 1 - down + height, 1 - right : 1 - right + width] - base
-        np.maximum(step, np.abs(np.abs(one) - np.abs(other)), out=step)
-    noise = sensor.values["sigma"] + sensor.values.get("sigma_growth", 0.0) * base**2
-    return np.where(sensor.observed > 0.0, sensor.worth / (noise**2 + step**2 / SHARP), 0.0)
+    found = np.zeros((height, width))
+    for j in range(height):
+        for i in range(width):
+            if not observed[j, i] > 0.0:
+                continue
+            step, here = 0.0, base[j, i]
+            for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # what a slope does on both sides is no step
+                one = base[min(j + down, height - 1), min(max(i + right, 0), width - 1)]
+                other = base[max(j - down, 0), min(max(i - right, 0), width - 1)]
+                step = max(step, abs(abs(one - here) - abs(other - here)))
+            found[j, i] = worth / ((sigma + growth * here**2) ** 2 + step**2 / SHARP)
+    return found
 
 
 def contact_precision(chart, values, members):
