@@ -48,8 +48,8 @@ ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
-LOCAL_DRAWS, LOCAL_STEPS = 150, 5  # of one solid alone, over which blurs are summed
-BLUR_POINTS, GROUPS = 200, 8  # points at which blurs are summed over, and parts of them that tell the error
+LOCAL_DRAWS, LOCAL_STEPS = 60, 5  # of one solid alone, over which blurs are summed
+BLUR_POINTS, GROUPS = 60, 8  # points at which blurs are summed over, and parts of them that tell the error
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
 MOST_BACKGROUND = 0.1
 # By how many standard deviations of its noise a background, as it was seen, may be nearer; metres before the camera.
@@ -340,14 +340,16 @@ def over_blur(rng, refined, solids):
         evaluate(engine, chart, points, touched, found)
         return found
 
-    held = open_ = densities(sensor).sum(axis=1) - proposed
+    under_own = densities(sensor)
+    held = open_ = under_own.sum(axis=1) - proposed
     for view in sensor.views:  # given the scene each view's blur is its own
         nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
         step = np.log(nodes[1] - nodes[0])
         believed = [log_prior_of(view.prior, {"blur": float(node)}) + step for node in nodes]
         each = [densities(view.changed(blur=float(node)))[:, 1] + more
                 for node, more in zip(nodes, believed, strict=True)]  # fmt: skip
-        open_ = open_ + np.logaddexp.reduce(each, axis=0) - densities(view)[:, 1]
+        own = densities(view) if sensor.others else under_own
+        open_ = open_ + np.logaddexp.reduce(each, axis=0) - own[:, 1]
     log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
     groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
     apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]

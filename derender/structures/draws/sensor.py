@@ -256,10 +256,11 @@ def _same_refitted(sensor, clean):
 def blurs_about(sensor, clean):
     """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open."""
     at = sensor.values["blur"]
+    every = max(1, sensor.camera.width // LOOKED_AT) if sensor.worth < 1.0 else 1  # of rows and of columns
 
     def density(blurred):
         fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
-        return fit(sensor.observed, clean, blurred)[0]
+        return every**2 * fit(sensor.observed, clean, blurred, every=every)[0]
 
     ends = []
     for way in (-1.0, 1.0):  # outwards, ever farther, to where the image rules a blur out
