@@ -46,7 +46,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary = None
     except OSError as error:
         what = f"cannot be written: {error.strerror or error}"
-        raise DerenderError(what, where=path, remedy="choose another place with -o") from None
+        raise DerenderError(what, where=path, remedy="choose another place") from None
     except ValueError as error:
         if "null" not in str(error):
             raise
@@ -92,14 +92,14 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
             written = sorted(temporary.iterdir())
             for name in names:
                 if (folder / name).is_dir():
-                    remedy = "move it away or choose another place with -o"
+                    remedy = "move it away or choose another place"
                     raise DerenderError("this is a folder", folder / name, remedy)
             for name in names:
                 (folder / name).unlink(missing_ok=True)
             for path in written:
                 path.replace(folder / path.name)
     except OSError as error:
-        raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another with -o") from None
+        raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another place") from None
 
 
 @contextmanager
@@ -159,7 +159,5 @@ def make_folder(path: str | Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise DerenderError(
-            f"the folder cannot be made: {reason}", where=path, remedy="choose another with -o"
-        ) from None
+        raise DerenderError(f"the folder cannot be made: {reason}", where=path, remedy="choose another place") from None
     return path

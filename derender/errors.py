@@ -26,7 +26,9 @@ class DerenderError(Exception):
         return type(self), (self.what, self.where, self.remedy)
 
     def __str__(self) -> str:
-        line = f"{_shown(self.where)}: {_shown(self.what)}" if self.where is not None else _shown(self.what)
+        line = _shown(self.what)
+        if self.where is not None:
+            line = f"{_shown(self.where) or repr('')}: {line}"
         if self.remedy:
             line += f"; {_shown(self.remedy)}"
         return line

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 AHEAD = 2  # frames for each thread of the cluster that are sent before they are asked for: none of them ever waits
 PATIENCE = 30  # seconds for the scheduler to answer
+SCHEDULER = "give tcp://HOST:PORT of a running `dask scheduler`, or its scheduler file"
 
 
 class Cluster:
@@ -33,12 +34,13 @@ class Cluster:
         except ImportError:
             remedy = "pip install 'derender[dask]'"
             raise DerenderError("Dask is not installed", "--scheduler", remedy) from None
+        if "://" not in scheduler and ":" not in scheduler and not os.path.isfile(scheduler):
+            raise DerenderError("there is no such scheduler file", scheduler, SCHEDULER)
         given = {"scheduler_file": scheduler} if os.path.isfile(scheduler) else {"address": scheduler}
         try:
             self.client = Client(**given, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            remedy = "give tcp://HOST:PORT of a running `dask scheduler`, or its scheduler file"
-            raise DerenderError(f"no scheduler answers ({error})", scheduler, remedy) from None
+            raise DerenderError(f"no scheduler answers ({error})", scheduler, SCHEDULER) from None
         self.order, self.output = order, output
         self._futures: dict = {}
         self._failed: list[Done] = []

@@ -172,8 +172,10 @@ def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     import base64
     import json
 
+    from derender.report.result_folder import SIMULATION
+
     try:
-        told = json.loads((Path(folder) / "simulation.json").read_text(encoding="utf-8"))
+        told = json.loads((Path(folder) / SIMULATION).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         told = {}
     animations = [

@@ -22,15 +22,15 @@ def command(folders: tuple[str, ...], output: str | None, table: bool, talk: Tal
     """Write one HTML page, which needs no network, about what `derender infer` left in DIR; print its table.
 
     Several DIRs are runs on the same image with different seeds: their chains are put together, and R-hat compares
-    them. A scene file is reported too, without what only a posterior has. Where DIR holds a simulation.json, what
-    `derender simulate --json` prints, and pictures that move (.gif, .webp), the page shows them.
+    them. A scene file is reported too, without what only a posterior has. The page shows what `derender simulate
+    DIR` found, and pictures that move (.gif, .webp) in DIR.
 
     \b
     Examples:
         derender report results/
         derender report run_1/ run_2/ run_3/ -o all.html
         derender report results/ --table > table.txt
-        derender simulate results/ --json > results/simulation.json && derender report results/
+        derender simulate results/ && derender report results/
     """
     from derender.errors import DerenderError
     from derender.report.html import write_report

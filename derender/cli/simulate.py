@@ -93,7 +93,8 @@ def command(
     settles if something does but all comes to rest on what bore it before, the same side up; else it falls. Contacts
     of the scene graph are kept: bodies that rest on each other with a gap or an overlap of millimetres start at rest.
     Of a folder or a prior, the most probable scene (of a prior: the first drawn) is shown in the table, and draws tell
-    P(stable) and each object's P(falls), with their Monte Carlo errors. Several scenes make a table.
+    P(stable) and each object's P(falls), with their Monte Carlo errors. What is said of a folder stands on its page
+    too, with animations that lie in it (`derender view`). Several scenes make a table.
 
     Bodies have 500 kg per cubic metre, a friction of 0.8 and no elasticity, whatever their shape, unless the scene file
     says otherwise beside `shape`: mass (kg) or density, friction, elasticity (share of the speed that a bounce gives
@@ -105,6 +106,7 @@ def command(
     Examples:
         derender simulate scene.yaml --animate fall.gif --settle settled.yaml
         derender simulate results/ --draws 200 --json | jq .p_stable
+        derender simulate results/ --animate results/fall.gif && derender view results/
         derender simulate results/ --engine both --margin --push red:+x:0.5N@0.1s --until 1%
         derender sample stack -n 20 -o many && derender simulate many -o table.csv
         derender sample stack -o - | derender simulate -
@@ -139,12 +141,26 @@ def command(
         talk.say(f"wrote {settle}")
     if animate is not None:
         _animate(animate, source, best, talk)
+    text = json.dumps({**found, "duration": duration, **made})
+    if Path(paths[0]).is_dir():
+        _keep(Path(paths[0]), text, talk)
     if as_json:
-        click.echo(json.dumps({**found, "duration": duration, **made}))
+        click.echo(text)
     else:
         for line in _lines(found):
             click.echo(line)
     return None
+
+
+def _keep(folder: Path, text: str, talk: Talk) -> None:
+    """Leave what was found in the result's folder, for its page; a folder that cannot be written costs only that."""
+    from derender.atomic import write_text
+    from derender.report.result_folder import SIMULATION
+
+    try:
+        write_text(folder / SIMULATION, text + "\n")
+    except DerenderError as error:
+        talk.warn(f"the page will not tell of it: {error}")
 
 
 def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):

@@ -14,6 +14,7 @@ from derender.render.raycast.state import DEPTH, PAD, SIGMA
 from derender.scene.solids import Solids
 
 NOISE = Correlated()
+LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
 LEAST_PIXELS = 2000  # on the table, in each frame: fewer tell nothing of what neighbours share
 ROUNDS, AGAIN = 250, 2  # of the simplex, at most, and how often it is begun
 ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
@@ -56,7 +57,11 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
     if floor.inliers.sum() < LEAST_PIXELS:
         what = f"{int(floor.inliers.sum())} pixels lie on a plane: fewer than {LEAST_PIXELS}"
         raise DerenderError(what, name, "give frames that show a bare table and little else")
-    return np.where(floor.inliers, depth - plane, np.nan), np.where(np.isfinite(plane), plane, 0.0)
+    residual = np.where(floor.inliers, depth - plane, np.nan)
+    if np.nanstd(residual) < LEAST_NOISE:
+        what = f"the table shows no noise ({1e6 * np.nanstd(residual):.2g} micrometres)"
+        raise DerenderError(what, name, "give frames of a real sensor, as it writes them")
+    return residual, np.where(np.isfinite(plane), plane, 0.0)
 
 
 def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:

@@ -132,16 +132,13 @@ def depth_pictures(report: Report) -> str:
     return '<h2>Depth</h2><div class="pictures">' + "".join(shown) + "</div>" + _predictive(report, report.observed)
 
 
-def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any], step: int = 1) -> np.ndarray:
-    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred.
-
-    step : each so many pixels of a row and column are there.
-    """
+def as_compared(depth: np.ndarray, likelihood: Mapping[str, Any]) -> np.ndarray:
+    """Return the depth image that the likelihood compares with the observed one: background filled in, blurred."""
     from derender.render.blur import blur
 
     background, sigma = likelihood.get("background"), likelihood.get("blur")
     filled = depth if not isinstance(background, float) else np.fmin(depth, background)
-    return blur(filled, sigma / step) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
+    return blur(filled, sigma) if isinstance(sigma, float) and np.all(np.isfinite(filled)) else filled
 
 
 def _predictive(report: Report, observed: np.ndarray) -> str:
@@ -152,9 +149,9 @@ def _predictive(report: Report, observed: np.ndarray) -> str:
     if len(report.draws) < 2 or camera is None or all(row["draws"].size == 1 for row in report.parameters):
         return ""
     step = max(1, -(-camera.width // PREDICTED))
-    seen = observed[::step, ::step]
-    small = Camera(camera.fx / step, camera.fy / step, camera.cx / step, camera.cy / step, seen.shape[1], seen.shape[0])
-    drawn = np.array([as_compared(render_depth(each, small)[0], report.likelihood, step) for each in report.draws])
+    some = np.s_[::step, ::step]  # after the blur: pixels of a smaller camera would not mix with their neighbours
+    seen = observed[some]
+    drawn = np.array([as_compared(render_depth(each, camera)[0], report.likelihood)[some] for each in report.draws])
     mean, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     noise = report.likelihood.get("sigma", 0.0) + report.likelihood.get("sigma_growth", 0.0) * mean**2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -176,7 +173,7 @@ def picture(
 ) -> str:
     """Return a figure of values (H, W) with its scale, and marks over it."""
     ramp = ", ".join("#" + colour for colour in anchors)
-    form = ".2f" if unit == "m" else "+.1f"
+    form = ".2f" if unit == "m" else "+.1f" if low < 0.0 else ".1f"
     return (
         f'<figure><div class="layers"><img src="{pictures.painted_uri(values, low, high, anchors)}" '
         f'alt="{escape(words)}">{marks}</div><figcaption><span>{escape(words)}</span><span>{low:{form}} '

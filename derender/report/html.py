@@ -70,7 +70,7 @@ def _misfit(report: Report) -> str:
     off = off[np.isfinite(off)]
     median = f", median misfit {1000 * np.median(off):.1f} mm" if off.size else ""
     noise = f" (flat patches show a noise of {1000 * report.fit.noise.sigma:.1f} mm)" if median else ""
-    return f"<p>{report.fit.share:.1%} of the image is explained{median}{noise}.</p>"
+    return f"<p>{100 * report.fit.share:.1f} % of the image is explained{median}{noise}.</p>"
 
 
 def _simulated(report: Report) -> str:
@@ -82,7 +82,8 @@ def _simulated(report: Report) -> str:
     if isinstance(told.get("p_stable"), int | float):
         words.append(f"P(stable) {told['p_stable']:.2f}")
     moving = "".join(f'<figure><img src="{uri}" alt="the scene as it moves"></figure>' for uri in report.animations)
-    return f"<p>{escape(', '.join(words))}.</p>" + (f'<div class="pictures">{moving}</div>' if moving else "")
+    how = f' <span class="soft">{escape(told["command"])}</span>' if isinstance(told.get("command"), str) else ""
+    return f"<p>{escape(', '.join(words))}.{how}</p>" + (f'<div class="pictures">{moving}</div>' if moving else "")
 
 
 def _downloads(report: Report) -> str:

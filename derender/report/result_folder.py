@@ -16,8 +16,9 @@ from derender.document import LikelihoodPrior, document_text
 from derender.results.posterior import Posterior
 from derender.results.trust import Doubt, judgement, trusted
 
+SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
 WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "report.html", "summary.json",
-           "labels.png", "explained.npy")  # fmt: skip
+           "labels.png", "explained.npy", SIMULATION)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -87,10 +87,11 @@ def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
         (folder / name).unlink()
 
 
-def test_simulate_a_posterior(capsys):
+def test_simulate_a_posterior(capsys, folder):
     found = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1")[1])
     # Three draws in four stand: of 80, 60 with a standard deviation of 3.9.
     assert found["stable"] is True and abs(found["p_stable"] - 0.75) < 4 * 3.9 / 80 and found["draws"] == 80
+    assert json.loads((folder / "out" / "simulation.json").read_text())["p_stable"] == found["p_stable"]
     again = json.loads(run(capsys, "simulate", "out", "--json", "--draws", "80", "--seed", "1", "--jobs", "1")[1])
     assert again["p_stable"] == found["p_stable"]
     assert "P(stable) = " in run(capsys, "simulate", "out", "--draws", "8")[1]

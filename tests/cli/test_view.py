@@ -1,6 +1,7 @@
 """derender view: the page of a result, made where it is missing, and opened."""
 
 import json
+import os
 import webbrowser
 
 import numpy as np
@@ -63,6 +64,11 @@ def test_a_missing_page_is_made_and_opened(folder, monkeypatch):
     (folder / "report.html").write_text("kept")  # newer than the posterior: not made again
     view(folder, "--no-open")
     assert (folder / "report.html").read_text() == "kept" and len(opened) == 1
+    (folder / "simulation.json").write_text(json.dumps({"verdict": "falls", "command": "derender simulate <x>"}))
+    os.utime(folder / "simulation.json", (2e9, 2e9))
+    view(folder, "--no-open")
+    page = (folder / "report.html").read_text()
+    assert "Simulated: falls" in page and "derender simulate &lt;x&gt;" in page
 
 
 def test_the_page_of_many_frames_is_their_index(tmp_path):

@@ -6,6 +6,7 @@ aliases that blow up, deep nesting, huge files. What is written (`to_yaml`) read
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,6 +46,8 @@ def read_yaml(path: str | Path) -> Section:
 def parse_yaml(data: bytes | str, file: str = "YAML") -> Section:
     """Parse strict YAML text; see `read_yaml`.  `file` is its name in messages."""
     if isinstance(data, bytes):
+        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise DerenderError("this is text in UTF-16", file, "save the file as UTF-8")
         if b"\0" in data:
             remedy = "give a scene file; what a depth image shows is found by `derender infer`"
             raise DerenderError("this is no scene file: it holds no text", file, remedy)
