@@ -125,7 +125,7 @@ def solids(scene):
 
 def matches_of(predicted, truth):
     """Return the true solid that each predicted one is, by name."""
-    from derender.evaluation.matching import match_solids
+    from derender.evaluation.metrics import match_solids
 
     return match_solids(predicted, truth, 0.25)
 

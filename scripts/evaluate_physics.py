@@ -15,8 +15,7 @@ from real_frames import real_folder
 from derender.physics.bodies import Body, Matter
 from derender.physics.intervention import Push
 from derender.physics.outcome import simulate_scene
-from derender.physics.rollout import Rollout
-from derender.physics.simulate import judge, simulate
+from derender.physics.simulate import Rollout, judge, simulate
 from derender.physics.statics import judge_statics
 from derender.scene.pose import quaternion, rotation_z, translation
 

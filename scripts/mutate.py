@@ -98,7 +98,7 @@ MUTATIONS = [
         ("resimulate: own prior left out", "posterior/kernels/independence.py",
          "return log_prior(unknowns, laws, values[NOW]) - log_prior(unknowns, laws, values[NEXT])", "return 0.0",
          KERNELS),
-        ("jump: a third of a turn", "posterior/kernels/jump.py", "values[NOW, start] + 0.5 * period",
+        ("jump: a third of a turn", "posterior/kernels/independence.py", "values[NOW, start] + 0.5 * period",
          "values[NOW, start] + 0.33 * period", KERNELS),
         ("space: turns of twice the length", "posterior/space.py", "scale = 0.5 if angle < 1e-12 else math.sin(0.5 *",
          "scale = 0.5 if angle < 1e-12 else math.sin(1.0 *", KERNELS),
@@ -111,7 +111,7 @@ MUTATIONS = [
         ("independence without Haar", "posterior/kernels/independence.py",
          "log_density -= 2.0 * math.log(math.sin(0.5 * angle)", "log_density -= 0.0 * math.log(math.sin(0.5 * angle)",
          COMPILED),
-        ("compiled: rests-on x .25", "posterior/compiled/terms.py", "total -= 0.5 * (away / row[SCALE]) ** 2",
+        ("compiled: rests-on x .25", "posterior/compiled/prior.py", "total -= 0.5 * (away / row[SCALE]) ** 2",
          "total -= 0.125 * (away / row[SCALE]) ** 2", (*COMPILED, *RELATIONS)),
         ("pilots: exchange the wrong way", "posterior/pilots.py", "(logs[r + 1, 1] - logs[r, 1])",
          "(logs[r, 1] - logs[r + 1, 1])", ("tests/posterior/test_pilots.py",)),
@@ -186,7 +186,7 @@ MUTATIONS = [
          "spread = values[\"sigma\"] / math.sqrt(temper(values, self.counted_pixels(observed)))",
          "spread = values[\"sigma\"]", SCORE),
         # what happens next
-        ("fall angle tripled", "physics/trajectory.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
+        ("fall angle tripled", "physics/verdict.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
         ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 4.0\n", "CALM_TIME = 0.16\n",
          PHYSICS),
     )

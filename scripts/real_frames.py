@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from derender.detection.solids.image import render_floor_scene
-from derender.evaluation.matching import assign
+from derender.evaluation.metrics import assign
 from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
 

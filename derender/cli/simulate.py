@@ -129,7 +129,7 @@ def command(
     if (output or animate or settle) and best.trajectory is None:
         raise DerenderError("statics moves nothing", "--engine statics", "use --engine mujoco or both")
     if output is not None:
-        from derender.physics.trajectory import save_trajectory
+        from derender.physics.verdict import save_trajectory
 
         save_trajectory(output, best.trajectory, **made)
         talk.say(f"wrote {output}")

@@ -25,8 +25,7 @@ from derender.detection.solids.interpenetration import gap_between, highest, low
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
-from derender.detection.solids.statics import shares_of_load
-from derender.detection.solids.support import flat_top
+from derender.detection.solids.support import flat_top, shares_of_load
 from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z

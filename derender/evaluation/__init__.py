@@ -5,8 +5,7 @@ another system can be judged as well as ours.
 """
 
 from derender.evaluation.convex import intersection_over_union, intersection_volume
-from derender.evaluation.matching import f1, match_planes, match_solids
-from derender.evaluation.metrics import compare_scenes, edges_of, mask_f1
+from derender.evaluation.metrics import compare_scenes, edges_of, f1, mask_f1, match_planes, match_solids
 
 __all__ = [
     "compare_scenes",

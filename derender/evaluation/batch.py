@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.evaluation.matching import f1
-from derender.evaluation.metrics import THRESHOLDS
+from derender.evaluation.metrics import THRESHOLDS, f1
 
 SCENE_SUFFIXES = (".yaml", ".yml", ".json")
 LABEL_SUFFIXES = (".png", ".npy", ".tif", ".tiff")

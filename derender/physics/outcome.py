@@ -15,8 +15,7 @@ from derender.errors import DerenderError
 from derender.physics.bodies import Matter, matter_of_graph
 from derender.physics.intervention import Intervention, intervention
 from derender.physics.statics import ContactForce, Equilibrium
-from derender.physics.trajectory import Trajectory
-from derender.physics.verdict import FALLS, SETTLES, STANDS
+from derender.physics.verdict import FALLS, SETTLES, STANDS, Trajectory
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph

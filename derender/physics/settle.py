@@ -7,8 +7,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
-from derender.physics.trajectory import Trajectory
-from derender.physics.verdict import at_rest, bearers
+from derender.physics.verdict import Trajectory, at_rest, bearers
 from derender.scene.pose import inverse
 from derender.scene.vertex import ROOT, Contact, Vertex, nearest_contact
 

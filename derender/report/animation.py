@@ -9,7 +9,7 @@ import numpy as np
 from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.physics.trajectory import Trajectory
+from derender.physics.verdict import Trajectory
 from derender.report.pictures import colours_of
 from derender.scene.graph import SceneGraph
 from derender.scene.solids import PLANE, Solids

@@ -16,7 +16,7 @@ from derender.scene import solids as kinds
 from derender.scene.pose import quaternion, rotation_x
 
 if TYPE_CHECKING:
-    from derender.physics.trajectory import Trajectory
+    from derender.physics.verdict import Trajectory
     from derender.scene.graph import SceneGraph
 
 FLOAT, UNSIGNED = 5126, 5125

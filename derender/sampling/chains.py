@@ -1,18 +1,101 @@
 """Chains: generators of draws, resumable, and several of them at once over threads or processes.
 
 A chain depends on its seed and its number alone, never on which worker runs it or when it was stopped: the draws are
-the same bytes for any number of jobs, and a resumed chain equals an uninterrupted one.
+the same bytes for any number of jobs, and a resumed chain equals an uninterrupted one. What a chain
+has drawn and all that its next step needs is on disk, written whole or not at all.
 """
 
+import hashlib
+import json
 import time
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from derender.sampling import checkpoint
-from derender.sampling.checkpoint import Record
+from derender.atomic import atomic_path
+from derender.errors import DerenderError
+from derender.json_text import parse_json
+
+FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
+
+
+class Record(NamedTuple):
+    """A chain up to now.
+
+    Attributes
+    ----------
+    warmed : steps of warm-up that are done.
+    values : (draws, P) float, draws kept so far.
+    log_prior, log_likelihood : (draws,) float.
+    state : what the sampler needs to go on, arrays by name.
+    generator : state of the chain's random generator, as NumPy's bit generators give and take it.
+    """
+
+    warmed: int
+    values: np.ndarray
+    log_prior: np.ndarray
+    log_likelihood: np.ndarray
+    state: dict[str, np.ndarray]
+    generator: dict
+
+    @property
+    def drawn(self) -> int:
+        return len(self.values)
+
+
+def fingerprint(*parts: bytes | str) -> str:
+    """Return a digest of what a chain depends on (image, prior, options): only a run with the same one may resume."""
+    digest = hashlib.sha256()
+    for part in parts:
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(len(content).to_bytes(8, "little") + content)
+    return digest.hexdigest()
+
+
+def save_record(path: Path, record: Record, run: str) -> None:
+    """Write `record` of the run with fingerprint `run`; a kill at any moment leaves the former file or this one."""
+    header = {"format": FORMAT, "run": run, "warmed": record.warmed, "generator": record.generator}
+    arrays: dict[str, Any] = {f"state.{name}": value for name, value in record.state.items()}
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez(
+            file,
+            header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+            values=record.values,
+            log_prior=record.log_prior,
+            log_likelihood=record.log_likelihood,
+            **arrays,
+        )
+
+
+def load_record(path: Path, run: str) -> Record | None:
+    """Return the record in `path`, or None where there is none yet.
+
+    Raises DerenderError if the file is no checkpoint, or belongs to another run or another version of derender.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = parse_json(bytes(file["header"]))
+            state = {name.removeprefix("state."): file[name] for name in file.files if name.startswith("state.")}
+            record = Record(
+                header["warmed"], file["values"], file["log_prior"], file["log_likelihood"], state, header["generator"]
+            )
+    except (DerenderError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as fault:
+        raise DerenderError("not a checkpoint of a chain", path, "remove it, or run without --resume") from fault
+    if header.get("format") != FORMAT:
+        raise DerenderError("was written by another version of derender", path, "run without --resume")
+    if header["run"] != run:
+        raise DerenderError(
+            "was written by a run with another image, prior, seed or settings",
+            path,
+            "repeat that command exactly to resume it, or run without --resume",
+        )
+    return record
 
 
 class Segment(NamedTuple):
@@ -123,7 +206,7 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
         for torn in path.parent.glob(f".{path.stem}-*"):
             torn.unlink(missing_ok=True)
     rng = chain_generator(plan.seed, number)
-    record = former = checkpoint.load(path, plan.run) if plan.resume and path is not None else None
+    record = former = load_record(path, plan.run) if plan.resume and path is not None else None
     saved_at = time.monotonic()
     total = plan.warmup + plan.draws
     for record in chain(plan.sampler, rng, plan.warmup, plan.draws, former):
@@ -133,7 +216,7 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
         due = time.monotonic() - saved_at > plan.checkpoint_seconds or (done == total and path and path.exists())
         if path is not None and (stopped or due):
             started = time.monotonic()
-            checkpoint.save(path, record, plan.run)
+            save_record(path, record, plan.run)
             # The next one waits at least twenty times as long as this one took: at most 5 % of the time goes to disk.
             saved_at = time.monotonic() + 20 * (time.monotonic() - started)
         if stopped:

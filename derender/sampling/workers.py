@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 from derender.compilation.threads import safe_path
 from derender.errors import DerenderError
-from derender.sampling.chains import Plan, Progress, run_chain
-from derender.sampling.checkpoint import Record
+from derender.sampling.chains import Plan, Progress, Record, run_chain
 
 
 class Outcome(NamedTuple):

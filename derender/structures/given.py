@@ -29,8 +29,7 @@ from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import workers
-from derender.sampling.chains import Plan
-from derender.sampling.checkpoint import Record, fingerprint
+from derender.sampling.chains import Plan, Record, fingerprint
 from derender.sampling.streams import POPULATIONS, STRUCTURES, child_seed, stream
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph

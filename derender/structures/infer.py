@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 
 from derender.detection.existence import returns_about
-from derender.detection.floor import sensor_deviation
+from derender.detection.floor import read_floor, sensor_deviation
 from derender.detection.freestanding import freestanding
-from derender.detection.given_floor import read_floor
 from derender.detection.leftovers import leftovers
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies

@@ -13,7 +13,6 @@ from derender.atomic import make_folder
 from derender.camera.depth_file import read_depth
 from derender.errors import DerenderError
 from derender.structures.options import Options
-from derender.tracking.events import events_of
 from derender.tracking.film import (
     FPS,
     Film,
@@ -27,7 +26,7 @@ from derender.tracking.film import (
 from derender.tracking.first import start_from
 from derender.tracking.page import report_page
 from derender.tracking.passes import Passes
-from derender.tracking.result import write_track
+from derender.tracking.result import events_of, write_track
 from derender.tracking.thing import GONE
 from derender.tracking.track import Recorder, Track
 

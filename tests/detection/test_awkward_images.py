@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.given_floor import read_floor
+from derender.detection.floor import read_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search import observation
 from derender.detection.solids.image import render_floor_scene

@@ -5,7 +5,7 @@ import pytest
 
 from derender.detection.solids.image import KINDS, make_row
 from derender.detection.solids.state import FLOOR
-from derender.detection.solids.statics import push_on, shares_of_load, surface_distance
+from derender.detection.solids.support import push_on, shares_of_load, surface_distance
 from derender.evaluation.made_scenes import random_size, settle
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 

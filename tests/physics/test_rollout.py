@@ -7,7 +7,7 @@ from test_simulate import FLOOR, cube, matter
 from derender.physics.bodies import Body
 from derender.physics.intervention import Push
 from derender.physics.materials import bounce_damping, pair_frictions, restitution_of
-from derender.physics.rollout import Rollout
+from derender.physics.simulate import Rollout
 from derender.scene.pose import translation
 
 

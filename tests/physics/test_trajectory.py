@@ -6,7 +6,7 @@ import pytest
 from derender.physics.bodies import Body, Matter
 from derender.physics.simulate import simulate
 from derender.physics.statics import ROLLING
-from derender.physics.trajectory import Trajectory
+from derender.physics.verdict import Trajectory
 from derender.scene.pose import rotation_x, translation
 
 

@@ -11,7 +11,7 @@ from numba import typeof
 from derender.compilation import cache
 from derender.document import read_prior_document
 from derender.posterior.compiled import backend
-from derender.posterior.compiled import mixture as arrays
+from derender.posterior.compiled import model as arrays
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.target import default_parts

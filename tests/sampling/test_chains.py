@@ -11,7 +11,7 @@ import pytest
 from toy_samplers import Walk
 
 from derender.errors import DerenderError
-from derender.sampling import checkpoint, workers
+from derender.sampling import chains, workers
 from derender.sampling.chains import Plan, chain, chain_generator, run_chain
 
 NEVER = lambda: False  # noqa: E731
@@ -75,14 +75,14 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
 
 def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as older:
-        older.setattr(checkpoint, "FORMAT", 1)
+        older.setattr(chains, "FORMAT", 1)
         run_chain(plan(folder=tmp_path, checkpoint_seconds=-1), 0, NEVER, SILENT)
     with pytest.raises(DerenderError, match="another version of derender"):
         workers.run(plan(folder=tmp_path, resume=True))
 
 
 def test_fingerprint_knows_where_parts_end():
-    assert checkpoint.fingerprint("ab", "c") != checkpoint.fingerprint("a", "bc")
+    assert chains.fingerprint("ab", "c") != chains.fingerprint("a", "bc")
 
 
 @pytest.mark.parametrize("manner", ["raise", "kill"])
@@ -120,7 +120,7 @@ def test_control_c_keeps_what_there_is(tmp_path, jobs, processes):
     assert outcome.interrupted and outcome.records
     for number, record in outcome.records.items():
         assert 0 < record.drawn < 2000
-        same(checkpoint.load(tmp_path / f"chain_{number}.npz", "r"), record)
+        same(chains.load_record(tmp_path / f"chain_{number}.npz", "r"), record)
 
 
 def _run_with_checkpoints(folder):
@@ -140,7 +140,7 @@ def test_killed_at_random_fifty_times(tmp_path):
         time.sleep(rng.uniform(0.005, 0.06))
         os.kill(process.pid, signal.SIGKILL)
         process.join()
-        record = checkpoint.load(tmp_path / "chain_0.npz", "r")
+        record = chains.load_record(tmp_path / "chain_0.npz", "r")
         drawn.append(record.drawn if record else -1)
     assert drawn == sorted(drawn) and drawn[-1] > 0
     count = min(2000, drawn[-1])

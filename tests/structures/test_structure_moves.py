@@ -6,8 +6,7 @@ import pytest
 from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.moves import MOVES, as_cube, as_high, recut
 from derender.detection.search.places import find_places
-from derender.detection.search.shape_moves import shake, stretch, tilt
-from derender.detection.search.support_moves import lift, stand
+from derender.detection.search.shape_moves import lift, shake, stand, stretch, tilt
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from derender.errors import DerenderError
-from derender.tracking.events import events_of
 from derender.tracking.page import report_page
-from derender.tracking.result import FILES, read_track, track_json, write_track
+from derender.tracking.result import FILES, events_of, read_track, track_json, write_track
 from derender.tracking.track import Recorder
 
 

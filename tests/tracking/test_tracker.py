@@ -8,7 +8,7 @@ from films import CAMERA, FPS, at, errors, film, start
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import rotation_angle
 from derender.tracking import fit
-from derender.tracking.events import events_of
+from derender.tracking.result import events_of
 from derender.tracking.track import Recorder
 from derender.tracking.tracker import QUARTERS, Tracker
 

@@ -1,4 +1,4 @@
-"""Moves between structures: take out and explain anew, split, merge, and those of support_moves.py and shape_moves.py.
+"""Moves between structures: take out and explain anew, split, merge, and those of shape_moves.py.
 
 Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
 None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
@@ -11,8 +11,7 @@ from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import cube_of, greedy
 from derender.detection.search.guesses import guesses
 from derender.detection.search.places import pick
-from derender.detection.search.shape_moves import appear, shake, stretch, tilt
-from derender.detection.search.support_moves import lift, put_under, raise_support, stand
+from derender.detection.search.shape_moves import appear, lift, put_under, raise_support, shake, stand, stretch, tilt
 from derender.detection.search.surface import THINNEST
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration

@@ -6,16 +6,19 @@ import numpy as np
 
 from derender.detection.background import joined_to_floor, standing_bodies, walls_behind
 from derender.detection.floor import (
+    MOST_NOISE,
     Floor,
     NoFloor,
     back_project,
     bend_of,
+    find_backdrop,
     find_floor,
     floor_beside,
+    given_floor,
+    pixel_noise,
     plane_through,
     sensor_deviation,
 )
-from derender.detection.given_floor import MOST_NOISE, find_backdrop, given_floor, pixel_noise
 from derender.detection.local_planes import local_planes
 from derender.detection.noise import estimate_blur, noise_of
 from derender.detection.outline import convex_outline, outline_planes

@@ -15,7 +15,7 @@ from derender.detection.search.bodies import box_about
 from derender.detection.search.greedy import greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
-from derender.detection.search.support_moves import put_under, raise_support, stand
+from derender.detection.search.shape_moves import put_under, raise_support, stand
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map

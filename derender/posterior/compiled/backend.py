@@ -8,15 +8,17 @@ import numpy as np
 from derender.posterior.compiled.evaluate import load
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels, Stretch
-from derender.posterior.compiled.mixture import (
+from derender.posterior.compiled.model import (
     calls_of,
+    chain_of,
+    held,
     kernels_of,
+    model_of,
     objects_below,
     places_seen,
     rescaled,
     taken_elsewhere,
 )
-from derender.posterior.compiled.model import chain_of, held, model_of
 from derender.posterior.compiled.steps import sweep
 from derender.posterior.kernels.base import Part, Tuning
 

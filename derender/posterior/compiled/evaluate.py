@@ -29,8 +29,7 @@ from derender.posterior.compiled.layout import (
     TABLE,
     VERTEX,
 )
-from derender.posterior.compiled.prior import log_prior
-from derender.posterior.compiled.terms import log_terms
+from derender.posterior.compiled.prior import log_prior, log_terms
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
 from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA
 from derender.scene.contacts.compiled import SIX_DOF, compose

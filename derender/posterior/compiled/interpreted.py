@@ -9,8 +9,7 @@ import numpy as np
 from derender.compilation.cache import interpreted
 from derender.posterior.compiled import steps
 from derender.posterior.compiled.layout import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
-from derender.posterior.compiled.mixture import Calls, kernels_of
-from derender.posterior.compiled.model import laws_of
+from derender.posterior.compiled.model import Calls, kernels_of, laws_of
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
 from derender.posterior.kernels.relocate import mixture_of
 

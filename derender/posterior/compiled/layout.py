@@ -36,7 +36,7 @@ class Model(NamedTuple):
         the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
         root's; its contact code says how its numbers give its pose (evaluate.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
-    terms : (T, 9) float64, the constraints, see terms.py. terms_at : address of `sum_of_terms`; 0 where T is 0.
+    terms : (T, 9) float64, the constraints, see prior.py. terms_at : address of `sum_of_terms`; 0 where T is 0.
     """
 
     unknowns: np.ndarray

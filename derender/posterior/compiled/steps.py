@@ -29,7 +29,7 @@ from derender.posterior.compiled.layout import (
 )
 from derender.posterior.compiled.prior import move
 from derender.posterior.kernels.base import PLACING, ROW
-from derender.posterior.kernels.window import FINEST
+from derender.posterior.kernels.drift import FINEST
 from derender.sampling.metropolis import compiled_log_threshold
 
 ELSEWHERE = -1  # form of a kernel whose steps the caller takes

@@ -3,8 +3,7 @@
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.render.raycast.canvas import FACE_BITS
-from derender.render.raycast.facets import FLAT, OUTLINE
+from derender.render.raycast.canvas import FACE_BITS, FLAT, OUTLINE
 from derender.render.raycast.outline import EDGE
 from derender.render.raycast.pieces import CELL, bound, insert
 

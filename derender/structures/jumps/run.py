@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from derender import __version__
-from derender.detection.given_floor import read_floor
+from derender.detection.floor import read_floor
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import Posterior
 from derender.sampling import workers
-from derender.sampling.chains import Plan
-from derender.sampling.checkpoint import fingerprint
+from derender.sampling.chains import Plan, fingerprint
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, written
 from derender.scene.shapes.box import ROTATIONS

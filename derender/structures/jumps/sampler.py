@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.sampling.chains import Segment
-from derender.sampling.checkpoint import Record
+from derender.sampling.chains import Record, Segment
 from derender.scene.graph import Constraint, Contact, SceneGraph, Vertex
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.structures.jumps import mixture
