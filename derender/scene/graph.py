@@ -1,6 +1,6 @@
 """The scene graph of Definition 2.1: a tree of solids, each placed on its parent by a contact; poses by Eq. 1."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -147,12 +147,15 @@ class SceneGraph:
 
     @cached_property
     def _poses(self) -> dict[str, np.ndarray]:
-        poses = {ROOT: np.asarray(self.root_pose, dtype=float)}
-        bodies = {ROOT: ROOT_BODY}
-        for vertex in self.vertices:
+        return self._placed(self.vertices, {ROOT: np.asarray(self.root_pose, dtype=float)})
+
+    def _placed(self, vertices: Sequence[Vertex], poses: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return poses by name, and those of vertices whose parents are among them or before them (Eq. 1)."""
+        bodies: dict[str, Body] = {}
+        for vertex in vertices:
             bodies[vertex.name] = body = vertex.body
-            parent = vertex.parent
-            poses[vertex.name] = poses[parent] @ relative_pose(vertex, bodies[parent], body)
+            parent = bodies.get(vertex.parent) or self.body(vertex.parent)
+            poses[vertex.name] = poses[vertex.parent] @ relative_pose(vertex, parent, body)
         return poses
 
     @property
@@ -248,8 +251,11 @@ class SceneGraph:
         return replace(self, vertices=tuple(placed))
 
     def add(self, *vertices: Vertex) -> "SceneGraph":
-        """Return the graph with vertices appended."""
-        return replace(self, vertices=(*self.vertices, *vertices))
+        """Return the graph with vertices appended; those before them stay where they are."""
+        graph = replace(self, vertices=(*self.vertices, *vertices))
+        if "_poses" in self.__dict__:  # what is known already: a heap grows object by object
+            graph.__dict__["_poses"] = graph._placed(vertices, dict(self._poses))
+        return graph
 
     def remove(self, name: str) -> "SceneGraph":
         """Return the graph without a vertex, its descendants, and what relations name them."""

@@ -249,6 +249,7 @@ def as_grid(part: StructurePosterior, name: str, grid: Grid) -> StructurePosteri
     best, _ = part.best()
     names = {place: f"{name}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
     graph = part.graph.remove(name)
+    graph.poses()  # once: a graph that grows keeps what it knows
     for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
         pose, size = carton(best, name, grid, (i, j, k))
         vertex = Vertex(own, "box", dict(zip(EXTENTS, map(float, size), strict=True)), ROOT, floating(pose))
