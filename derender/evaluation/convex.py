@@ -44,7 +44,7 @@ def half_spaces(solid: Mapping[str, Any]) -> np.ndarray:
         normals, offsets = local[:, :3] @ rotation.T, local[:, 3]
     elif solid["type"] == "sphere":
         # The same directions whatever the sphere's rotation, so that equal spheres are equal polyhedra.
-        normals = _sphere_directions()
+        normals = _fibonacci_sphere(SPHERE_FACES)
         offsets = np.full(len(normals), 0.5 * size[0] * _sphere_scale())
     elif solid["type"] == "cylinder":
         apothem = 0.5 * size[0] * sqrt(pi / (PRISM_SIDES * tan(pi / PRISM_SIDES)))
@@ -122,19 +122,10 @@ def _lens_volume(radius_a: float, radius_b: float, distance: float) -> float:
     )
 
 
-def _sphere_directions() -> np.ndarray:
-    """Return SPHERE_FACES unit vectors spread evenly (a Fibonacci lattice), (SPHERE_FACES, 3)."""
-    index = np.arange(SPHERE_FACES) + 0.5
-    z = 1 - 2 * index / SPHERE_FACES
-    angle = pi * (1 + sqrt(5)) * index
-    radius = np.sqrt(1 - z * z)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
-
-
 @lru_cache(maxsize=1)
 def _sphere_scale() -> float:
     """Return the distance of the faces at which the polyhedron has the volume of the unit ball."""
-    planes = np.column_stack([_sphere_directions(), np.ones(SPHERE_FACES)])
+    planes = np.column_stack([_fibonacci_sphere(SPHERE_FACES), np.ones(SPHERE_FACES)])
     return (4 / 3 * pi / _convex_volume(planes, 2.0)) ** (1 / 3)
 
 
@@ -294,6 +285,7 @@ def _box_points(size: np.ndarray, count: int) -> np.ndarray:
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:
+    """Return unit vectors spread evenly (a Fibonacci lattice), (count, 3)."""
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = pi * (1 + sqrt(5)) * index

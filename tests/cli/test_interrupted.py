@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from on_floor import cube, on_floor
 
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
@@ -17,8 +18,6 @@ from derender.cli.infer import command
 from derender.cli.options import Duration
 from derender.detection.search import searches
 from derender.render.raycast.depth import render_depth
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x, translation
 from derender.structures import graph_posterior
 
 CAMERA = Camera.from_field_of_view(80, 60)
@@ -26,12 +25,7 @@ CAMERA = Camera.from_field_of_view(80, 60)
 
 @pytest.fixture
 def image(tmp_path):
-    contact = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.4})
-    vertices = (
-        Vertex("floor", "plane", {}, ROOT, Contact("6dof")),
-        Vertex("red", "cube", {"side": 0.1}, "floor", contact),
-    )
-    graph = SceneGraph(translation(0.0, 0.05, 0.7) @ rotation_x(np.deg2rad(140)), vertices)
+    graph = on_floor(cube(theta=0.4), elevation=50.0, distance=0.7, lower=0.05)
     depth = render_depth(graph.solids(), CAMERA, background=10.0)[0]
     depth += np.random.default_rng(0).normal(0.0, 0.002, depth.shape)
     write_depth(tmp_path / "image.npz", depth, CAMERA)

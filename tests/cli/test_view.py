@@ -7,6 +7,7 @@ import webbrowser
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from on_floor import cube, on_floor
 
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
@@ -15,8 +16,6 @@ from derender.document import LikelihoodPrior, document_text
 from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x, translation
 
 CAMERA = Camera.from_field_of_view(40, 30)
 
@@ -24,12 +23,7 @@ CAMERA = Camera.from_field_of_view(40, 30)
 @pytest.fixture
 def folder(tmp_path):
     """What infer leaves, without a page; something unexplained is in the image, and a simulation was run."""
-    contact = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.4})
-    vertices = (
-        Vertex("floor", "plane", {}, ROOT, Contact("6dof")),
-        Vertex("red", "cube", {"side": 0.1}, "floor", contact),
-    )
-    graph = SceneGraph(translation(0.0, 0.05, 0.7) @ rotation_x(np.deg2rad(140)), vertices)
+    graph = on_floor(cube(theta=0.4), elevation=50.0, distance=0.7, lower=0.05)
     depth = render_depth(graph.solids(), CAMERA, background=10.0)[0]
     depth[20:28, 2:10] = 0.4
     one = np.zeros((1, 1))

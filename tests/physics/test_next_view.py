@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from on_floor import face, on_floor
 
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
@@ -15,8 +16,7 @@ from derender.physics.next_view import ENOUGH, candidates, information, next_vie
 from derender.render.raycast.depth import render_depth
 from derender.report.result_folder import write_results
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x
+from derender.scene.graph import Vertex
 
 CAMERA = Camera(72, 72, 39.5, 29.5, 80, 60)
 LIKELIHOOD = {"type": "gaussian", "sigma": 0.001, "blur": 0.5, "background": 10.0}
@@ -24,12 +24,9 @@ LIKELIHOOD = {"type": "gaussian", "sigma": 0.001, "blur": 0.5, "background": 10.
 
 def scene():
     """A box on a floor, one of its level edges along the camera's line of sight."""
-    pose = rotation_x(np.pi / 2 + 0.25)
-    pose[:3, 3] = 0.0, 0.02, 0.7
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
     size = {"length": 0.08, "width": 0.06, "height": 0.1}
-    contact = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
-    return SceneGraph(pose, (floor, Vertex("box", "box", size, "floor", contact)))
+    box = Vertex("box", "box", size, "floor", face())
+    return on_floor(box, elevation=np.rad2deg(0.25), distance=0.7, lower=0.02)
 
 
 def posterior(axis):

@@ -4,30 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.results.check import check_fit
 from derender.results.fit import fit_of
 from derender.results.trust import judgement, trusted
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import SceneGraph
 from derender.scene.pose import rotation_x, rotation_y, translation
 
 CAMERA = Camera.from_field_of_view(160, 120)
 LIKELIHOOD = {"sigma": 0.002, "blur": 0.5, "background": 10.0}
-FLOOR = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
-
-
-def cube(name, x, y, side=0.1):
-    contact = Contact("face-to-face", "+z", "-z", {"x": x, "y": y, "theta": 0.3})
-    return Vertex(name, "cube", {"side": side}, "floor", contact)
 
 
 def scene(*solids):
     """Return a floor 0.9 m away, seen from 55 degrees above, with solids on it."""
-    return SceneGraph(translation(0.0, 0.05, 0.9) @ rotation_x(np.deg2rad(145)), (FLOOR, *solids))
+    return on_floor(*solids, elevation=55.0, distance=0.9, lower=0.05)
 
 
-TRUE = scene(cube("left", -0.2, 0.0), cube("right", 0.2, 0.0))
+TRUE = scene(cube("left", -0.2, theta=0.3), cube("right", 0.2, theta=0.3))
 
 
 def image(graph, sigma=0.002):
@@ -82,12 +77,12 @@ def test_background_is_no_explanation():
 
 
 def test_what_the_border_cuts_is_worth_knowing_and_what_fills_the_view_is_serious():
-    cut = scene(cube("cut", 0.4, 0.0, 0.15))
+    cut = scene(cube("cut", 0.4, side=0.15, theta=0.3))
     (doubt,) = doubts_of(cut, image(cut))
     assert not doubt.serious and "cut by the image's border" in doubt.words and trusted([doubt])
-    half = scene(cube("half", 0.62, 0.0, 0.25))
+    half = scene(cube("half", 0.62, side=0.25, theta=0.3))
     assert any(d.serious and "half is cut" in d.words for d in doubts_of(half, image(half)))
-    filling = scene(cube("huge", 0.0, 0.0, 0.6))
+    filling = scene(cube("huge", side=0.6, theta=0.3))
     assert any(d.serious and "huge fills" in d.words for d in doubts_of(filling, image(filling)))
 
 
@@ -98,10 +93,10 @@ def test_a_shift_within_the_sensors_own_is_none(shift):
 
 
 def test_one_surface_that_fills_the_view_may_be_a_things():
-    near = SceneGraph(translation(0.0, 0.0, 0.4) @ rotation_x(np.deg2rad(160)), (FLOOR,))
+    near = on_floor(elevation=70.0, distance=0.4)
     (doubt,) = doubts_of(near, image(near))
     assert doubt.serious and "nothing is seen but one surface" in doubt.words
-    far = SceneGraph(translation(0.0, 0.0, 1.8) @ rotation_x(np.deg2rad(160)), (FLOOR,))
+    far = on_floor(elevation=70.0, distance=1.8)
     assert doubts_of(far, image(far)) == ()  # nothing is so wide
     assert doubts_of(TRUE, image(TRUE)) == ()
 
@@ -122,6 +117,6 @@ def test_a_floor_that_explains_less_than_the_background_is_doubted():
 
 
 def test_a_floor_that_faces_sideways_is_doubted():
-    wall = SceneGraph(translation(0.3, 0.0, 0.9) @ rotation_y(np.deg2rad(-100)), (FLOOR,))
+    wall = SceneGraph(translation(0.3, 0.0, 0.9) @ rotation_y(np.deg2rad(-100)), on_floor().vertices)
     doubts = doubts_of(wall, image(wall))
     assert any("sideways" in doubt.words and doubt.serious for doubt in doubts)

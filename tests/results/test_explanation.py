@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.results.explanation import BACKGROUND, FLOOR, UNEXPLAINED, explain, grow, smooth_surface
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 
 CAMERA = Camera.from_field_of_view(64, 48)
 BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), (slice(38, 42), slice(5, 9))
@@ -14,12 +14,7 @@ BOX, WALL, GHOST = (slice(20, 28), slice(28, 36)), (slice(0, 6), slice(0, 64)), 
 @pytest.fixture
 def graph():
     """A cube of 20 cm on a floor 1 m below a camera that looks straight down."""
-    root = np.eye(4)
-    root[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    root[2, 3] = 1.0
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
-    face = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
-    return SceneGraph(root, (floor, Vertex("red", "cube", {"side": 0.2}, "floor", face)))
+    return on_floor(cube(side=0.2))
 
 
 @pytest.fixture

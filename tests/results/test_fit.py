@@ -3,10 +3,11 @@
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from on_floor import cube, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.results.fit import MOST_TOLERANCE, fit_of, flat_noise, neighbourhood, write_explained, write_labels
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import Vertex
 
 CAMERA = Camera.from_field_of_view(96, 72)
 WALL = 3.0
@@ -15,12 +16,7 @@ WALL = 3.0
 @pytest.fixture
 def graph():
     """A cube of 20 cm on a floor of 1 m, looked at from straight above; a frame between them that shows nowhere."""
-    root = np.eye(4)
-    root[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    root[2, 3] = 1.0
-    face = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
-    return SceneGraph(root, (floor, Vertex("frame", "frame"), Vertex("red", "cube", {"side": 0.2}, "floor", face)))
+    return on_floor(Vertex("frame", "frame"), cube(side=0.2))
 
 
 def image(graph, sigma=0.001):

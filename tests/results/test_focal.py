@@ -4,21 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from on_floor import on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.interface.functions import infer
 from derender.render.raycast.depth import render_depth
 from derender.results.fit import fit_of
 from derender.results.focal import doubts_of, faces_of
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x, translation
+from derender.scene.graph import Contact, Vertex
 
 CAMERA = Camera.from_field_of_view(160, 120)
 
 
 def seen(turns, elevation=35.0, sigma=0.002, upright=True):
     """Return a scene of boxes turned by so many degrees and its depth image with noise (H, W)."""
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
     boxes = []
     for k, turn in enumerate(turns):
         numbers = {"x": 0.17 * (k - 0.5 * (len(turns) - 1)), "y": 0.02 * k, "theta": float(np.radians(turn))}
@@ -27,7 +26,7 @@ def seen(turns, elevation=35.0, sigma=0.002, upright=True):
             contact = Contact("edge-on-face", "+z", "-x-z", {**numbers, "lean": float(np.radians(25.0))})
         size = {"length": 0.12, "width": 0.1, "height": 0.11 + 0.02 * k}
         boxes.append(Vertex(f"box_{k}", "box", size, "floor", contact))
-    graph = SceneGraph(translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(90 + elevation)), (floor, *boxes))
+    graph = on_floor(*boxes, elevation=elevation, distance=0.8, lower=0.05)
     depth = render_depth(graph.solids(), CAMERA)[0]
     return graph, np.where(depth < 4.0, depth, np.nan) + np.random.default_rng(0).normal(0.0, sigma, depth.shape)
 

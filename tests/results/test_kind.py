@@ -2,23 +2,21 @@
 
 import numpy as np
 import pytest
+from on_floor import face, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
 from derender.results.check import plane_shares, wrong_kind
 from derender.results.fit import flat_noise
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.pose import rotation_x, translation
+from derender.scene.graph import Vertex
 
 CAMERA = Camera.from_field_of_view(160, 120)
 SIZES = {"length": 0.1, "width": 0.14, "height": 0.12}
 
 
 def image(elevation, sigma=0.003, boxes=3):
-    face = [Contact("face-to-face", "+z", "-z", {"x": 0.2 * k - 0.2, "y": 0.0, "theta": 0.5}) for k in range(boxes)]
-    solids = [Vertex(f"box_{k}", "box", SIZES, "floor", contact) for k, contact in enumerate(face)]
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
-    graph = SceneGraph(translation(0.0, 0.05, 0.9) @ rotation_x(np.deg2rad(90 + elevation)), (floor, *solids))
+    solids = [Vertex(f"box_{k}", "box", SIZES, "floor", face(x=0.2 * k - 0.2, theta=0.5)) for k in range(boxes)]
+    graph = on_floor(*solids, elevation=elevation, distance=0.9, lower=0.05)
     depth = render_depth(graph.solids(), CAMERA)[0]
     depth = np.where(depth < 4.0, depth, np.nan)
     return depth * (1.0 + np.random.default_rng(0).normal(0.0, sigma, depth.shape))

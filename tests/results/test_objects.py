@@ -4,20 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from on_floor import cube, face, on_floor
 
 from derender.report.scene_json import size_intervals, weighted_quantile
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import Vertex
 
-FACE = Contact("face-to-face", "+z", "-z", {"x": 0.0, "y": 0.0, "theta": 0.0})
-GRAPH = SceneGraph(
-    np.eye(4),
-    (
-        Vertex("floor", "plane", {}, ROOT, Contact("6dof")),
-        Vertex("tin", "cylinder", {"radius": 0.05, "height": 0.1}, "floor", FACE),
-        Vertex("die", "cube", {"side": 0.02}, "floor", FACE),
-    ),
-)
+TIN = Vertex("tin", "cylinder", {"radius": 0.05, "height": 0.1}, "floor", face())
+GRAPH = on_floor(TIN, cube("die", side=0.02))
 
 
 def part(radius, weight=1.0):

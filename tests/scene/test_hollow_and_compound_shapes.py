@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from on_floor import on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.document import document_text, read_document
@@ -13,7 +14,7 @@ from derender.posterior.compiled.model import NotCompiled, model_of
 from derender.posterior.target import ObservedImage, SceneTarget
 from derender.render.raycast.depth import render_depth
 from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import Contact, Vertex
 from derender.scene.pose import inverse
 from derender.scene.shapes import Body, shapes
 
@@ -29,9 +30,7 @@ ROUND = 5e-4
 
 def above(*vertices):
     """Return a scene on a floor of which the camera, 0.8 m above it, looks straight down."""
-    root = np.diag([1.0, -1.0, -1.0, 1.0])
-    root[2, 3] = 0.8
-    return SceneGraph(root, (Vertex("floor", "plane", {}, ROOT, Contact("6dof")), *vertices))
+    return on_floor(*vertices, distance=0.8)
 
 
 def on(parent="floor", **values):

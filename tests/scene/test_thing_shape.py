@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from on_floor import face, on_floor
 
 from derender.camera.intrinsics import Camera
 from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import Vertex
 from derender.scene.shapes import shapes
 from derender.scene.shapes.thing import decode_surface, encode_surface
 
@@ -25,13 +26,9 @@ def lumpy():
 def scene():
     vertices, triangles = lumpy()
     text, size, _ = encode_surface(vertices, triangles)
-    root = np.eye(4)
-    root[:3, :3] = np.diag([1.0, -1.0, -1.0])
-    root[2, 3] = 0.6
-    floor = Vertex("floor", "plane", {}, ROOT, Contact("6dof"))
-    on = Contact("face-to-face", "+z", "-z", {"x": 0.01, "y": 0.0, "theta": 0.3})
     numbers = dict(zip(("length", "width", "height"), map(float, size), strict=True))
-    return SceneGraph(root, (floor, Vertex("thing_1", "thing", numbers, "floor", on, {"surface": text})))
+    thing = Vertex("thing_1", "thing", numbers, "floor", face(x=0.01, theta=0.3), {"surface": text})
+    return on_floor(thing, distance=0.6)
 
 
 def test_a_surface_is_what_it_was_to_a_hundredth_of_a_millimetre():

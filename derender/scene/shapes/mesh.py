@@ -120,29 +120,24 @@ def upright(box_from_file: np.ndarray) -> np.ndarray:
     return turn @ box_from_file
 
 
-@shapes.register("mesh")
-class Mesh(Shape):
-    """A mesh from a file, times `scale`. Its faces are those of its oriented box, fitted when it is loaded.
+class Scaled(Shape):
+    """What mesh and compound share: a fixed form times `scale`, with the faces of its box.
 
-    Options: `file`, the path; `hull`, true (default) for the convex hull and false for the mesh as it is.
+    A subclass gives `load(options)`, with `vertices` (V, 3), `triangles` (T, 3) and `extents` (3,) at scale 1.
     """
 
     parameters = (Parameter("scale", "", 0.0, np.inf, 1.0),)
-    options = ("file", "hull")
     face_names = FACE_NAMES
 
-    def load(self, options) -> LoadedMesh:
-        """Return the file's mesh at scale 1."""
-        if not options.get("file"):
-            raise DerenderError("a mesh needs its file", remedy="give file: PATH")
-        return load_mesh(options["file"], options.get("hull", True))
+    def load(self, options: Mapping[str, Any]) -> Any:
+        """Return its form at scale 1; DerenderError where its options are at fault."""
+        raise NotImplementedError
 
     def size(self, psi, options={}):  # noqa: B006 - never changed
         return float(psi[0]) * self.load(options).extents
 
     def psi_from_size(self, size, options={}):  # noqa: B006
-        extents = self.load(options).extents
-        return np.array([float(np.cbrt(np.prod(np.asarray(size) / extents)))])
+        return np.array([float(np.cbrt(np.prod(np.asarray(size) / self.load(options).extents)))])
 
     def face(self, name, psi, options={}):  # noqa: B006
         if name not in self.face_names:
@@ -154,6 +149,22 @@ class Mesh(Shape):
 
         loaded = self.load(options)
         return trimesh.Trimesh(float(psi[0]) * loaded.vertices, loaded.triangles, process=False)
+
+
+@shapes.register("mesh")
+class Mesh(Scaled):
+    """A mesh from a file, times `scale`. Its faces are those of its oriented box, fitted when it is loaded.
+
+    Options: `file`, the path; `hull`, true (default) for the convex hull and false for the mesh as it is.
+    """
+
+    options = ("file", "hull")
+
+    def load(self, options) -> LoadedMesh:
+        """Return the file's mesh at scale 1."""
+        if not options.get("file"):
+            raise DerenderError("a mesh needs its file", remedy="give file: PATH")
+        return load_mesh(options["file"], options.get("hull", True))
 
     def drawn_mesh(self, psi, options={}):  # noqa: B006
         loaded = self.load(options)
@@ -231,17 +242,15 @@ def _assemble(text: str) -> Assembly:
 
 
 @shapes.register("compound")
-class Compound(Shape):
+class Compound(Scaled):
     """Several solids that move as one, times `scale`; its axes are those of its parts, its faces those of their box.
 
     Options: `parts`, a list of solids with fixed numbers, each with its `position` and `quat_wxyz`.
     """
 
-    parameters = (Parameter("scale", "", 0.0, np.inf, 1.0),)
     options = ("parts",)
-    face_names = FACE_NAMES
 
-    def assemble(self, options) -> Assembly:
+    def load(self, options) -> Assembly:
         """Return its parts put together; DerenderError where one is at fault."""
         parts = options.get("parts")
         if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MOST_PARTS:
@@ -250,30 +259,13 @@ class Compound(Shape):
             )
         return _assemble(json.dumps(parts, default=str))
 
-    def size(self, psi, options={}):  # noqa: B006 - never changed
-        return float(psi[0]) * self.assemble(options).extents
-
-    def psi_from_size(self, size, options={}):  # noqa: B006
-        return np.array([float(np.cbrt(np.prod(np.asarray(size) / self.assemble(options).extents)))])
-
-    def face(self, name, psi, options={}):  # noqa: B006
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        return box_face(name, self.size(psi, options))
-
-    def mesh(self, psi, options={}):  # noqa: B006
-        import trimesh
-
-        assembly = self.assemble(options)
-        return trimesh.Trimesh(float(psi[0]) * assembly.vertices, assembly.triangles, process=False)
-
     def convex_parts(self, psi, options={}):  # noqa: B006
-        return tuple(float(psi[0]) * corners for corners in self.assemble(options).corners)
+        return tuple(float(psi[0]) * corners for corners in self.load(options).corners)
 
     def drawn_mesh(self, psi, options={}):  # noqa: B006
-        assembly = self.assemble(options)
+        assembly = self.load(options)
         return json.dumps(options["parts"], default=str), (assembly.vertices, assembly.triangles)
 
     def check(self, psi, options={}, where=None):  # noqa: B006
         super().check(psi, options, where)
-        self.assemble(options)
+        self.load(options)
