@@ -1,17 +1,15 @@
 """A sensor's noise from frames of a bare table: the numbers of the likelihood `correlated` that explain them best."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.intrinsics import Camera
 from derender.detection.floor import back_project, find_floor
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated
-from derender.render.raycast.engine import new_engine, rescore_state
-from derender.render.raycast.state import DEPTH, PAD, SIGMA
-from derender.scene.solids import Solids
+from derender.render.raycast.evaluator import DepthEvaluator
 
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
@@ -29,8 +27,9 @@ BEGIN = {
     "tail": 0.1,
     "bias": 1.0,
 }
-FITTED, SHARES = ("sigma", "sigma_growth", "reach", "reach_down"), ("white", "tail")
+FITTED, SHARES = ("sigma", "sigma_growth", "reach", "reach_down", "white", "tail"), ("white", "tail")
 ON_TABLE = 1e-6  # share of outliers among pixels that were chosen because they lie on the table
+LEAST = 1e-5  # of a number whose logarithm is taken
 KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
 NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
 
@@ -65,24 +64,11 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
 
 
 def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:
-    """Return the Fit of (residual, depth) pairs of frames by one sensor: most likely numbers, by a simplex search."""
-    from scipy.optimize import minimize
-
-    engines = [engine_of(residual, depth) for residual, depth in pairs]
-
-    def loss(free: np.ndarray) -> float:
-        row = NOISE.row(numbers(free), 0)
-        for engine in engines:
-            engine.parameters[SIGMA : SIGMA + 3] = row[:3]
-            engine.parameters[SIGMA + 4 : SIGMA + len(row)] = row[4:]
-        return -sum(rescore_state(engine) for engine in engines)
-
-    start = np.array([*(math.log(BEGIN[name]) for name in FITTED),
-                      *(math.log(BEGIN[name] / (1.0 - BEGIN[name])) for name in SHARES)])  # fmt: skip
+    """Return the Fit of (residual, depth) pairs of frames by one sensor: most likely numbers."""
+    tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", BEGIN) for residual, depth in pairs]
+    values = {**BEGIN, "outlier": ON_TABLE}
     for _ in range(AGAIN):
-        settings = {"maxfev": ROUNDS, "fatol": ACCURATE, "xatol": ACCURATE, "adaptive": True}
-        start = minimize(loss, start, method="Nelder-Mead", options=settings).x
-    values = numbers(start)
+        values = likeliest(tables, values, FITTED, ROUNDS)
     white = [whitened(residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
     return Fit({name: values[name] for name in BEGIN}, int(every.size),
@@ -91,25 +77,36 @@ def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:
                float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip
 
 
-def engine_of(residual: np.ndarray, depth: np.ndarray) -> Any:
-    """Return the EngineState of a clean depth (H, W) that is given, not drawn, and of residuals (H, W) about it."""
-    height, width = depth.shape
-    camera = Camera(1.0, 1.0, 0.0, 0.0, width, height)  # through which nothing is drawn
-    nothing = Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32), ())
-    row = NOISE.row(NOISE.complete(BEGIN), 0)
-    engine = new_engine(camera, depth + residual, nothing, NOISE.code, row, 0.0)
-    engine.images[DEPTH, :, PAD : PAD + width] = depth
-    return engine
+def likeliest(
+    images: list[DepthEvaluator],
+    begin: dict[str, float],
+    names: tuple[str, ...],
+    rounds: int,
+    believed: Callable[[dict[str, float]], float] = lambda values: 0.0,
+) -> dict[str, float]:
+    """Return the numbers of the likelihood under which images of given clean depth are likeliest, by a simplex search.
 
+    begin : all numbers, where it begins. names : of those that are sought. rounds : evaluations at most. believed :
+    their log prior.
+    """
+    from scipy.optimize import minimize
 
-def numbers(free: np.ndarray) -> dict[str, float]:
-    """Return the likelihood's numbers, complete, of free ones: FITTED, then SHARES."""
-    size = np.exp(np.clip(free[: len(FITTED)], -16.0, 4.0))
-    share = 1.0 / (1.0 + np.exp(-np.clip(free[len(FITTED) :], -30.0, 30.0)))
-    values = {**BEGIN, "outlier": ON_TABLE, **dict(zip(FITTED, map(float, size), strict=True)),
-              **dict(zip(SHARES, map(float, np.clip(share, *SHARE)), strict=True))}  # fmt: skip
-    limits = {p.name: (p.lower, p.upper) for p in NOISE.parameters}
-    return NOISE.complete({name: float(np.clip(value, *limits[name])) for name, value in values.items()})
+    limits = np.array([(p.lower, p.upper) for name in names for p in NOISE.parameters if p.name == name])
+    is_share = np.array([name in SHARES for name in names])
+
+    def numbers(free: np.ndarray) -> dict[str, float]:
+        free = np.clip(free, -30.0, 10.0)
+        found = np.clip(np.where(is_share, 1.0 / (1.0 + np.exp(-free)), np.exp(free)), *limits.T)
+        return {**begin, **dict(zip(names, map(float, found), strict=True))}
+
+    def loss(free: np.ndarray) -> float:
+        values = numbers(free)
+        return -believed(values) - sum(image.set_values(values) or 0.0 for image in images)
+
+    first = np.maximum([begin[name] for name in names], LEAST)
+    free = np.where(is_share, np.log(first / np.where(is_share, 1.0 - first, 1.0)), np.log(first))
+    settings = {"maxfev": rounds, "fatol": ACCURATE, "xatol": ACCURATE, "adaptive": True}
+    return numbers(minimize(loss, free, method="Nelder-Mead", options=settings).x)
 
 
 def log_density(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> float:
@@ -137,7 +134,7 @@ def sensor_text(fit: Fit, camera: Any, frames: int) -> str:
     for key, value in fit.values.items():
         if key in SHARES:
             believed[key] = (f"{{beta: [{max(DRAWS * value, 0.5):.3g}, {max(DRAWS * (1.0 - value), 0.5):.3g}, "
-                             f"{SHARE[0]}, {SHARE[1]}]}}")  # fmt: skip
+                             f"{SHARE[0]:.1e}, {SHARE[1]}]}}")  # fmt: skip
         else:
             believed[key] = f"{{log-normal: [{value:.4g}, {KNOWN}]}}"
     camera_line = ", ".join(f"{key}: {value}" for key, value in camera.to_dict().items() if key != "depth_scale")

@@ -2,7 +2,8 @@
 
 The likelihood is the engine's, with the blur and the noise that the image shows (`draws/refined.py`); structures are
 weighed by integrals (`alternatives.py`). Of a real sensor's image, whose neighbouring pixels err together, so many
-pixels tell as much as one independent one (`effective_pixels`), and faces are off where they appear (`draws/faces.py`).
+pixels tell as much as one independent one (`effective_pixels`), unless the prior's file has the likelihood `correlated`
+that says what they share; and faces are off where they appear (`draws/faces.py`).
 """
 
 from dataclasses import replace

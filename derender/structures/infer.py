@@ -284,7 +284,7 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
             "existence": {thing_name(k): thing.existence
                           for k, thing in enumerate(thing for each in observations for thing in each.things)},
             "hidden_expected": extras.get("hidden_expected"),
-            "likelihood": likelihood_of(parts, observations, depth, camera, settings.temper)}  # fmt: skip
+            "likelihood": likelihood_of(parts, observations, depth, camera, settings)}  # fmt: skip
     posterior = Posterior(tuple(parts), seed=options.seed, meta=meta)
     graph = posterior.best_graph()
     if len(looks) > 1:
@@ -362,7 +362,7 @@ def whole_camera(camera, shape):
     return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
-def likelihood_of(parts, observations, depth, camera, temper):
+def likelihood_of(parts, observations, depth, camera, settings):
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
     That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene:
@@ -374,7 +374,8 @@ def likelihood_of(parts, observations, depth, camera, temper):
     if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
         return best.extras["likelihood"]
     camera = whole_camera(camera, depth.shape)
-    worth = float((seen.image.weight > 0).sum()) / temper if temper > 1.0 else np.inf
+    worth = float((seen.image.weight > 0).sum()) / settings.temper if settings.temper > 1.0 else np.inf
+    sensor = (bare_image() if settings.beliefs is None else settings.beliefs).sensor
     other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
-    name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), worth)
+    name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), worth, sensor)
     return {"type": name, **numbers}

@@ -23,7 +23,7 @@ CLIPPED = 3.0  # standard deviations at which residuals are cut off: edges and o
 def with_shared_errors(rng, refined):
     """Return the Refined whose views count for as much as they tell beside the others, at its mode again."""
     views = refined.sensor.views
-    if len(views) == 1:
+    if len(views) == 1 or any("effective_pixels" not in view.values for view in views):
         return refined
     shares = 1.0 / (1.0 + shared(refined).sum(axis=1))
     if np.all(shares == 1.0):

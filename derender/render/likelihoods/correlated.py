@@ -25,7 +25,7 @@ from derender.scene.parameter import Parameter
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 GROUPS = (0, 1, 2, 2, 2, 2)
-SHARE = (1e-3, 1.0 - 1e-3)  # of the variance that is each pixel's own: both it and the rest are some
+SHARE = (1e-5, 1.0 - 1e-3)  # of the variance that is each pixel's own: both it and the rest are some
 RATE = (1e-30, 0.5)  # of outliers
 # Times as wide as the others are the heavy tails' innovations, about those of rounded disparities on real frames; the
 # compiled score counts on it
@@ -57,6 +57,9 @@ class Correlated(Likelihood):
     tells that has no return, is an outlier (over four standard deviations off), or lies across a jump in the clean
     depth of more than `jump` of it; four of which one does not tell do not tell at all. The order is that of reading,
     so the product of all pixels' densities integrates to one for each set of pixels that return.
+
+    Files in data/sensors give it under `likelihood:`. So may a scene, or a copy of the prior bare-image: then draws and
+    weights of structures are under it.
 
     Innovations of real sensors have heavy tails: a share `tail` of them is four times as wide, and `outlier` of the
     pixels are Uniform(near, far). A pixel without a return is evidence of nothing. One that holds minus a depth shows

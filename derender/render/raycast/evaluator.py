@@ -5,6 +5,7 @@ from copy import copy
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.engine import (
@@ -17,7 +18,7 @@ from derender.render.raycast.engine import (
     with_blur,
 )
 from derender.render.raycast.score import pixel_log_densities
-from derender.render.raycast.state import CANDIDATE, CURRENT, OBSERVED, PAD, SIGMA, EngineState
+from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, OBSERVED, PAD, SIGMA, EngineState
 from derender.scene.solids import Solids
 
 
@@ -64,6 +65,21 @@ class DepthEvaluator:
         if self.state is not None:
             other.state = EngineState(*(array.copy() for array in self.state))
         return other
+
+    @classmethod
+    def of_depth(
+        cls, observed: np.ndarray, depth: np.ndarray, likelihood: str, values: Mapping[str, float]
+    ) -> "DepthEvaluator":
+        """Return an evaluator of a clean depth image (height, width) that is given, not drawn: see `set_values`."""
+        height, width = depth.shape
+        evaluator = cls(Camera(1.0, 1.0, 0.0, 0.0, width, height), observed, likelihood, values)
+        nothing = Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32))
+        evaluator.load(nothing)
+        assert evaluator.state is not None
+        image = evaluator.state.images[DEPTH]
+        image[:, PAD : PAD + width] = depth
+        image[:, :PAD], image[:, PAD + width :] = depth[:, :1], depth[:, -1:]
+        return evaluator
 
     def log_likelihood(self, solids: Solids, values: Mapping[str, float] | None = None) -> float:
         """Return the log likelihood of a scene: the full evaluation. The scene becomes the current one.

@@ -105,28 +105,24 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
             west, north = load(residuals, row, column - 1), load(residuals, above, column)
             north_west, north_east = load(residuals, above, column - 1), load(residuals, above, column + 1)
             west_2, north_2 = load(residuals, row, column - 2), load(residuals, above_2, column)
-            step_west = absolute(subtract(load(depth, row, column - 1), here))
-            step_north = absolute(subtract(load(depth, above, column), here))
-            step = maximum(
-                maximum(
-                    absolute(subtract(load(depth, above, column - 1), here)),
-                    absolute(subtract(load(depth, above, column + 1), here)),
-                ),
-                maximum(
-                    absolute(subtract(load(depth, row, column - 2), here)),
-                    absolute(subtract(load(depth, above_2, column), here)),
-                ),
-            )
+            depth_west, depth_north = load(depth, row, column - 1), load(depth, above, column)
+            depth_north_west, depth_north_east = load(depth, above, column - 1), load(depth, above, column + 1)
+            depth_west_2, depth_north_2 = load(depth, row, column - 2), load(depth, above_2, column)
+            # of the four that tell together: how far off they are, and the farthest and the nearest surface
             off = maximum(
                 maximum(absolute(north_west), absolute(north_east)), maximum(absolute(west_2), absolute(north_2))
             )
-            same = multiply(jump, here)
-            tells = where_at_least(limit, absolute(west), where_at_least(same, step_west, one, zero), zero)
-            tells = add(
-                tells, where_at_least(limit_1, absolute(north), where_at_least(same, step_north, two, zero), zero)
+            off_west, off_north = absolute(west), absolute(north)
+            far_4 = maximum(maximum(depth_north_west, depth_north_east), maximum(depth_west_2, depth_north_2))
+            near_4 = minimum(minimum(depth_north_west, depth_north_east), minimum(depth_west_2, depth_north_2))
+            far_6, near_6 = (
+                maximum(far_4, maximum(depth_west, depth_north)),
+                minimum(near_4, minimum(depth_west, depth_north)),
             )
-            tells = add(tells, where_at_least(limit_2, off, where_at_least(same, step, four, zero), zero))
-            if all_at_least(tells, seven):  # as where most surfaces are
+            same = multiply(jump, here)
+            if all_at_least(limit_2, maximum(off, maximum(off_west, off_north))) and all_at_least(
+                same, maximum(subtract(far_6, here), subtract(here, near_6))
+            ):  # all six tell, as they do where most surfaces are
                 mean = multiply(weight_west, west)
                 mean = multiply_add(weight_north, north, mean)
                 mean = multiply_add(weight_north_west, north_west, mean)
@@ -135,6 +131,12 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
                 mean = multiply_add(weight_north_2, north_2, mean)
                 sharp = sharpest
             else:
+                step_west, step_north = absolute(subtract(depth_west, here)), absolute(subtract(depth_north, here))
+                step = maximum(subtract(far_4, here), subtract(here, near_4))
+                by_one = where_at_least(limit, off_west, where_at_least(same, step_west, one, zero), zero)
+                by_two = where_at_least(limit_1, off_north, where_at_least(same, step_north, two, zero), zero)
+                by_four = where_at_least(limit_2, off, where_at_least(same, step, four, zero), zero)
+                tells = add(add(by_one, by_two), by_four)
                 mean = multiply(look_up(by_west, tells), west)
                 mean = multiply_add(look_up(by_north, tells), north, mean)
                 mean = multiply_add(look_up(by_north_west, tells), north_west, mean)

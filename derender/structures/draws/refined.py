@@ -151,9 +151,9 @@ def refine(rng, views, floor_pose, state, rules, tries=THREADS):
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
     first, *others = (
-        first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into).changed(
-            effective_pixels=view.effective_pixels
-        )
+        first_sensor(
+            view.camera, view.observed, chart, values, beliefs.sensor, view.into, view.effective_pixels
+        ).changed(effective_pixels=view.effective_pixels)
         for view in views
     )
     sensor = first._replace(others=tuple(others))
@@ -224,14 +224,14 @@ def settled(rng, refined, tries=THREADS):
 
 def has_outliers(view):
     """Whether a Sensor of one view has outliers that a better state may not have."""
-    return view.likelihood.name != "gaussian" and view.values["sigma_growth"] == 0.0
+    return view.likelihood.name == "robust" and view.values["sigma_growth"] == 0.0
 
 
 def robust_offset(sensor):
     """Return what a robust log likelihood has more than a gaussian one of the same images: whether pixels return."""
     total = 0.0
     for view in sensor.views:
-        if view.likelihood.name != "gaussian":
+        if view.likelihood.name == "robust":
             seen, missing = int(np.isfinite(view.observed).sum()), view.values["missing"]
             total += seen * float(np.log1p(-missing)) + (view.observed.size - seen) * float(np.log(missing))
     return total

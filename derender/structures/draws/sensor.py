@@ -6,20 +6,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
+from derender.detection.calibration import likeliest
 from derender.detection.noise import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.detection.solids.image import ROW
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.base import temper
 from derender.render.raycast.depth import render_depth
+from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import camera_poses, place_rows
 
+SHARED, ROUNDS = ("reach", "reach_down", "white", "tail"), 150  # what neighbours share; rounds in which it is sought
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
-UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier")  # numbers of a sensor that are fitted
+UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
 RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
 STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
@@ -43,6 +46,7 @@ class Sensor(NamedTuple):
     prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
     into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
     others : Sensors of the other views, each of one.
+    share : how many independent pixels one tells as much as, where neighbours share noise.
     """
 
     camera: Camera
@@ -52,6 +56,7 @@ class Sensor(NamedTuple):
     prior: Any = None
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()
+    share: float = 1.0
 
     @property
     def returned(self):
@@ -61,6 +66,8 @@ class Sensor(NamedTuple):
     @property
     def worth(self):
         """How many independent pixels one of the first view tells as much as: at most 1."""
+        if self.likelihood.name == "correlated":
+            return self.share
         return temper(self.values, self.likelihood.counted_pixels(self.observed))
 
     @property
@@ -142,18 +149,62 @@ def log_prior_of(prior, numbers):
     return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
-def first_sensor(camera, observed, chart, values, prior=None, into=None):
+def first_sensor(camera, observed, chart, values, prior=None, into=None, effective_pixels=np.inf):
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor."""
     observed = np.where(too_far(observed), np.nan, observed)
     into = np.eye(4) if into is None else into
     clean = model_depth(chart, values, camera, into)
     best = max((robust_fit(observed, clean, blurred, FIRST_OUTLIERS) for blurred in BLURS), key=density_of)
-    return Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
+    sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
+    if not shares_noise(prior):
+        return sensor
+    share = min(1.0, effective_pixels / observed.size)
+    return under_shared_noise(sensor._replace(share=share), clean, ROUNDS)
 
 
 def density_of(fit):
     """Return the log density of a fit."""
     return fit[0]
+
+
+def shares_noise(prior):
+    """Return whether what is believed of a sensor (LikelihoodPrior or None) is that neighbouring pixels share noise."""
+    return prior is not None and prior.type == "correlated"
+
+
+def under_shared_noise(sensor, clean, rounds):
+    """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
+
+    What its prior gives as a number holds. The noise and its growth are those by which residuals scatter, the slow bias
+    among them; the blur, the share of outliers and, by a simplex search of so many `rounds` (0: as they are), what
+    neighbours share are the likeliest. To seek the noise with these leaves it open: what tells firmly is by how much
+    neighbours differ, and more noise that reaches farther differs by as much.
+    """
+    given = sensor.prior.values
+    held = {name: value for name, value in given.items() if not isinstance(value, Distribution)}
+    begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
+    begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
+    sigma, growth = noise_of(sensor.returned - blur(clean, begin["blur"]), clean)
+    own = 1.0 / np.hypot(1.0, begin["bias"])
+    begin = {**begin, "sigma": max(own * sigma, LEAST_SIGMA), "sigma_growth": own * growth, **held}
+    image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", begin)
+    believed, sought = partial(log_prior_of, sensor.prior), tuple(name for name in SHARED if name not in held)
+    best = likeliest([image], begin, sought, rounds, believed) if rounds and sought else begin
+
+    def density(values):
+        return image.set_values(values) + believed(values)
+
+    height = density(best)
+    for step in STEPS:
+        for name in ("blur", "outlier"):
+            for _ in range(0 if name in held else WALKED):
+                trials = (best[name] - step, best[name] + step) if name == "blur" else RATES
+                values = [{**best, name: trial} for trial in trials if 0.0 <= trial <= MOST_BLUR]
+                heights = [density(each) for each in values]
+                if max(heights) <= height:
+                    break
+                height, best = max(heights), values[int(np.argmax(heights))]
+    return sensor.changed("correlated", **best)
 
 
 def robust_fit(observed, clean, blurred, outliers, every=1):
@@ -217,6 +268,8 @@ def final_sensor(sensor, chart, values):
 
     def refitted(view):
         clean = model_depth(chart, values, view.camera, view.into)
+        if shares_noise(view.prior):
+            return under_shared_noise(view, clean, ROUNDS)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
         _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125))
         return view.changed(name, **numbers)
@@ -231,6 +284,8 @@ def same_sensor_refitted(sensor, chart, values):
 
 def _same_refitted(sensor, clean):
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
+    if shares_noise(sensor.prior):
+        return under_shared_noise(sensor, clean, 0)
 
     def fitted(blurred, outliers):
         if sensor.likelihood.name == "gaussian":
@@ -258,7 +313,12 @@ def blurs_about(sensor, clean):
     at = sensor.values["blur"]
     every = max(1, sensor.camera.width // LOOKED_AT) if sensor.worth < 1.0 else 1  # of rows and of columns
 
+    shared = sensor.likelihood.name == "correlated"
+    image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", sensor.values) if shared else None
+
     def density(blurred):
+        if image is not None:
+            return image.set_values({"blur": blurred})
         fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
         return every**2 * fit(sensor.observed, clean, blurred, every=every)[0]
 
@@ -271,13 +331,20 @@ def blurs_about(sensor, clean):
     return np.linspace(*ends, NODES)
 
 
-def image_likelihood(camera, observed, solids, effective_pixels=np.inf):
+def image_likelihood(camera, observed, solids, effective_pixels=np.inf, prior=None):
     """Return (name, numbers) of the likelihood that a whole image suggests, given a scene.
 
     What inference looked at may be reduced, and cut where it is far away; this is of the image as it came.
-    observed : (H, W) metres, NaN where nothing returned. effective_pixels : how many independent ones it is worth.
+    observed : (H, W) metres, NaN where nothing returned. effective_pixels : how many independent ones it is worth,
+    unless what is believed of the sensor (prior, see Sensor) is that neighbours share noise.
     """
     clean, _ = render_depth(solids, camera, background=BACKGROUND)
+    if shares_noise(prior):
+        clean = np.minimum(clean, BACKGROUND)
+        found = robust_fit(observed, clean, 0.0, FIRST_OUTLIERS)[2]
+        sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
+        found = under_shared_noise(sensor, clean, ROUNDS)
+        return found.likelihood.name, found.values
     every = max(1, camera.width // LOOKED_AT)
     numbers: dict[str, float]
     _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),

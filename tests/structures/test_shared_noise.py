@@ -1,0 +1,60 @@
+"""A bare image under a sensor whose neighbouring pixels share noise: inference obeys what its prior file says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from derender import data_path
+from derender.camera.intrinsics import Camera
+from derender.document import LikelihoodPrior, read_document, read_prior_document
+from derender.render.likelihoods import likelihoods
+from derender.render.raycast.depth import render_depth
+from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.scene.solids import BOX, PLANE, Solids
+from derender.structures.draws.sensor import Sensor, under_shared_noise
+from derender.structures.infer import infer_structure
+from derender.structures.options import Options
+
+CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
+SIZE = np.array([0.14, 0.10, 0.12])
+NOISE = {"sigma": 0.001, "sigma_growth": 0.001, "white": 0.05, "reach": 3.0, "reach_down": 2.0, "bias": 0.5}
+
+
+def box_on_a_table():
+    root = translation(0.0, 0.05, 0.75) @ rotation_x(np.radians(125.0))
+    box = root @ translation(0.0, 0.0, SIZE[2] / 2) @ rotation_z(0.5)
+    sizes, none = np.array([np.zeros(3), SIZE]), np.full(2, -1, np.int32)
+    return render_depth(Solids(np.array([PLANE, BOX], np.int32), np.array([root, box]), sizes, none), CAMERA)[0]
+
+
+def believed():
+    return read_document(data_path("sensors/any.yaml")).likelihood
+
+
+def test_what_neighbours_share_is_found_again_and_what_a_file_gives_as_a_number_holds():
+    depth, rng = box_on_a_table(), np.random.default_rng(1)
+    observed = likelihoods["correlated"].sample(rng, depth, NOISE)
+    sensor = Sensor(CAMERA, observed, likelihoods["robust"], {}, believed()).changed("robust", blur=0.0, outlier=0.01)
+    found = under_shared_noise(sensor, depth, 150).values
+    assert found["reach"] == pytest.approx(3.0, rel=0.35) and found["reach_down"] == pytest.approx(2.0, rel=0.35)
+    assert found["white"] == pytest.approx(0.05, abs=0.04) and found["bias"] == 0.5
+    noise = [values["sigma"] + values["sigma_growth"] * 0.7**2 for values in (found, NOISE)]
+    assert noise[0] == pytest.approx(noise[1], rel=0.5)
+    held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0})
+    assert under_shared_noise(sensor._replace(prior=held), depth, 40).values["reach"] == 7.0
+
+
+@pytest.mark.slow
+def test_a_bare_image_is_inferred_under_it():
+    document = read_prior_document("bare-image")
+    options = Options(prior=document.prior, likelihood=believed(), draws=60)
+    observed = likelihoods["correlated"].sample(np.random.default_rng(2), box_on_a_table(), NOISE)
+    posterior = infer_structure(observed, CAMERA, options, np.random.default_rng(0))
+    assert posterior.parts[0].extras["likelihood"]["type"] == posterior.meta["likelihood"]["type"] == "correlated"
+    size = np.sort(posterior.best_graph().vertex("box_1").body.size())
+    np.testing.assert_allclose(size, np.sort(SIZE), atol=0.01)
+    usual = infer_structure(
+        observed, CAMERA, replace(options, likelihood=document.likelihood), np.random.default_rng(0)
+    )
+    assert usual.parts[0].extras["likelihood"]["type"] != "correlated"
