@@ -160,7 +160,11 @@ def evaluate_tosses(count, first, keep):
     engine = Engine(matter, ("cube",), step)
     found = pool(lessons, engine, float(matter.bodies[1].size[0]), np.random.default_rng(0))
     print(f"friction {np.exp(found.mean[0]):.3f}, restitution {found.mean[1]:.3f} (the source: .18, .13)")
-    print("errors: impact {:.3f}, steady {:.3f} as shares, tracking {:.2f} times".format(*np.exp(found.mean[2:])))
+    print(
+        "errors: impact {:.3f}, steady {:.3f} as shares, centres {:.2f}, turns {:.2f} times".format(
+            *np.exp(found.mean[3:])
+        )
+    )
     friction, restitution = (
         found.weights @ [getattr(each, name) for each in found.materials] for name in ("friction", "restitution")
     )

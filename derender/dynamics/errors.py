@@ -13,13 +13,13 @@ import numpy as np
 # An error that is always there: of the engine's steps, between two frames, m / s.
 LEAST_SPEED = 5e-4
 # An impact in the engine depends on when within a step it begins, by some hundredths of its speed from one end of the
-# step to the other: the standard error, as a share of the change of velocity. And it lasts 2 ms, where one of rubber or
-# of a soft spring lasts 5 to 10 and one of steel .1: seconds by which what follows is early or late.
-LEAST_IMPACT, LATE = 0.01, 0.004
-# The engine slides as if friction were another by this share: boxes that rock as they slide go 1 to 11 % too far, those
-# that are tall and rough the most. And it bounces as if restitution were off by so much: what drops leave
-# (scripts/evaluate.py physics), and what a contact of 6 ms adds to each flight of a ball. Neither averages out.
-ENGINE_FRICTION, ENGINE_RESTITUTION = 0.035, 0.025
+# step to the other: the standard error, as a share of the change of velocity. And what follows is early or late by a
+# share of the contact's time, as its force rises and falls in another way: seconds.
+LEAST_IMPACT, LATE = 0.01, 0.001
+# The engine slides as if friction were another by this share: boxes that rock as they slide go up to 3 % too far. It
+# bounces as if restitution were off by so much: half of the worst that drops leave (scripts/evaluate.py physics).
+# Neither averages out.
+ENGINE_FRICTION, ENGINE_RESTITUTION = 0.02, 0.015
 # A resting or sliding contact changes the velocity by at most so many times gravity's share: friction up to 1.1.
 STEADY = 1.5
 # An impulse at half a cube's side from its centre turns it by 3 / side; the mean over a face is 2 / side.
@@ -33,12 +33,13 @@ class Scales(NamedTuple):
     ----------
     impact : error of an impact, as a share of its change of velocity.
     steady : error of resting and sliding contacts between two frames, as a share of gravity's change of velocity.
-    tracking : by how much the poses' stated errors are to be multiplied.
+    tracking, turning : by how much the stated errors of centres and of turns are to be multiplied.
     """
 
     impact: float
     steady: float
     tracking: float
+    turning: float
 
 
 def impulses(before: np.ndarray, after: np.ndarray, gravity: np.ndarray, interval: float) -> np.ndarray:

@@ -11,14 +11,18 @@ from scipy.special import logsumexp
 from derender.dynamics.engine import Engine
 from derender.dynamics.errors import Scales
 from derender.dynamics.motion import Motion
-from derender.dynamics.parameters import Parameters
+from derender.dynamics.parameters import ALWAYS, Parameters
 from derender.dynamics.prior import Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 
 # Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
 # from all of them are held against the tracked poses, and it starts from the nearest few that are.
-FRICTIONS, RESTITUTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (0.1, 0.4, 0.7), 3.0, 2
+FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), 3.0, 2
+# Where something may be struck: pairs of restitution and contact time (seconds), and fewer frictions, on which films of
+# impacts depend less.
+BOUNCES = [(restitution, time) for restitution in (0.1, 0.35, 0.55, 0.75) for time in (0.002, 0.006)]
+FRICTIONS_STRUCK = (0.15, 0.45)
 # Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
 NEAR, NEAR_SPEED = 0.02, 0.2
 # A start's first steps, after which the worse ones are given up, and the best one's further steps.
@@ -26,14 +30,14 @@ SHORT, LONG = 3, 8
 # How far below the best, in nats, a start may lie and still be followed.
 CLOSE = 10.0
 # Before the scales are learnt, engine and tracking are given much room: first velocities are poor.
-FIRST = Scales(0.3, 0.05, 4.0)
+FIRST = Scales(0.3, 0.05, 4.0, 4.0)
 # No step improves the cost by this many nats: done.
 DONE = 0.05
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 # Importance sampling: the least and the most rounds, draws of each, how many equally weighted draws are enough, the
 # share of draws from the prior (where the motion tells nothing), and the proposal's degrees of freedom and widening.
 # Then how many draws the weights are made to be worth at least, and how many draws are kept.
-ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 3, 80, 50.0, 0.15, 5.0, 1.2
+ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0, 0.15, 5.0, 1.2
 FEWEST = 30.0
 KEPT = 1000
 
@@ -67,7 +71,7 @@ class Draws(NamedTuple):
 
     Attributes
     ----------
-    coordinates : (K, P). logarithms : (K, 3), of the scales. log_weights : (K,), normalised.
+    coordinates : (K, P). logarithms : (K, S), of the scales. log_weights : (K,), normalised.
     """
 
     coordinates: np.ndarray
@@ -80,7 +84,7 @@ class Draws(NamedTuple):
         return float(np.exp(-logsumexp(2 * self.log_weights)))
 
     def resampled(self, rng: np.random.Generator, count: int = KEPT) -> tuple[np.ndarray, np.ndarray]:
-        """Return coordinates (count, P) and scales' logarithms (count, 3), by systematic resampling in random order."""
+        """Return coordinates (count, P) and scales' logarithms (count, S), by systematic resampling in random order."""
         edges = np.cumsum(np.exp(self.log_weights))
         at = np.searchsorted(edges / edges[-1], (np.arange(count) + rng.uniform()) / count)
         at = rng.permutation(np.minimum(at, len(edges) - 1))
@@ -102,7 +106,7 @@ def climb(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np
         while damping < MOST_DAMPING:
             change = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
             if not bounces:  # the prior alone would move it, and the film with it
-                change[shooting.size + 1] = 0.0
+                change[shooting.size + 1 : shooting.size + ALWAYS] = 0.0
             trial = shooting.stepped(path, change)
             found, prior = shooting.residuals(trial, errors), shooting.prior_rows(trial)[0]
             improved = before - 0.5 * float(found @ found + prior @ prior)
@@ -151,9 +155,9 @@ def learn_scales(
 
     prior = shooting.parameters.prior
     best = np.log(scales)
-    value, step = density(best), np.full(3, 0.7)
+    value, step = density(best), np.full(len(scales), 0.7)
     while step.max() > 0.1:
-        for number in range(3):
+        for number in range(len(scales)):
             for sign in (1, -1):
                 tried = best.copy()
                 tried[number] += sign * step[number]
@@ -184,14 +188,16 @@ def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
     """Return coordinates to start from: those of the films that lie nearest to the tracked centres, and where something
     may be struck the nearest of each of the nearest restitutions, over frictions and over mass ratios."""
     middle = shooting.parameters.middle()
-    ratios = [np.zeros(len(middle) - 2)]
-    ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(middle) - 2) for sign in (-1, 1)]
+    ratios = [np.zeros(len(middle) - ALWAYS)]
+    ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(ratios[0])) for sign in (-1, 1)]
     found = []
-    for restitution in RESTITUTIONS if shooting.struck else middle[1:2]:
+    frictions = FRICTIONS_STRUCK if shooting.struck else FRICTIONS
+    for restitution, time in BOUNCES if shooting.struck else [(middle[1], math.exp(middle[2]))]:
         tried = []
-        for friction in FRICTIONS:
+        for friction in frictions:
             for ratio in ratios:
-                coordinates = np.array([math.log(friction), restitution, *(middle[2:] + ratio)])
+                told = [math.log(friction), restitution, math.log(time)]
+                coordinates = np.array([*told, *(middle[ALWAYS:] + ratio)])
                 path = shooting.first_path(coordinates)
                 residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
                 far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
@@ -212,14 +218,15 @@ def find_modes(shooting: Shooting) -> list[Mode]:
 def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarray], float]:
     """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about a mode."""
     parameters = shooting.parameters
-    bounces = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates).restitution
+    untold = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates)
 
     def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
         prior = parameters.log_prior(coordinates) + parameters.prior.log_density_of_scales(logarithms)
-        if not np.isfinite(prior) or not np.array_equal(parameters.inside(coordinates)[::2], coordinates[::2]):
+        outside = parameters.inside(coordinates) != coordinates
+        if not np.isfinite(prior) or np.delete(outside, 1).any():
             return -np.inf
         try:
-            path = shooting.rolled(mode.path._replace(coordinates=coordinates), bounces=bounces)
+            path = shooting.rolled(mode.path._replace(coordinates=coordinates), untold=untold)
         except Diverged:
             return -np.inf
         errors = shooting.errors(mode.path, Scales(*np.exp(logarithms)), mode.robust)
@@ -243,10 +250,10 @@ def sample(
     """
     size, spread = parameters.size, parameters.prior.log_scales()[1]
     floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), spread]) ** 2)
-    first = np.zeros((size + 3, size + 3))
+    first = np.zeros((size + len(spread), size + len(spread)))
     first[size:, size:] = np.diag((0.5 * spread) ** 2)
     rounds: list[list[tuple[np.ndarray, np.ndarray]]] = []
-    points, target, log_weights = np.empty((0, size + 3)), np.empty(0), np.empty(0)
+    points, target, log_weights = np.empty((0, size + len(spread))), np.empty(0), np.empty(0)
     for number in range(MOST_ROUNDS):
         if number >= ROUNDS and Draws(points, points, log_weights - logsumexp(log_weights)).effective > ENOUGH:
             break
@@ -340,4 +347,7 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     parameters = Parameters(motion.names, engine.masses, prior or read_dynamics_prior())
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
-    return Identified(parameters, modes, sample(target_of(shooting, modes[0]), parameters, modes, rng, draws))
+    found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
+    if not shooting.bounces(modes[0].path):  # the density does not depend on how things bounce: the prior remains
+        found.coordinates[:, 1:ALWAYS] = [parameters.sample_prior(rng)[1:ALWAYS] for _ in found.coordinates]
+    return Identified(parameters, modes, found)

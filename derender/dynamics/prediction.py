@@ -15,6 +15,7 @@ from derender.dynamics.engine import Engine, Material
 from derender.dynamics.errors import LEVER, Scales, impulses, velocity_errors
 from derender.dynamics.inference import Identified
 from derender.dynamics.motion import Motion
+from derender.dynamics.parameters import CONTACT_TIMES
 from derender.dynamics.shooting import Shooting
 from derender.physics.mujoco_model import Diverged
 
@@ -101,7 +102,7 @@ class Lesson(NamedTuple):
 
     Attributes
     ----------
-    mean, variance : (P,) of log friction, restitution and the scales' logarithms.
+    mean, variance : (P,) of log friction, restitution, log contact time and the scales' logarithms.
     states : (T, 1, 13), an engine's interval apart.
     """
 
@@ -137,7 +138,7 @@ class Pooled(NamedTuple):
     Attributes
     ----------
     engine : of that body. size : its mean side, metres. films : how many taught.
-    mean : (P,) of friction's logarithm, restitution and the scales' logarithms, before the materials were weighed.
+    mean : (P,) as a lesson's, before the materials were weighed.
     materials : K of them, drawn about that mean. missed : (K,) m^2 by which the engine misses the films' ends, in sum.
     weights : (K,), normalised.
     """
@@ -168,7 +169,11 @@ def pool(lessons: Sequence[Lesson], engine: Engine, size: float, rng: np.random.
     """Return what films of one body tell together; at least two. See `Pooled`."""
     mean, variance = random_effects(*(np.array(part) for part in list(zip(*lessons, strict=True))[:2]))
     values = mean + np.sqrt(variance) * rng.standard_normal((CANDIDATES, len(mean)))
-    materials = [Material(float(np.exp(v[0])), float(np.clip(v[1], 0.0, 0.95)), engine.masses) for v in values]
+    times = np.clip(np.exp(values[:, 2]), *CONTACT_TIMES)
+    materials = [
+        Material(float(np.exp(v[0])), float(np.clip(v[1], 0.0, 0.95)), engine.masses, float(time))
+        for v, time in zip(values, times, strict=True)
+    ]
     missed = np.zeros(len(materials))
     for k, material in enumerate(materials):
         engine.tell(material)

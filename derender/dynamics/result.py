@@ -23,9 +23,9 @@ class Answer:
 
     Attributes
     ----------
-    draws : name -> (K,) or (K, 3) float64: friction, restitution, mass_ratio.OF.TO; velocity.NAME (m / s) and
-        angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact, error.steady and
-        error.tracking, the scales of `errors`.
+    draws : name -> (K,) or (K, 3) float64: friction, restitution, contact_time (s), mass_ratio.OF.TO; velocity.NAME
+        (m / s) and angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact,
+        error.steady, error.tracking and error.turning, the scales of `errors`.
     told : names of the numbers that the motion tells.
     """
 
@@ -46,7 +46,7 @@ class Answer:
         for k, name in enumerate(found.parameters.names):
             self.draws[f"velocity.{name}"] = states[:, k, 7:10]
             self.draws[f"angular_velocity.{name}"] = np.einsum("kij,kj->ki", turns[:, k], states[:, k, 10:])
-        for number, name in enumerate(("impact", "steady", "tracking")):
+        for number, name in enumerate(("impact", "steady", "tracking", "turning")):
             self.draws[f"error.{name}"] = np.exp(logarithms[:, number])
 
     def interval(self, name: str) -> tuple[float, float, float]:
@@ -61,6 +61,8 @@ class Answer:
         for name in self.told:
             mean, low, high = self.interval(name)
             said = {"mean": mean, "interval": [low, high]}
+            if name == "contact_time":  # of the model of a bounce, not of what a film is asked for
+                continue
             if name.startswith("mass_ratio."):
                 _, of, to = name.split(".")
                 ratios.append((high / low, {"of": of, "to": to, **said}))

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
 
-from derender.dynamics.engine import Engine
+from derender.dynamics.engine import SLIDING_RESTITUTION, Engine, Material
 from derender.dynamics.errors import LATE, LEVER, STEADY, Scales, impulses, velocity_errors
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.states import CHANGE, difference, from_poses, moved, turned_by
+from derender.dynamics.states import CHANGE, difference, from_poses, moved
 from derender.dynamics.support import FREE, flush, plane_under, ways_of
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
@@ -184,8 +184,7 @@ class Shooting:
             states[frame, k, :3] += raised * up
             if frame == 0:
                 offsets[k] = -raised * up
-        first = Path(states, states, offsets, np.asarray(coordinates, float))
-        return self.rolled(first)
+        return self.rolled(Path(states, states, offsets, np.asarray(coordinates, float)))
 
     def _first_speed(self, states: np.ndarray, frame: int, k: int) -> np.ndarray:
         """Return velocity and angular velocity (6,) of body k at a cut, by a parabola through the frames that follow.
@@ -198,15 +197,17 @@ class Shooting:
         way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]
         return np.linalg.lstsq(powers, way, rcond=None)[0][0] if count > 1 else np.zeros(6)
 
-    def rolled(self, path: Path, first: int = 0, bounces: float | None = None) -> Path:
+    def rolled(self, path: Path, first: int = 0, untold: Material | None = None) -> Path:
         """Return the path that the engine runs from the states at the cuts, anew from frame `first`.
 
-        bounces : a restitution that is told instead of the material's.
+        untold : a material whose restitution and contact time are taken instead of the path's.
         """
         material = self.parameters.material(path.coordinates)
+        if untold is not None:
+            material = material._replace(restitution=untold.restitution, contact_time=untold.contact_time)
         if not self.struck:  # restitution would only change how resting contacts rattle
-            bounces = 0.0
-        self.engine.tell(material if bounces is None else material._replace(restitution=bounces))
+            material = Material(material.friction, SLIDING_RESTITUTION, material.masses)
+        self.engine.tell(material)
         states, arrived = path.states.copy(), path.arrived.copy()
         rests = False
         for frame in range(first + 1, self.frames):
@@ -242,9 +243,9 @@ class Shooting:
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
         """Return tracked minus expected poses (T, N, 6), zero where unseen."""
-        shift = self.tracked[..., :3] - path.states[..., :3] - path.offsets
-        turn = turned_by(path.states[..., 3:7], self.tracked[..., 3:7])
-        return np.where(self.seen[..., None], np.concatenate([shift, turn], axis=-1), 0.0)
+        change = difference(path.states, self.tracked)[..., :6]
+        change[..., :3] -= path.offsets
+        return np.where(self.seen[..., None], change, 0.0)
 
     def defects(self, path: Path) -> np.ndarray:
         """Return the states minus where the engine arrives (T, N, 12); zero but at the cuts after the first frame."""
@@ -259,9 +260,9 @@ class Shooting:
         ----------
         sides : 2, or 1 for half the work and less accuracy.
         """
-        total = self.size + self.parameters.size
-        by_pose = np.zeros((self.frames, self.count, 6, total))
-        by_defect = np.zeros((self.frames, self.count, CHANGE, total))
+        by_pose, by_defect = (
+            np.zeros((self.frames, self.count, rows, self.size + self.parameters.size)) for rows in (6, CHANGE)
+        )
 
         def fill(column: int, frame: int, ways: list[Path], width: float) -> None:
             down, up = ways
@@ -284,7 +285,7 @@ class Shooting:
                 by_pose[:, k, axis, self.parts[-1].stop + 3 * k + axis] = -1.0 * self.seen[:, k]
         bounces = self.bounces(path)
         for number in range(self.parameters.size):
-            if number == 1 and not bounces:
+            if number in (1, 2) and not bounces:
                 continue
             step = np.zeros(self.parameters.size)
             step[number] = COORDINATE_STEP
@@ -340,7 +341,7 @@ class Shooting:
 
     def _weights(self, k: int, scales: Scales) -> np.ndarray:
         """Return by what each error of body k's poses is multiplied (F, 6); how a sphere turns is not seen at all."""
-        weights = np.full((len(self.noise[k]), 6), scales.tracking)
+        weights = np.tile(np.repeat([scales.tracking, scales.turning], 3), (len(self.noise[k]), 1))
         if self.bodies[k].kind == "sphere":
             weights[:, 3:] = 1.0
         return weights

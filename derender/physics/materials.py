@@ -41,24 +41,23 @@ def clamped_masses(bodies: Sequence[Body]) -> np.ndarray:
     return np.where(moves, np.maximum(masses, LEAST_MASS * masses.max(initial=0.0)), 0.0)
 
 
-def restitution_of(damping: float, frequency: float, step: float) -> float:
-    """Return which share of its speed a contact with a damping ratio gives back, as the engine steps it.
+def restitution_of(damping: np.ndarray | float, frequency: float, step: float) -> np.ndarray:
+    """Return which shares (...) of its speed contacts with damping ratios (...) give back, as the engine steps them.
 
     The contact is a damped spring that cannot pull, under gravity, stepped by semi-implicit Euler; in units of the
     smallest extent s and sqrt(s / g). Mean over the phases within a step at which the bounce begins.
     """
-    total = 0.0
-    for phase in range(PHASES):
-        speed = -CALIBRATION_SPEED
-        depth = speed * step * (phase + 0.5) / PHASES  # how far below the surface the first step in contact begins
-        for _ in range(MOST_STEPS):
-            force = max(-frequency * (frequency * depth + 2.0 * damping * speed), 0.0)
-            speed += step * (force - 1.0)
-            depth += step * speed
-            if depth >= 0.0:
-                break
-        total += max(speed, 0.0) if depth >= 0.0 else 0.0
-    return total / (PHASES * CALIBRATION_SPEED)
+    damping = np.asarray(damping, float)[..., None]
+    speed = np.full((*damping.shape[:-1], PHASES), -CALIBRATION_SPEED)
+    depth = speed * step * (np.arange(PHASES) + 0.5) / PHASES  # where the first step in contact begins
+    for _ in range(MOST_STEPS):
+        touching = depth < 0.0
+        if not touching.any():
+            break
+        force = np.maximum(-frequency * (frequency * depth + 2.0 * damping * speed), 0.0)
+        speed = np.where(touching, speed + step * (force - 1.0), speed)
+        depth = np.where(touching, depth + step * speed, depth)
+    return np.mean(np.where(depth >= 0.0, np.maximum(speed, 0.0), 0.0), axis=-1) / CALIBRATION_SPEED
 
 
 @lru_cache(maxsize=64)
@@ -69,7 +68,7 @@ def bounce_table(frequency: float, step: float) -> tuple[np.ndarray, np.ndarray]
     """
     highest = 0.5 * MOST_DAMPING_PER_STEP / (frequency * step)
     damping = highest * np.linspace(1.0, 0.0, BOUNCES) ** 2
-    restitution = np.maximum.accumulate([restitution_of(ratio, frequency, step) for ratio in damping])
+    restitution = np.maximum.accumulate(restitution_of(damping, frequency, step))
     return restitution, damping
 
 

@@ -139,6 +139,7 @@ class World:
         self._hardness, self._across = MOVING if self._slides else RESTING
         self._rough = [body.friction for body in matter.bodies]
         self._bouncy = [body.elasticity for body in matter.bodies]
+        self._bouncing = BOUNCING_STIFFNESS
         self._geom_names: list[list[str]] = []  # of each body: of its convex pieces
         self.spec = self._spec(masses, sleeping)
         self.model = self.spec.compile()
@@ -197,11 +198,6 @@ class World:
         if any(self.data.warning[kind].number for kind in BROKEN) or not np.isfinite(self.data.qpos).all():
             raise Diverged
 
-    def acceleration(self) -> float:
-        """Return the greatest acceleration of a body's centre, m / s^2."""
-        moving = self.data.qacc.reshape(-1, 6)
-        return float(np.linalg.norm(moving[:, :3], axis=1).max(initial=0.0)) * self.units.length / self.units.time**2
-
     def set_gravity(self, gravity: np.ndarray) -> None:
         """Set gravity (3,), m / s^2 in the frame of the scene."""
         self.model.opt.gravity[:] = np.asarray(gravity) * (self.units.time**2 / self.units.length)
@@ -242,8 +238,12 @@ class World:
         mujoco.mj_setConst(self.model, self.data)
         self._set_impedance()
 
-    def set_materials(self, friction: Mapping[str, float | None], elasticity: Mapping[str, float]) -> None:
-        """Set the friction and elasticity of some bodies."""
+    def set_materials(
+        self, friction: Mapping[str, float | None], elasticity: Mapping[str, float], contact_time: float | None = None
+    ) -> None:
+        """Set the friction and elasticity of some bodies, and seconds that bounces take (None: some 20 steps)."""
+        if contact_time is not None:
+            self._bouncing = min(np.pi * self.timestep / contact_time, STIFFNESS)
         self._rough = [friction.get(name, value) for name, value in zip(self.names, self._rough, strict=True)]
         self._bouncy = [elasticity.get(name, value) for name, value in zip(self.names, self._bouncy, strict=True)]
         self._set_materials()
@@ -306,7 +306,7 @@ class World:
 
     def _spring(self, elasticity: float) -> list[float]:
         """Return MuJoCo's direct contact parameters, minus stiffness and minus damping, for a restitution."""
-        share = BOUNCING_STIFFNESS if elasticity > 0 else STIFFNESS
+        share = self._bouncing if elasticity > 0 else STIFFNESS
         frequency, step = share / self._step, self._step / self._slow
         return [-(frequency**2), -2.0 * bounce_damping(elasticity, share / step, step) * frequency]
 

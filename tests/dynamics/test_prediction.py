@@ -36,7 +36,7 @@ def test_errors_of_the_engine_spread_where_things_end():
     material = Material(0.3, 0.0, engine.masses)
 
     def spread(steady):
-        scales = Scales(0.1, steady, 1.0)
+        scales = Scales(0.1, steady, 1.0, 1.0)
         return np.std([come_to_rest(engine, sizes, start(0.6), material, 30, scales, rng)[0, 0] for _ in range(20)])
 
     assert spread(0.1) > 4 * spread(0.01) > 0

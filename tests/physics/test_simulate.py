@@ -19,6 +19,12 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 FLOOR = Body("floor", "plane", np.zeros(3), np.eye(4))
 
 
+def acceleration(world):
+    """Return the greatest acceleration of a body's centre, m / s^2."""
+    moving = np.linalg.norm(world.data.qacc.reshape(-1, 6)[:, :3], axis=1)
+    return moving.max() * world.units.length / world.units.time**2
+
+
 def cube(name, x, z, side=0.1, y=0.0, **more):
     return Body(name, "box", np.full(3, side), translation(x, y, z), **more)
 
@@ -95,7 +101,7 @@ def test_contacts_of_the_graph_are_kept_from_the_first_step(gap):
     world = World(scene)
     before = world.poses()
     # No jump: no acceleration worth a fiftieth of gravity, where a free body would have all of it.
-    assert world.acceleration() < 0.02 * 9.81
+    assert acceleration(world) < 0.02 * 9.81
     world.step()
     assert np.abs(world.poses() - before)[:, :3, 3].max() < 2e-7
     world.step(1000)
@@ -104,7 +110,7 @@ def test_contacts_of_the_graph_are_kept_from_the_first_step(gap):
     if gap:
         loose = World(scene._replace(supports=()), keep_contacts=False)
         loose.step()
-        assert loose.acceleration() > 1.0
+        assert acceleration(loose) > 1.0
 
 
 def test_an_upright_cylinder_stays_upright_however_the_camera_is_turned():
