@@ -50,8 +50,10 @@ from derender.structures.draws.sensor import (
     noise_of,
 )
 from derender.structures.draws.steps import (
+    WIDER,
     Step,
     block_steps,
+    floor_step,
     make_proposals,
     own_members,
     single_steps,
@@ -226,6 +228,18 @@ def test_steps_drawn_to_a_normal_leave_the_density_as_it_is(part):
     assert kstest(drawn(step), "norm").pvalue > 1e-3
     broken = step._replace(pull=4.0 * pull)  # which is not the inverse of the matrix
     assert kstest(drawn(broken), "norm").pvalue < 1e-6
+
+
+def test_a_floor_that_takes_all_else_along_leaves_a_normal_as_it_is():
+    """Along its own coordinates the normal is WIDER, given them as it was: q' = M q + scale F z leaves that."""
+    mixed = np.random.default_rng(5).standard_normal((9, 9))
+    covariance = mixed @ mixed.T + 0.1 * np.eye(9)
+    step = floor_step(covariance, 1, np.zeros(9))
+    narrow, pull = step.matrix / WIDER, step.pull
+    wide = covariance + (WIDER**2 - 1.0) * narrow @ narrow.T
+    kept = np.eye(9) + (np.sqrt(1.0 - 0.6**2) - 1.0) * step.matrix @ pull
+    assert np.allclose(kept @ wide @ kept.T + 0.6**2 * step.matrix @ step.matrix.T, wide)
+    assert np.allclose(pull @ step.matrix, np.eye(3)) and np.allclose(pull @ wide @ pull.T, np.eye(3))
 
 
 def test_steps_of_one_top_leave_those_above_where_they_are():
