@@ -50,6 +50,7 @@ from derender.structures.draws.sensor import (
     noise_of,
 )
 from derender.structures.draws.steps import (
+    FLOOR_SHARE,
     WIDER,
     Step,
     block_steps,
@@ -392,13 +393,13 @@ def test_nothing_leans_on_a_support_of_negative_extent():
     assert solid_log_prior(chart, rows_at(chart, values), 1) == -np.inf
 
 
-def test_the_floor_is_moved_a_quarter_as_often_as_each_solid():
+def test_the_floor_is_moved_less_often_than_each_solid():
     chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
     for steps, total in ((single_steps(chart), 1.0), (block_steps(chart, 1e-6 * np.eye(len(values))), 2.0)):
-        floor = np.array([step.members[0] >= len(values) - 3 for step in steps])
+        floor = np.array([step.members[-1] >= len(values) - 3 for step in steps])
         weights = np.array([step.weight for step in steps])
         assert weights.sum() == pytest.approx(total)
-        np.testing.assert_allclose(weights[floor].mean(), 0.25 * weights[~floor])
+        np.testing.assert_allclose(weights[floor].mean(), FLOOR_SHARE * weights[~floor])
 
 
 def test_densities_of_what_moves_are_those_of_all():
