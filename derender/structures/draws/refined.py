@@ -20,7 +20,7 @@ from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.faces import true_faces
+from derender.structures.draws.faces import lost_at_edges, true_faces
 from derender.structures.draws.metropolis import (
     Draws,
     ascend,
@@ -274,11 +274,12 @@ def structure_posterior(rng, refined, names, weight, chains: list[Draws]):
         values[best] = refined.values
         densities[best] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
-    likeliest = true_faces(None, chart, values[best][None])
-    values = true_faces(rng, chart, values.reshape(-1, size)).reshape(values.shape)
+    lost = lost_at_edges(refined)
+    likeliest = true_faces(None, chart, values[best][None], lost)
+    values = true_faces(rng, chart, values.reshape(-1, size), lost).reshape(values.shape)
     values[best] = likeliest[0]
     state = refined_at(
-        refined.state, chart, true_faces(None, chart, refined.values[None])[0], refined.sensor, 0, 0
+        refined.state, chart, true_faces(None, chart, refined.values[None], lost)[0], refined.sensor, 0, 0
     ).state
     graph = scene_graph(state, floor_pose_of(refined), names, chart.floating)
     addresses, numbers, periods, root = numbers_of_draws(chart, values.reshape(-1, size), graph, names)
