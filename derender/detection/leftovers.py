@@ -7,6 +7,7 @@ only, be it a solid that fits or a free-form thing.
 
 import numpy as np
 
+from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
 from derender.detection.search.greedy import complexity, sweep, total_energy, try_cubes
@@ -15,12 +16,11 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import held_out, run_polish
 from derender.detection.solids.support import assign_supports
-from derender.detection.things import BAD, ENDS, INNER, LARGEST, cost_of, support_of
+from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, cost_of, share_over, support_of
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least
 LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
-NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
 ROUNDS, YAWS = 200, 6  # of polishing a solid in its place; ways in which a box is turned at first
 
 
@@ -45,10 +45,15 @@ def leftovers(rng, seen, state, settings):
         if (
             existence_of(seen, mask, gain, settings)[0] > LEAST_EXISTENCE
             and interior(mask).sum() >= INNER * mask.sum()
-            and high[2] > max(LEFT_HEIGHT, settings.uneven)
+            and high[2] > max(LEFT_HEIGHT * seen.scale, settings.uneven)
             and max(high[:2] - low[:2]) < LARGEST
-            and not goes_on(seen.points, mask, shows, cost.normal, jump)
         ):
+            if goes_on(seen.points, mask, shows, cost.normal, jump):
+                part = goes_on_from(seen, state, mask)
+                if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH:
+                    state, more = joined(seen, state, (part,), mask, gain)
+                    found += more
+                continue
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers[mask].sum())
             if cheaper > 0.0 and gained > settings.temper * LEFT_LEAST:
@@ -57,22 +62,6 @@ def leftovers(rng, seen, state, settings):
             found.append((mask, gain))
             image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return state, found
-
-
-def goes_on(points, mask, shows, normal, jump):
-    """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
-
-    mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
-    """
-    outline = convex = 0
-    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        edge = mask & ~np.roll(mask, way, axis)
-        apart = np.roll(points, NEXT * way, axis) - points
-        turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
-        joined = np.linalg.norm(apart, axis=2) < NEXT * jump
-        outline += edge.sum()
-        convex += (edge & np.roll(shows, NEXT * way, axis) & joined & (turn > 0.0)).sum()
-    return convex > GOES_ON * outline
 
 
 def interior(mask):

@@ -21,19 +21,21 @@ from derender.detection.search.observation import HIDDEN_FLOOR
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import make_row, rotation_of
-from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
+from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
-from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, held_out
-from derender.detection.solids.support import flat_top, shares_of_load
+from derender.detection.solids.support import flat_top
 from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
-from derender.scene.solids import BOX, SPHERE
+from derender.scene.solids import BOX
 
 PATCH = 0.03  # metres over which household surfaces bend little
 NUMBER = 2.3  # nats: log 10
-EDGE = 23.0  # nats against PATCH metres of a concave edge within one thing: handles and necks have less than twice that
+# Nats against PATCH metres of a concave edge within one thing that is seen from USUAL metres, less of one that is seen
+# from nearer: handles and necks have less than twice that.
+EDGE = 23.0
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
 FEWEST = 12  # pixels of a thing
@@ -44,13 +46,8 @@ ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying 
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
 AROUND = 36  # points of a circle
-# Of its height, and in metres: a box so thin, with nothing to lean on, falls at a tilt of eleven degrees, and there are
-# few such things in a household.
-SHEET, THIN = 0.2, 0.015
-SUNK = 0.15  # share of a ball's diameter that lies in others, from which on it is none
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
 DEPTH, SHALLOW = 0.7, 0.35
-HELD = 0.01  # metres between solids that are parts of one
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 
 
@@ -223,7 +220,7 @@ def pieces_of(seen, state, cost, jump, settings):
     if count == 0:
         return [], 0.0
     price = complexity(BOX, UPRIGHT, False, settings)
-    nats = settings.temper * EDGE / PATCH
+    nats = settings.temper * EDGE / (PATCH * seen.scale)
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
     owner = joined(seen.points, label, count, edges, price, nats, image.origin, area)
     thing = np.append(owner, -1)[label]  # of each pixel
@@ -242,7 +239,7 @@ def pieces_of(seen, state, cost, jump, settings):
         mask = thing == k
         points = seen.points[mask]
         low, high = np.quantile(points, [ENDS, 1.0 - ENDS], axis=0)
-        if high[2] < max(LEAST_HEIGHT, settings.uneven) or max(high[:2] - low[:2]) > LARGEST:
+        if high[2] < max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) > LARGEST:
             continue
         found.append((mask, float(gain[k])))
         total += float(gain[k])
@@ -284,63 +281,6 @@ def without_background(seen, state, masks):
     return seen._replace(behind=behind | gone), subset(state, keep), left
 
 
-def compounds(seen, state):
-    """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
-
-    A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
-    a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge.
-    """
-    image, found = seen.image, []
-    while (parts := held_by_another(state) or falling(state)) is not None:
-        _, label, misfit, _ = held_out(image, state, -1)
-        mask = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
-        state = subset(state, set(range(len(state))) - set(parts))
-        if mask.sum() >= FEWEST:
-            found.append((mask, float((held_out(image, state, -1)[2] - misfit)[mask].sum())))
-            image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
-    return state, found
-
-
-def falling(state):
-    """Return (i,), a solid with nothing on it that could not be as it is; else None.
-
-    A box on an edge or as a thin sheet: whatever shows so much of one face alone ends in another shape behind it. A
-    ball that is sunk in what it stands on: it is a dome.
-    """
-    for i, row in enumerate(state.rows):
-        others = [k for k in range(len(state)) if k != i]
-        if i in (state.parents[k] for k in others):
-            continue
-        if int(row[0]) == SPHERE:
-            depths = [-lowest(row), *(penetration(row, state.rows[k]) for k in others)]
-            if max(depths) > max(SUNK * row[13], HELD):
-                return (i,)
-        if int(row[0]) != BOX:
-            continue
-        if state.forms[i] == FREE:
-            if not shares_of_load(state.rows, i, HELD):
-                return (i,)
-        elif row[13:15].min() < min(SHEET * row[15], THIN) and all(
-            gap_between(row, state.rows[k]) > HELD for k in others
-        ):
-            return (i,)
-    return None
-
-
-def held_by_another(state):
-    """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it."""
-    for i, row in enumerate(state.rows):
-        if not np.isnan(state.bottoms[i]) or lowest(row) < LEAST_HEIGHT:
-            continue
-        others = {*state.parents[:i], *state.parents[i + 1 :]}
-        for j, other in enumerate(state.rows):
-            if j == i or {i, j} & others or flat_top(other):
-                continue
-            if state.parents[i] == j or gap_between(row, other) < HELD:
-                return i, j
-    return None
-
-
 def support_of(points, state):
     """Return (FLOOR or the index of the solid that points (K, 3) stand on, its height)."""
     low = float(np.quantile(points[:, 2], ENDS))
@@ -349,10 +289,15 @@ def support_of(points, state):
         top = highest(row)
         if not flat_top(row) or abs(low - top) > NEAR_TOP or top < bottom:
             continue
-        local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
-        if (local <= 0.5 * row[13:15]).all(axis=1).mean() > BENEATH:
+        if share_over(points, row) > BENEATH:
             parent, bottom = k, top
     return parent, bottom
+
+
+def share_over(points, row):
+    """Return the share of points (K, 3) that lie over or under an upright solid."""
+    local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
+    return (local <= 0.5 * row[13:15]).all(axis=1).mean()
 
 
 def made_thing(seen, state, mask, existence):

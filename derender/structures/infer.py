@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from derender.detection.compounds import compounds
 from derender.detection.existence import returns_about
 from derender.detection.floor import read_floor, sensor_deviation
 from derender.detection.freestanding import freestanding
@@ -21,7 +22,7 @@ from derender.detection.solids.beliefs import bare_image, beliefs_of
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.solids.support import final_parents
-from derender.detection.things import compounds, likely_things, take_things, without_background
+from derender.detection.things import likely_things, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
 from derender.scene.pose import inverse
@@ -42,7 +43,7 @@ FILLED = 0.4  # share of the image from which on solids are so near that half th
 def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, plane=None):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
 
-    plane : the floor as it is given, see detection.floor.read_floor; None: find it.
+    plane : the floor as it is given, see bottom_up.given_floor; None: find it.
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     seen = observe(depth, camera, widest, plane, settings.may_float)
@@ -86,8 +87,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
         if seen.correlation > CORRELATED:
             seen, state, masks = without_background(seen, state, masks)
             state.parents = final_parents(state)
-            state, more = compounds(seen, state)
-            masks += more
+            state, masks = compounds(seen, state, masks)
     state.parents = final_parents(state)
     state = state.ordered()
     seen, things = likely_things(seen, state, masks, settings)

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, seen_on_the_table
 
+from derender.detection.compounds import falling, goes_on, held_by_another, neck
 from derender.detection.existence import outstanding
-from derender.detection.leftovers import goes_on, interior
+from derender.detection.leftovers import interior
 from derender.detection.search.bodies import APART
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
@@ -17,7 +18,7 @@ from derender.detection.solids.image import make_image, make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import falling, held_by_another, made_thing
+from derender.detection.things import made_thing
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
@@ -126,6 +127,20 @@ def test_what_is_held_by_a_round_side_is_part_of_it():
     assert held_by_another(lying.add(apart, UPRIGHT, False)) is None  # it hangs over nothing
     box = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.03]), np.array([0.1, 0.1, 0.06]))
     assert held_by_another(State().add(box, UPRIGHT, False, FLOOR, 0.0).add(handle, UPRIGHT, False)) is None
+
+
+def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
+    def cylinder(x, bottom, across, height):
+        return make_row(
+            CYLINDER, np.eye(3), np.array([x, 0.0, bottom + 0.5 * height]), np.array([across, across, height])
+        )
+
+    body = State().add(cylinder(0.0, 0.0, 0.08, 0.15), UPRIGHT, False, FLOOR, 0.0)
+    assert neck(body.add(cylinder(0.005, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)) == (1, 0)
+    assert neck(body.add(cylinder(0.025, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)) is None  # off its axis
+    assert neck(body.add(cylinder(0.005, 0.15, 0.07, 0.04), UPRIGHT, False, 0, 0.15)) is None  # a can on a can
+    capped = body.add(cylinder(0.0, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)
+    assert neck(capped.add(cylinder(0.0, 0.19, 0.03, 0.04), UPRIGHT, False, 1, 0.19)) is None  # it bears another
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():

@@ -42,6 +42,7 @@ SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
 NO_FLOOR = 6.0  # standard deviations of consumer sensors by which a floor is off its plane at most
 TOLERANCE = 0.008  # metres off a plane, as it is seen at first, that points on it may be
 LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
+USUAL = 0.8  # metres from which household things are looked at; from nearer, smaller ones
 
 
 class Observation(NamedTuple):
@@ -87,6 +88,12 @@ class Observation(NamedTuple):
     interrupted: bool = False
     agreed: bool = True
 
+    @property
+    def scale(self):
+        """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
+        good = self.image.weight > 0
+        return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
+
 
 class Support(NamedTuple):
     """A plane that is taken for the floor because another one, or others, are so already.
@@ -105,7 +112,7 @@ class Support(NamedTuple):
 def observe(depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
-    plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
+    plane : the floor as it is given, see given_floor.read_floor, or a Support; None: find it.
     floating : whether solids may hang in the air.
     """
     rounding = rounding_of(depth)
@@ -175,7 +182,7 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False,
     sigma = noise_map(depth, even, camera)
     correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
     if correlation > CORRELATED:
-        sigma = np.hypot(sigma, bare_image().loose.faces)
+        sigma = np.hypot(sigma, np.fmin(bare_image().loose.faces, sensor_deviation(depth)))
     blur = estimate_blur(depth, sigma)
     image = make_image(depth, sigma, camera, floor.pose, blur)
     wall = raise_wall(image)

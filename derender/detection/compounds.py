@@ -1,0 +1,218 @@
+"""What moves as one: solids and free-form things that are parts of one object become one free-form thing.
+
+A mallet's handle, a bottle's neck, a mug's handle, a carton's gable: each shows as a solid or a thing of its own, which
+could not be where it is, or hardly ever is, unless it were a part of what it touches.
+"""
+
+import numpy as np
+
+from derender.detection.freestanding import NEARER, outline_shares
+from derender.detection.local_planes import local_planes
+from derender.detection.search.bodies import APART
+from derender.detection.search.proposals import smallest_rectangle
+from derender.detection.segments import TIGHT
+from derender.detection.solids.image import rotation_of
+from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
+from derender.detection.solids.misfit import AS_SEEN, LIMIT
+from derender.detection.solids.polish import FREE
+from derender.detection.solids.state import FLOOR, held_out
+from derender.detection.solids.support import flat_top, shares_of_load
+from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, subset, support_of
+from derender.scene.pose import rotation_z
+from derender.scene.solids import BOX, CYLINDER, SPHERE
+
+# Of its height, and in metres: a box so thin, with nothing to lean on, falls at a tilt of eleven degrees, and there are
+# few such things in a household.
+SHEET, THIN = 0.2, 0.015
+SUNK = 0.15  # share of a ball's diameter that lies in others, from which on it is none
+HELD = 0.01  # metres between solids that are parts of one
+TILTED = np.cos(np.radians(10.0))  # of a solid's axis nearest to the vertical: it stands on an edge or a corner
+# Of the lower one's diameter, and of its radius: a cylinder on another that is so narrow and so near its axis is the
+# neck of a bottle.
+NECK, COAXIAL = 0.6, 0.5
+HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
+NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
+HIDDEN = 0.05  # share of a thing's outline beyond which something nearer may hide its foot
+HANDLE = 0.25  # share of a solid's pixels that its handle shows in at most
+SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly stand on its end
+JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
+
+
+def compounds(seen, state, masks):
+    """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
+
+    A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
+    a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge. What hangs
+    in the air is a handle of what it goes on from.
+
+    masks : [(mask, gain)] of free-form things.
+    """
+    masks, jump = list(masks), np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state, jump):
+        state, found = joined(seen, state, parts)
+        masks += found
+    for k in range(len(masks)):
+        if (part := hangs_on(seen, state, masks[k][0])) is not None:
+            state, found = joined(seen, state, (part,), *masks[k])
+            masks[k] = found[0]
+    return state, masks
+
+
+def joined(seen, state, parts, piece=None, gain=0.0):
+    """Return (State without some solids, [(mask, gain)]) with what they show as one free-form thing, if it is seen.
+
+    parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already, and its gain.
+    """
+    image = seen.image
+    _, label, misfit, _ = held_out(image, state, -1)
+    mask = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
+    if piece is not None:
+        mask = mask & ~piece
+    state = subset(state, set(range(len(state))) - set(parts))
+    gain += float((held_out(image, state, -1)[2] - misfit)[mask].sum())
+    whole = mask if piece is None else mask | piece
+    if whole.sum() < FEWEST:
+        return state, []
+    image.floor[whole] = image.depth[whole] + 0.5 * AS_SEEN
+    return state, [(whole, gain)]
+
+
+def alone_on(state, i):
+    """Return (j,), the solid on which a solid stands alone, that bears nothing itself; () where there is none."""
+    j = state.parents[i]
+    return () if j == FLOOR or i in state.parents or state.parents.count(j) > 1 else (j,)
+
+
+def falling(state):
+    """Return (i,), a solid with nothing on it that could not be as it is; else None.
+
+    A box on an edge or as a thin sheet: whatever shows so much of one face alone ends in another shape behind it. A
+    ball that is sunk in what it stands on: it is a dome.
+    """
+    for i, row in enumerate(state.rows):
+        others = [k for k in range(len(state)) if k != i]
+        if i in state.parents:
+            continue
+        if int(row[0]) == SPHERE:
+            depths = [-lowest(row), *(penetration(row, state.rows[k]) for k in others)]
+            if max(depths) > max(SUNK * row[13], HELD):
+                return (i,)
+        if int(row[0]) != BOX:
+            continue
+        if state.forms[i] == FREE:
+            if not shares_of_load(state.rows, i, HELD):
+                return (i,)
+        elif row[13:15].min() < min(SHEET * row[15], THIN) and all(
+            gap_between(row, state.rows[k]) > HELD for k in others
+        ):
+            return (i,)
+    return None
+
+
+def tilted(row):
+    """Return whether a box or a cylinder neither stands nor lies: one flat top could not hold it as it is."""
+    up = np.abs(rotation_of(row)[2])
+    return (max(up) if int(row[0]) == BOX else max(up[2], np.hypot(up[0], up[1]))) < TILTED
+
+
+def held_by_another(state):
+    """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it."""
+    for i, row in enumerate(state.rows):
+        if not np.isnan(state.bottoms[i]) or lowest(row) < LEAST_HEIGHT:
+            continue
+        others = {*state.parents[:i], *state.parents[i + 1 :]}
+        for j, other in enumerate(state.rows):
+            if j == i or {i, j} & others or flat_top(other):
+                continue
+            if state.parents[i] == j or gap_between(row, other) < HELD:
+                return i, j
+    return None
+
+
+def neck(state):
+    """Return (i, j), a narrow cylinder, nothing on it, and the upright wide one about whose axis alone it stands."""
+    for i, row in enumerate(state.rows):
+        for j in alone_on(state, i):
+            other = state.rows[j]
+            if (
+                int(row[0]) == int(other[0]) == CYLINDER
+                and flat_top(other)
+                and row[13] < NECK * other[13]
+                and np.hypot(*(row[10:12] - other[10:12])) < 0.5 * COAXIAL * other[13]
+            ):
+                return i, j
+    return None
+
+
+def gable(seen, state, jump):
+    """Return (i, j), a tilted solid and what alone bears it, from which it goes on across a convex edge; else None."""
+    normal, label = None, held_out(seen.image, state, -1)[1]
+    for i, row in enumerate(state.rows):
+        for j in alone_on(state, i):
+            if state.forms[i] != FREE or not tilted(row):
+                continue
+            if normal is None:
+                normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
+            if goes_on(seen.points, label == i, label == j, normal, jump):
+                return i, j
+    return None
+
+
+def hangs_on(seen, state, mask):
+    """Return the solid, nothing on it, of which a thing, smaller or a rod on it, is a part that hangs in the air.
+
+    mask : (H, W) bool, the thing's pixels.
+    """
+    points = seen.points[mask]
+    ends = np.quantile(points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], [ENDS, 1.0 - ENDS], axis=0)
+    low, size = ends[0, 2], np.ptp(ends, axis=0)
+    bottom, slack = support_of(points, state)[1], HANGS * size[2]
+    if low - bottom < slack or hidden_share(seen, mask) > HIDDEN:
+        return None
+    rod = size[:2].min() < SLENDER * size[2]
+    below = [k for k, row in enumerate(state.rows) if rod and abs(highest(row) - low) < slack]
+    part = goes_on_from(seen, state, mask, below)
+    if part is None or part in below:
+        return part
+    return part if mask.sum() < HANDLE * (held_out(seen.image, state, -1)[1] == part).sum() else None
+
+
+def hidden_share(seen, mask):
+    """Return the share of a mask's outline beyond which something nearer is seen."""
+    good, piece = seen.image.weight > 0, np.where(mask, 0, -1).astype(np.int32)
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
+    return outline_shares(piece, 1, seen.points, good, jump, seen.footprint, seen.image.origin)[0][NEARER]
+
+
+def goes_on(points, mask, shows, normal, jump):
+    """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
+
+    mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
+    """
+    outline = convex = 0
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        edge = mask & ~np.roll(mask, way, axis)
+        apart = np.roll(points, NEXT * way, axis) - points
+        turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
+        joined = np.linalg.norm(apart, axis=2) < NEXT * jump
+        outline += edge.sum()
+        convex += (edge & np.roll(shows, NEXT * way, axis) & joined & (turn > 0.0)).sum()
+    return convex > GOES_ON * outline
+
+
+def goes_on_from(seen, state, mask, first=()):
+    """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does."""
+    label = held_out(seen.image, state, -1)[1]
+    jump = TIGHT * (APART * seen.footprint + 3.0 * seen.sigma)
+    outline, touched = 0, np.zeros(max(len(state), 1), int)
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        edge = mask & ~np.roll(mask, way, axis)
+        near = np.linalg.norm(np.roll(seen.points, way, axis) - seen.points, axis=2) < jump
+        outline += int(edge.sum())
+        solid = np.where(near, np.roll(label, way, axis), -1)[edge]
+        touched += np.bincount(solid[solid >= 0], minlength=len(touched))
+    below = [k for k in first if touched[k]]
+    if below:
+        touched = np.where(np.isin(np.arange(len(touched)), below), touched, 0)
+    k = int(np.argmax(touched))
+    return k if touched[k] > JOINT * outline and k not in state.parents else None
