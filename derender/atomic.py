@@ -88,7 +88,12 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """
     try:
         with _own_folder(folder) as temporary:
-            yield temporary
+            try:
+                yield temporary
+            except DerenderError as error:  # of a file in the folder: named as it would have been called
+                if not isinstance(error.where, Path) or error.where.parent != temporary:
+                    raise
+                raise DerenderError(error.what, folder / error.where.name, error.remedy) from None
             written = sorted(temporary.iterdir())
             for name in names:
                 if (folder / name).is_dir():

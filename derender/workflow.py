@@ -154,6 +154,8 @@ def answer(
     warn: Say = silent,
 ) -> Outcome:
     """Infer what was asked and write it into a folder; started : when, of the monotonic clock, where that is told."""
+    from derender.sampling.workers import interruptible
+
     options, began = request.options, time.monotonic() if started is None else started
     keeps = has_objects(request.document) or options.method in ("mcmc", "smc")  # checkpoints
     if options.resume and keeps and not (folder / "checkpoint").exists():
@@ -171,10 +173,12 @@ def answer(
                 command,
             )
             posterior = replace(posterior, command=command, meta={**posterior.meta, "image": request.image})
-            return write_results(
-                folder, posterior, request.seen, likelihood, request.made, len(posterior.meta["lost_chains"]),
-                time.monotonic() - began, page, started is not None, request.home,
-            )  # fmt: skip
+            with interruptible() as stop:  # what was inferred is written, whoever loses patience now
+                outcome = write_results(
+                    folder, posterior, request.seen, likelihood, request.made, len(posterior.meta["lost_chains"]),
+                    time.monotonic() - began, page, started is not None, request.home,
+                )  # fmt: skip
+            return replace(outcome, interrupted=outcome.interrupted or stop.is_set())
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and (folder / "checkpoint").exists():
             say(f"the work so far is in {folder / 'checkpoint'}: the same command with --resume goes on")

@@ -35,7 +35,7 @@ STEPS = ("tests/sampling/test_metropolis.py",)
 SMC = ("tests/posterior/test_smc.py", *STEPS)
 RELATIONS = ("tests/structures/test_relations.py",)
 SCORE = ("tests/render/test_likelihoods.py", "tests/render/test_engine.py")
-PHYSICS = ("tests/physics/test_trajectory.py", "tests/physics/test_simulate.py")
+PHYSICS = ("tests/physics/test_verdict.py", "tests/physics/test_simulate.py")
 
 
 class Mutation(NamedTuple):

@@ -138,3 +138,9 @@ def test_many_writers_at_once_all_end_with_a_whole_set(tmp_path):
     for thread in threads:
         thread.join()
     assert not faults and sorted(os.listdir(tmp_path)) == ["a", "b"]
+
+
+def test_a_file_that_cannot_be_written_is_named_as_it_would_have_been_called(tmp_path):
+    with pytest.raises(DerenderError) as fault, files_together(tmp_path, ("a",)) as place:
+        raise DerenderError("cannot be written: No space left on device", place / "a", "choose another place")
+    assert fault.value.where == tmp_path / "a" and os.listdir(tmp_path) == []

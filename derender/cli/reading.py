@@ -100,7 +100,8 @@ def read_source(path: str, seed: int) -> Source:
         found = read_scene(path)
         posterior = found.posterior
         if posterior is not None:
-            return Source(found.graph, found.camera, True, lambda rng, count: _chunks(posterior, rng, count))
+            uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
+            return Source(found.graph, found.camera, uncertain, lambda rng, count: _chunks(posterior, rng, count))
         return Source(found.graph, found.camera, False, lambda rng, count: iter([found.graph] * count))
     named = path in built_in_priors() and not folder.exists()
     document = read_prior_document(path) if named else read_document(path)

@@ -74,7 +74,7 @@ def _spread_within(square, spread):
 
 
 # Median share of a step that leaks across it, by the blur's standard deviation in pixels: measured on ideal steps in
-# all directions (tests/detection/test_sharpness.py makes them again).
+# all directions (tests/detection/test_noise.py makes them again).
 SIGMAS = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 LEAKS = (0.0, 0.005, 0.039, 0.119, 0.194, 0.249, 0.278)
 LEAST_STEP = 30.0  # standard deviations of the noise: smaller steps tell little

@@ -139,7 +139,7 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     if told or not rows:
         return told + notes
     if worst is None or least is None:  # no two chains to compare
-        return ["nothing speaks against this scene; how sure it is only draws would tell", *notes]
+        return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]
     largest, smallest = limits(worst["draws"].size)
     agreement = (
         f"the chains agree: R-hat is at most {worst['r_hat']:.3f} (good up to {largest}), effective draws are at least "

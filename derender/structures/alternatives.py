@@ -1,7 +1,7 @@
 """Structures besides the best one, and how probable each is: integrals of prior times likelihood, from draws.
 
 A change of one solid is weighed with the others held at the mode: the two integrals are over that solid's coordinates
-alone (`refined.local_evidence`). Structures that differ in more, as the search met them, are weighed by the integral
+alone (`weighing.evidence_over`). Structures that differ in more, as the search met them, are weighed by the integral
 over everything. What a solid's coordinates cost (its sizes' and places' densities) is in the prior (`chart.log_prior`),
 so the ratio of integrals holds the Occam factor, and no price has to be set.
 """

@@ -40,7 +40,7 @@ from derender.structures.weighing import Weighed, made_sure, surest, surest_of_e
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
 MOST_MERGES, MOST_CUTS = 4, 3
 AHEAD = THREADS  # solids whose changes are weighed side by side, in vain after one that leads to a better structure
-WORTH_DRAWING = 0.01  # weight of a structure that gets draws of its own, not its mode alone
+WORTH_DRAWING = 0.05  # weight of a structure that gets draws of its own, not its mode alone
 # Structures less probable than the best by more than this many nats are not reported; how many are, at most.
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
 

@@ -43,7 +43,7 @@ FILLED = 0.4  # share of the image from which on solids are so near that half th
 def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, plane=None):
     """Return (state, observation): the best explanation of a depth image (H, W) in metres, NaN = no return.
 
-    plane : the floor as it is given, see bottom_up.given_floor; None: find it.
+    plane : the floor as it is given, see detection.floor.read_floor; None: find it.
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
     seen = observe(depth, camera, widest, plane, settings.may_float)

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from on_floor import cube, on_floor
 
+from derender import workflow
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
 from derender.cli import _end_as_ctrl_c
@@ -18,6 +19,7 @@ from derender.cli.infer import command
 from derender.cli.options import Duration
 from derender.detection.search import searches
 from derender.render.raycast.depth import render_depth
+from derender.report.result_folder import write_results
 from derender.structures import graph_posterior
 
 CAMERA = Camera.from_field_of_view(80, 60)
@@ -49,6 +51,18 @@ def test_the_best_scene_so_far_is_written(image, tmp_path, monkeypatch, place, n
     sizes = [item["size"] for item in summary["scene"]["objects"] if item["size"]]
     assert len(sizes) == 1 and np.allclose(sizes[0], 0.1, atol=0.01)
     assert (out / "labels.png").exists() and (out / "report.html").exists()
+
+
+def test_what_was_inferred_is_written_though_someone_interrupts_the_writing(image, tmp_path, monkeypatch):
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return write_results(*arguments)
+
+    monkeypatch.setattr(workflow, "write_results", interrupted)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(command, [str(image), "--quick", "-o", str(out)], standalone_mode=False)
+    assert result.return_value == 130
+    assert json.loads((out / "summary.json").read_text())["interrupted"] is False and (out / "report.html").exists()
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")

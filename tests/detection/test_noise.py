@@ -1,9 +1,15 @@
-"""The noise of depths from residuals."""
+"""The noise of depths from residuals; the blur that an image shows, and the search's misfit under it."""
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from derender.detection.noise import noise_of, spread_of
+from derender.detection.noise import estimate_blur, noise_of, spread_of
+from derender.detection.search.searches import refocused
+from derender.detection.solids.image import ROW, draw, make_image, make_row
+from derender.detection.solids.misfit import added_misfit, misfit_map
+from derender.render.blur import blur, blur_radius, blur_taps
+from derender.scene.solids import BOX, SPHERE
 
 
 def residuals(step, others=0.0, count=20_000):
@@ -44,3 +50,92 @@ def test_growth_of_a_rounding_sensor_s_noise():
     for near, far in ((0.65, 0.75), (1.2, 1.3)):
         there = (depth > near) & (depth < far)
         assert (sigma + growth * depth[there] ** 2).mean() == pytest.approx(residual[there].std(), rel=0.06)
+
+
+CAMERA = {"fx": 70.0, "fy": 70.0, "cx": 39.5, "cy": 29.5, "width": 80, "height": 60}
+FLOOR = np.array([[1.0, 0, 0, 0], [0, -0.6, -0.8, 0.1], [0, 0.8, -0.6, 0.8], [0, 0, 0, 1]])
+
+
+def step_image(rng, sigma, noise=0.001):
+    """A step of 20 cm in a random direction through a random place, blurred, with noise: (64, 64)."""
+    angle = rng.uniform(0, 2 * np.pi)
+    y, x = np.mgrid[:64, :64] - 31.5
+    depth = np.where(np.cos(angle) * x + np.sin(angle) * y + rng.uniform(-1, 1) > 0, 1.0, 0.8)
+    if sigma:
+        depth = gaussian_filter(depth, sigma, mode="nearest", radius=blur_radius(sigma))
+    return depth + rng.normal(0, noise, depth.shape)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.5, 0.6])
+def test_blur_of_steps_is_told(sigma):
+    rng = np.random.default_rng(5)
+    # 16 directions, with no return between the images, so that no step is made where they meet
+    images = [[np.pad(step_image(rng, sigma), 1, constant_values=np.nan) for _ in range(4)] for _ in range(4)]
+    told = estimate_blur(np.block(images), 0.001)
+    # one neighbouring entry of the table of leaks is 0.1 px away
+    assert abs(told - sigma) < 0.1
+
+
+def test_a_smooth_image_says_nothing():
+    y, x = np.mgrid[:64, :64]
+    assert estimate_blur(1 / (1 + 0.001 * x + 0.002 * y), 0.001) == 0.0
+
+
+@pytest.mark.parametrize("blur", [0.0, 0.5, 1.0])
+def test_added_misfit_is_the_difference_of_whole_images(blur):
+    rng = np.random.default_rng(3)
+    observed = rng.uniform(0.6, 1.2, (60, 80))
+    observed[rng.random((60, 80)) < 0.1] = np.nan
+    image = make_image(observed, 0.1, CAMERA, FLOOR, blur)
+    for _ in range(20):
+        rows = np.empty((2, ROW))
+        for k, kind in enumerate((BOX, SPHERE)):
+            rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+            rotation[:, 0] *= np.sign(np.linalg.det(rotation))
+            size = rng.uniform(0.05, 0.2, 3) if kind == BOX else np.full(3, 0.1)
+            rows[k] = make_row(kind, rotation, rng.uniform([-0.6, -0.6, 0], [0.6, 0.6, 0.2]), size)
+        depth, misfit, label = np.empty((60, 80)), np.empty((60, 80)), np.empty((60, 80), np.int32)
+        draw(image, rows, 0, depth, label)
+        before = misfit_map(image, depth, misfit)
+        change = added_misfit(image, rows[0], depth, misfit)
+        draw(image, rows, -1, depth, label)
+        after = misfit_map(image, depth, np.empty((60, 80)))
+        # sums of up to 4,800 terms of at most 8 in float64
+        assert change == pytest.approx(after - before, abs=1e-9)
+
+
+def two_boxes(rng, sigma, started):
+    """Return (Image taken for blurred by `started` pixels, rows) of two boxes seen blurred by `sigma`, noise 1 mm."""
+    rows = np.array([make_row(BOX, np.eye(3), centre, np.full(3, 0.1)) for centre in ([-0.1, 0, 0.05], [0.1, 0, 0.05])])
+    blank = make_image(np.zeros((60, 80)), 0.001, CAMERA, FLOOR)
+    depth, label = np.empty((60, 80)), np.empty((60, 80), np.int32)
+    draw(blank, rows, -1, depth, label)
+    seen = blur(np.minimum(depth, 10.0), sigma) + rng.normal(0, 0.001, depth.shape)
+    return make_image(seen, 0.001, CAMERA, FLOOR, started), rows
+
+
+@pytest.mark.parametrize(("sigma", "started"), [(0.5, 0.0), (0.5, 0.6), (0.8, 0.3)])
+def test_an_explained_image_tells_its_blur_exactly(sigma, started):
+    image, rows = two_boxes(np.random.default_rng(7), sigma, started)
+    image, gained = refocused(image, rows, price=40.0)
+    # a hundredth of a pixel moves the 20 cm steps of the silhouettes by about a standard deviation of the noise
+    assert image.taps[1] == pytest.approx(blur_taps(sigma)[1], abs=0.005)
+    assert gained > 40.0
+
+
+def test_a_sharp_image_stays_sharp():
+    image, rows = two_boxes(np.random.default_rng(7), 0.0, 0.0)
+    assert refocused(image, rows, price=40.0) == (image, 0.0)
+
+
+def test_the_background_that_is_taken_as_seen_is_not_blurred_again():
+    rng = np.random.default_rng(4)
+    seen = rng.uniform(2.0, 9.0, (60, 80))
+    image = make_image(seen, 0.001, CAMERA, FLOOR, 0.5)
+    image.floor[:] = seen
+    assert misfit_map(image, image.floor, np.empty(seen.shape)) == 0.0
+    row = make_row(BOX, np.eye(3), [0, 0, 0.05], np.full(3, 0.1))
+    depth, label, misfit = seen.copy(), np.empty(seen.shape, np.int32), np.zeros(seen.shape)
+    change = added_misfit(image, row, depth, misfit)
+    draw(image, row[None], -1, depth, label)
+    assert change == pytest.approx(misfit_map(image, depth, misfit), abs=1e-6) and change > 0

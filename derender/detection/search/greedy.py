@@ -11,7 +11,7 @@ from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.interpenetration import highest
-from derender.detection.solids.misfit import added_misfit
+from derender.detection.solids.misfit import added_misfit, added_misfits
 from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
 from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.detection.solids.support import assign_supports, concerned
@@ -127,7 +127,7 @@ def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
 
     while alive and len(state) < settings.max_objects:
         view = held_out(image, state, -1)
-        gains = np.array([-added_misfit(image, h.row, view[0], view[2]) for h in alive])
+        gains = -added_misfits(image, np.array([h.row for h in alive]), view[0], view[2])
         order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
         sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, 0.003) for k in order), key=energy_of)
         energy, row, h = min((tried_out(h, row, KEEPING, 0.002) for _, row, h in sifted[:KEPT]), key=energy_of)

@@ -112,7 +112,7 @@ class Support(NamedTuple):
 def observe(depth, camera, widest=160, plane=None, floating=False):
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
-    plane : the floor as it is given, see given_floor.read_floor, or a Support; None: find it.
+    plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
     floating : whether solids may hang in the air.
     """
     rounding = rounding_of(depth)

@@ -159,6 +159,15 @@ def added_misfit(image, row, depth, misfit):
     return total
 
 
+@njit(cache=True, nogil=True)
+def added_misfits(image, rows, depth, misfit):
+    """Return (K,) what `added_misfit` does for each of the solids `rows` (K, ROW) alone."""
+    found = np.empty(len(rows))
+    for k in range(len(rows)):
+        found[k] = added_misfit(image, rows[k], depth, misfit)
+    return found
+
+
 @njit(cache=True, nogil=True, fastmath={"reassoc"})
 def change_of_row(seen, weight, depth, drawn, misfit):
     """Return how the misfit of pixels (n,) changes where what is drawn is nearer than the depth before."""

@@ -141,7 +141,7 @@ class DoesNotTouch:
 class RestsOn:
     """An object rests on another one besides its parent, as a bridge on its second pier.
 
-    The log density is -(residual / slack)^2 / 2, see `overlap.rest_residual`: up is the normal of the face that it
+    The log density is -(residual / slack)^2 / 2, see `separation.rest_residual`: up is the normal of the face that it
     rests on, so its other support ends at the same height and lies below it.
 
     Parameters

@@ -175,7 +175,7 @@ class Body(NamedTuple):
 def box_face(name: str, size) -> Face:
     """Return a face of the box with extents `size` (3,): x and y of its frame along the next two axes, cyclic.
 
-    On the faces -x, -y, -z the frame's y is flipped to stay right-handed (DESIGN section 4).
+    On the faces -x, -y, -z the frame's y is flipped to stay right-handed (README, Conventions).
     """
     if name not in FACE_NAMES:
         raise KeyError(name)

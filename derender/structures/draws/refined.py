@@ -47,7 +47,7 @@ from derender.structures.draws.steps import own_members, touched_by
 ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
-STEPS, MOST_STEPS = 3, 125  # between two draws: for each coordinate, and at most
+STEPS, MOST_STEPS = 2, 125  # between two draws: for each coordinate, and at most
 LOCAL_DRAWS, LOCAL_STEPS = 60, 5  # of one solid alone, over which blurs are summed
 BLUR_POINTS, GROUPS = 60, 8  # points at which blurs are summed over, and parts of them that tell the error
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.

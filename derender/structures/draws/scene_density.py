@@ -1,7 +1,7 @@
 """The density that inference from a bare image gives a scene graph before it sees the image.
 
 It is that of `chart.log_prior`, in the coordinates of the chart that has the graph's structure: it compares scenes of
-one structure; different structures compare by integrals (see `structure/alternatives.py`).
+one structure; different structures compare by integrals (see `structures/alternatives.py`).
 """
 
 import numpy as np

@@ -72,7 +72,7 @@ ROUNDING = 1e-9  # share of a step's longest part that is none
 LATTICE = 1e-3  # metres of the first steps
 WIDER = 1.2  # times as wide as the covariance is the normal that steps are made from: few draws make one too narrow
 LOOSE, LOOSE_TURN = 5e-3, 0.1  # metres and radians of standard deviation of what the image does not hold
-FLOOR_SHARE = 0.25  # of another step's weight: moving the floor draws the whole image, and thousands of pixels hold it
+FLOOR_SHARE = 0.2  # of another step's weight: moving the floor draws the whole image
 UNSEEN = 3e-3  # metres of the first steps of a side that the camera does not face
 UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all of them at most
 
@@ -269,7 +269,28 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
             pull[:, members] = factor.T @ precision[index] @ tops / WIDER
             step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
         steps.append(step)
+    if place.keys() > set(blocks_of(chart)[-1]):
+        steps.append(floor_step(covariance + shrink**2 * np.eye(size), len(chart.flags), center))
     return weighted(steps, 2.0)
+
+
+def floor_step(covariance, count, center):
+    """Return the Step that moves the floor, and with it all else as a covariance (D, D) lets expect.
+
+    The floor's coordinates f, of covariance L L', move by L z and the others by C(others, f) C(f, f)^-1 L z: what these
+    are off what f lets expect, which is independent of f, stays. Given the others the floor alone hardly moves, for
+    solids stand on it.
+
+    count : of solids. center : see `block_steps`.
+    """
+    size, factor = len(covariance), np.linalg.cholesky(covariance[-FLOOR_WAYS:, -FLOOR_WAYS:])
+    matrix = np.linalg.solve(factor, covariance[-FLOOR_WAYS:]).T
+    step = Step(np.arange(size), matrix, np.ones(1 + count, bool), FLOOR_SHARE, 1.5 / np.sqrt(FLOOR_WAYS), 0.25)
+    if center is None:
+        return step
+    pull = np.zeros((FLOOR_WAYS, size))
+    pull[:, -FLOOR_WAYS:] = np.linalg.inv(factor) / WIDER
+    return step._replace(matrix=WIDER * matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
 
 
 def make_proposals(steps):

@@ -1,8 +1,10 @@
-"""What counts as having moved, and as being at rest."""
+"""What counts as having moved and as being at rest; bodies that float or overlap."""
 
 import numpy as np
 import pytest
+from test_simulate import FLOOR, GRAVITY, cube, matter
 
+from derender.evaluation.metrics import floating, gaps, intersecting
 from derender.physics.bodies import Body, Matter
 from derender.physics.simulate import simulate
 from derender.physics.statics import ROLLING
@@ -29,3 +31,17 @@ def test_what_begins_slowly_is_not_at_rest():
         gravity = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
         trajectory = simulate(Matter((ball, floor), gravity, ()), 2.0, early=True)
         assert bool(trajectory.times[-1] < 1.0) == rests == (trajectory.displacement()["ball"] < 1e-4)
+
+
+def test_gaps_floating_and_intersecting():
+    scene = matter(FLOOR, cube("a", 0, 0.05), cube("b", 0.09, 0.052), cube("c", 0.3, 0.07), cube("d", 0, 0.153))
+    found = gaps(scene)
+    assert found["floor", "c"] == pytest.approx(0.02) and found["a", "b"] == pytest.approx(-0.01)
+    assert floating(scene) == ["c"]
+    assert floating(scene, tolerance=0.0005) == ["c", "d"]
+    assert [(a, b) for a, b, _ in intersecting(scene)] == [("a", "b")]
+    assert intersecting(scene)[0][2] == pytest.approx(0.01)
+    assert floating(matter(cube("a", 0, 0.05))) == ["a"]
+    # Two that touch each other and nothing else float together.
+    assert floating(matter(FLOOR, cube("a", 0, 0.25), cube("b", 0, 0.35))) == ["a", "b"]
+    assert floating(matter(FLOOR, gravity=GRAVITY)) == []

@@ -1,0 +1,87 @@
+"""The walk of one solid leaves its density as it is; how long a search looks on; which pixels it and the draws see."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.stats import kstest
+
+from derender.camera.intrinsics import Camera
+from derender.detection.search import searches
+from derender.detection.search.greedy import Settings
+from derender.detection.search.observation import nearest_pixels, observe
+from derender.detection.solids.image import make_image, make_row
+from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE, UPRIGHT, WALK_MOVES, walk
+from derender.render.raycast.depth import render_depth
+from derender.scene.pose import rotation_x, translation
+from derender.scene.solids import BOX, PLANE, Solids
+
+CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
+FLOOR_POSE = translation(0.0, 0.05, 0.8) @ rotation_x(np.deg2rad(135))
+
+
+def test_a_cube_of_which_nothing_is_seen_has_sizes_from_its_prior():
+    """The density of a side s is exp(-z^2 / 2) with z = log(s / typical) / spread, so that log s has its mean moved."""
+    image = make_image(np.zeros((24, 32)), 1.0, CAMERA, FLOOR_POSE)  # no pixel has a weight
+    start = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1))
+    rng, sides = np.random.default_rng(5), []
+    scale, nothing = np.full(WALK_MOVES, 0.03), np.zeros((24, 32))
+    scale[:12] = 1e-3  # the side changes by the steps at a corner alone
+    row = start
+    for _ in range(1500):
+        row = walk(rng, image, row, UPRIGHT, True, row[None], 0, nothing, nothing, 0.0, np.zeros(0), 0.02, 0.0, scale,
+                   150, 1.0, False)  # fmt: skip
+        sides.append(row[13])
+        assert row[13] == row[14] == row[15]
+    z = np.log(np.array(sides[::3]) / TYPICAL_SIZE) / SIZE_SPREAD - SIZE_SPREAD
+    assert kstest(z, "norm").pvalue > 1e-3
+    assert kstest(z + SIZE_SPREAD, "norm").pvalue < 1e-6  # the broken twin: without the Jacobian of the logarithm
+
+
+def test_a_quick_search_ends_where_nothing_is_left_and_a_whole_one_goes_on(monkeypatch):
+    asked = []
+    monkeypatch.setattr(searches, "find_places", lambda *_: SimpleNamespace(none_left=lambda settings: explained))
+    monkeypatch.setattr(searches, "total_energy", lambda *_: 0.0)
+    monkeypatch.setattr(searches, "propose", lambda *_: asked.append(1))
+
+    def rounds(tries):
+        asked.clear()
+        searches.repair(np.random.default_rng(0), None, [], [], Settings(tries=tries, quiet=10), [])
+        return len(asked)
+
+    explained = True
+    assert rounds(tries=1) == 0 and rounds(tries=2) == 10
+    explained = False
+    assert rounds(tries=1) == 10 and rounds(tries=2) == 10 * searches.IN_VAIN
+
+
+def test_the_nearest_pixels_of_a_reduced_image():
+    # reduced by 4 its pixels stand for 1, 5, 9; by 2 they stand for 0, 2, 4, 6, 8, 10
+    assert nearest_pixels(6, 2, 3, 4).tolist() == [0, 0, 1, 1, 2, 2]
+    assert nearest_pixels(4, 3, 4, 3).tolist() == [0, 1, 2, 3]
+
+
+WHOLE = Camera.from_field_of_view(320, 240)
+TABLE = np.array([[1.0, 0, 0, 0], [0, -0.5, -0.8660254, 0.02], [0, 0.8660254, -0.5, 0.75], [0, 0, 0, 1]])
+
+
+def test_single_pixels_are_what_the_reduced_camera_sees_and_smoothed_blocks_are_not():
+    pose = np.eye(4)
+    pose[:3, :3] = [[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]
+    pose[2, 3] = 0.06
+    solids = Solids(np.array([PLANE, BOX], np.int32), np.array([TABLE, TABLE @ pose]),
+                    np.array([np.zeros(3), [0.1, 0.12, 0.12]]), np.full(2, -1, np.int32))  # fmt: skip
+    depth, _ = render_depth(solids, WHOLE)
+    seen = observe(depth, WHOLE)
+    assert seen.factor == 2
+    exact, _ = render_depth(solids, Camera(**seen.camera))
+    assert np.abs(seen.single - exact).max() < 1e-9
+    assert np.abs(seen.image.depth - exact).max() > 0.001  # where an edge runs through a block
+
+
+def test_single_pixels_without_a_return_stay_without():
+    bare = Solids(np.array([PLANE], np.int32), TABLE[None], np.zeros((1, 3)), np.full(1, -1, np.int32))
+    depth, _ = render_depth(bare, WHOLE)
+    depth[100, 100] = np.nan
+    depth[102, 102] = 0.0
+    single = observe(depth, WHOLE).single
+    assert np.isnan(single[50, 50]) and np.isnan(single[51, 51]) and np.isnan(single).sum() == 2
