@@ -11,6 +11,7 @@ from derender.cli import group
 from derender.detection.calibration import ON_TABLE, Fit, correlation, fit_sensor, log_density, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
+from derender.render.likelihoods.correlated import prediction
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
@@ -201,3 +202,11 @@ def test_what_calibrate_writes_is_a_prior_of_the_fit():
     document = document_from(parse_yaml(text.encode(), "mine.yaml"), data_path("sensors"))
     middle = {key: value.quantile(0.5) for key, value in document.likelihood.values.items()}
     assert middle == pytest.approx({**fit.values}, rel=0.15)
+
+
+def test_a_chain_may_go_wherever_a_reach_leads():
+    """Nothing is shared within nearly no reach, and nearly all within an endless one: the weights stay finite."""
+    for reach in (1e-9, 1e9):
+        weights, deviations = prediction({**VALUES, "reach": reach, "reach_down": reach, "bias": 0.0})
+        assert np.isfinite(weights).all() and (deviations > 0.0).all()
+        assert weights[:, 7].sum() == pytest.approx(0.0 if reach < 1.0 else 1.0, abs=0.03)

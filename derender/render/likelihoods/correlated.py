@@ -26,6 +26,8 @@ from derender.scene.parameter import Parameter
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 GROUPS = (0, 1, 2, 2, 2, 2)
 SHARE = (1e-5, 1.0 - 1e-3)  # of the variance that is each pixel's own: both it and the rest are some
+REACH = (1e-9, 1e9)  # pixels: a chain may go wherever a distribution over it lets it
+NOTHING_SHARED = 700.0  # reaches apart, at which exp(-h) is still above 0
 RATE = (1e-30, 0.5)  # of outliers
 # Times as wide as the others are the heavy tails' innovations, about those of rounded disparities on real frames; the
 # compiled score counts on it
@@ -72,8 +74,8 @@ class Correlated(Likelihood):
         BACKGROUND,
         Parameter("sigma_growth", "1/m", 0.0, 1.0, 0.0),
         Parameter("white", "", *SHARE, 0.05),
-        Parameter("reach", "", 0.05, 1000.0, 4.0),
-        Parameter("reach_down", "", 0.05, 1000.0, 2.0),
+        Parameter("reach", "", *REACH, 4.0),
+        Parameter("reach_down", "", *REACH, 2.0),
         Parameter("bias", "", 0.0, 100.0, 1.0),
         Parameter("tail", "", 0.0, SHARE[1], 0.1),
         Parameter("outlier", "", *RATE, 0.02),
@@ -163,7 +165,7 @@ class Correlated(Likelihood):
 
 def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
     """Return the covariance of unit noise of pixels so many rows and columns apart."""
-    h = np.hypot(columns / values["reach"], rows / values["reach_down"])
+    h = np.minimum(np.hypot(columns / values["reach"], rows / values["reach_down"]), NOTHING_SHARED)
     own = np.where((rows == 0) & (columns == 0), values["white"], 0.0)
     return own + (1.0 - values["white"]) * (1.0 + h) * np.exp(-h) + values["bias"] ** 2
 
