@@ -13,7 +13,7 @@ import numpy as np
 from real_frames import real_folder
 
 from derender.physics.bodies import Body, Matter
-from derender.physics.intervention import Push
+from derender.physics.intervention import Push, intervention
 from derender.physics.outcome import simulate_scene
 from derender.physics.simulate import Rollout, judge, simulate
 from derender.physics.statics import judge_statics
@@ -177,6 +177,10 @@ def report_speed():
         quick = seconds(lambda: [judge_statics(each) for each in towers], 5)
         print(f"| statics, real tower of 10, ms of processor | {1e3 * quick / len(towers):.2f} |")
         print(f"| mujoco over statics, real towers | {slow / quick:.0f} |")
+    four, push = stack(4, rng), intervention(push=["b3:+x:0.5N@0.1s"])
+    calls = [seconds(lambda told=told: simulate_scene(four, **told), 9)
+             for told in ({"engine": "statics"}, {}, {"what": push})]  # fmt: skip
+    print(f"| calls a second, stack of 4: statics, mujoco, a push | {', '.join(f'{1 / each:.0f}' for each in calls)} |")
     margin = seconds(lambda: judge_statics(ten, margin=True), 9)
     print(f"| statics with its margin, stack of 10, ms of processor | {1e3 * margin:.2f} |")
     print(f"| 30 blocks over 3, mujoco, statics | {found[30] / found[3]:.1f}, {statics[30] / statics[3]:.1f} |")

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from derender.physics.settling import DENSITY, come_to_rest
+from derender.physics.bodies import DENSITY
+from derender.physics.settling import come_to_rest
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
 GRAVITY = 9.81

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-DENSITY = 500.0  # kg / m^3
+from derender.physics.bodies import DENSITY
+
 STEP = 0.002  # seconds
 AT_REST, FOR = 0.005, 100  # m/s and rad/s that nothing exceeds for so many steps on end
 
