@@ -1,6 +1,7 @@
 """Definition 2.1 and Eq. 1 on graphs: Figure 3, Figure 1, reparenting, and what is not a graph."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -234,3 +235,13 @@ def test_brute_force_agrees_on_a_whole_stack():
         assert contact_faults(relative, graph.body(parent), graph.body(name), "+z", 4) == []
     shifted = translation(0, 0, 1e-6) @ relative
     assert contact_faults(shifted, graph.body(parent), graph.body(name), "+z", 4) == ["hovers"]
+
+
+def test_a_graph_that_grows_stands_as_one_made_whole():
+    whole = bridge()
+    grown = replace(whole, vertices=whole.vertices[:1])
+    for vertex in whole.vertices[1:]:
+        grown.poses()
+        grown = grown.add(vertex)
+    for name, pose in whole.poses().items():
+        assert np.array_equal(grown.poses()[name], pose), name
