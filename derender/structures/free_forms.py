@@ -13,6 +13,7 @@ from derender.scene.shapes.thing import encode_surface
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
+LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
 def thing_name(number):
@@ -55,8 +56,9 @@ def _with_all(rng, part, state, names, made, noise):
             vertex = replace(vertex, parent=parent, contact=exact)
         graph = graph.add(vertex)
         for key, value in numbers.items():
-            spread = np.hypot(noise, HIDDEN * value if key != "height" else 0.0)
-            drawn = value + spread * np.abs(rng.standard_normal((chains, draws, 1)))
+            hidden = HIDDEN * value if key != "height" else 0.0
+            more, off = rng.standard_normal((2, chains, draws, 1))
+            drawn = np.maximum(value + hidden * np.abs(more) + noise * off, LEAST * value)
             drawn[best] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)

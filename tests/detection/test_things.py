@@ -19,6 +19,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
 from derender.detection.things import made_thing
+from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
@@ -40,7 +41,7 @@ def scene():
     image = seen_on_the_table([
         (MESH, -0.09, 0.0, (0.14, 0.14, 0.06), bowl()), (BOX, 0.1, 0.0, (0.09, 0.07, 0.12), None),
     ])  # fmt: skip
-    return image, infer_structure(image, CAMERA, Options(seed=0, chains=2, draws=4))
+    return image, infer_structure(image, CAMERA, Options(seed=0, chains=2, draws=40))
 
 
 @pytest.mark.slow
@@ -56,6 +57,14 @@ def test_a_bowl_is_one_thing_and_a_box_a_box(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_the_intervals_of_a_things_size_hold_the_best_one(scene):
+    posterior = scene[1]
+    told = next(item for item in scene_json(posterior.best_graph(), posterior)["objects"] if item["type"] == "thing")
+    for size, (low, high) in zip(told["size"], told["size_interval"], strict=True):
+        assert low < size < high
+
+
 def test_the_thing_explains_what_is_seen_of_it(scene):
     image, found = scene
     told = found.explanation
