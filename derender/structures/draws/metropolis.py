@@ -47,7 +47,6 @@ from derender.structures.draws.steps import (
 WIDE_SHARE, WIDEST = 0.15, 4.0
 # The warm-up: temperature and steps for each coordinate in each round, and steps in which only scales are learnt.
 ROUNDS, LAST, APART = ((0.1, 10), (1.0, 20), (1.0, 40), (1.0, 60)), 20, 10
-ALONE = ROUNDS[1:3]  # those of one chain, from a mode that it has to stay in
 COLD = (1.0, 3.0, 10.0)  # what the likelihood is raised to on the way to a mode, at the end
 SINGLES, NARROW = 0.3, 2e-4  # weight of the steps along one direction, and metres of the first ones
 LONGER = 2  # times that draws may go on for as long again where the chains do not agree
@@ -265,7 +264,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None, open_blur
     singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
     singles += unseen_steps(chart, sensor, only)
     met, center = np.empty((0, len(members))), values.copy()
-    for temperature, length in ROUNDS if chains > 1 else ALONE:
+    for temperature, length in ROUNDS[chains == 1 :]:
         steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]
         steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
         singles = steps[: len(singles)]
