@@ -41,8 +41,9 @@ def test_what_neighbours_share_is_found_again_and_what_a_file_gives_as_a_number_
     assert found["white"] == pytest.approx(0.05, abs=0.04) and found["bias"] == 0.5
     noise = [values["sigma"] + values["sigma_growth"] * 0.7**2 for values in (found, NOISE)]
     assert noise[0] == pytest.approx(noise[1], rel=0.5)
-    held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0})
-    assert under_shared_noise(sensor._replace(prior=held), depth, 40).values["reach"] == 7.0
+    held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0, "sigma": 0.002})
+    found = under_shared_noise(sensor._replace(prior=held), depth, 40).values
+    assert found["reach"] == 7.0 and found["sigma"] == 0.002
 
 
 @pytest.mark.slow

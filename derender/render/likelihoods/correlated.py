@@ -25,6 +25,9 @@ from derender.scene.parameter import Parameter
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 GROUPS = (0, 1, 2, 2, 2, 2)
+MEMBERS = (np.arange(8)[:, None] >> np.array(GROUPS)) % 2 == 1  # (8, 6), which neighbours tell in each set of groups
+PLACES = np.array([(0, 0), *NEIGHBOURS], float)
+APART = np.moveaxis(PLACES[:, None] - PLACES[None], -1, 0)  # (2, 7, 7), rows and columns between a pixel and those
 SHARE = (1e-5, 1.0 - 1e-3)  # of the variance that is each pixel's own: both it and the rest are some
 REACH = (1e-9, 1e9)  # pixels: a chain may go wherever a distribution over it lets it
 NOTHING_SHARED = 700.0  # reaches apart, at which exp(-h) is still above 0
@@ -180,16 +183,13 @@ def prediction(values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
 
     Set s has group k where s has bit k.
     """
-    places = np.array([(0, 0), *NEIGHBOURS], float)
-    apart = places[:, None] - places[None]
-    matrix = covariance(apart[..., 0], apart[..., 1], values)
-    weights, deviations = np.zeros((len(NEIGHBOURS), 8)), np.empty(8)
-    for some in range(8):
-        members = [k for k, group in enumerate(GROUPS) if some >> group & 1]
-        known = [k + 1 for k in members]
-        weights[members, some] = np.linalg.solve(matrix[np.ix_(known, known)], matrix[known, 0])
-        deviations[some] = math.sqrt(matrix[0, 0] - weights[members, some] @ matrix[known, 0])
-    return weights, deviations
+    matrix = covariance(APART[0], APART[1], values)
+    # one system for each set: neighbours that are not of it are apart, and weigh nothing
+    both = MEMBERS[:, :, None] & MEMBERS[:, None]
+    among = np.where(both, matrix[1:, 1:], np.eye(len(NEIGHBOURS)))
+    with_it = np.where(MEMBERS, matrix[1:, 0], 0.0)
+    weights = np.linalg.solve(among, with_it[..., None])[..., 0]
+    return weights.T, np.sqrt(matrix[0, 0] - np.sum(weights * with_it, axis=1))
 
 
 class Links(NamedTuple):
