@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from table_scenes import CAMERA, seen_on_the_table
+from table_scenes import CAMERA, TABLE, seen_on_the_table
 
-from derender.detection.compounds import falling, goes_on, held_by_another, neck
+from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck
 from derender.detection.existence import outstanding
 from derender.detection.leftovers import interior
 from derender.detection.search.bodies import APART
@@ -150,6 +150,26 @@ def test_a_narrow_cylinder_about_the_axis_of_a_wide_one_is_its_neck():
     assert neck(body.add(cylinder(0.005, 0.15, 0.07, 0.04), UPRIGHT, False, 0, 0.15)) is None  # a can on a can
     capped = body.add(cylinder(0.0, 0.15, 0.03, 0.04), UPRIGHT, False, 0, 0.15)
     assert neck(capped.add(cylinder(0.0, 0.19, 0.03, 0.04), UPRIGHT, False, 1, 0.19)) is None  # it bears another
+
+
+def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
+    """A mug's handle, seen in few pixels: one that stands on the table is no handle."""
+    tall = 0.1
+    for height, expected in ((0.05, 0), (tall, None)):
+        mug = trimesh.creation.cylinder(0.04, tall)
+        handle = trimesh.creation.box([0.025, 0.012, height])
+        handle.apply_translation([0.05, 0.0, 0.5 * (tall - height) - 0.005 * (height < tall)])
+        whole = trimesh.util.concatenate([mug, handle])
+        whole.apply_translation(-whole.bounds.mean(axis=0))
+        size = whole.extents
+        mesh = whole.vertices, np.ascontiguousarray(whole.faces, np.int32)
+        seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, tuple(size), mesh)]), CAMERA)
+        place = np.linalg.inv(seen.floor.pose) @ TABLE
+        centre = place[:3] @ [0.04 - 0.5 * size[0], 0.0, 0.5 * tall, 1.0]
+        row = make_row(CYLINDER, np.eye(3), centre, np.array([0.08, 0.08, tall]))
+        beside = seen.mask & (seen.points[..., 0] > centre[0] + 0.042)
+        assert beside.sum() >= 8
+        assert hangs_on(seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), beside) == expected
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
