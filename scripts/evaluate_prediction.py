@@ -23,7 +23,9 @@ from derender.atomic import make_folder
 from derender.dynamics.engine import Engine, Material
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
-from derender.dynamics.prediction import Lesson, come_to_rest, in_region, lesson, pool, predict
+from derender.dynamics.parameters import Parameters
+from derender.dynamics.prediction import Lesson, come_to_rest, in_region, lesson, pool, predict, predict_another
+from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.states import moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -107,7 +109,7 @@ def teach(states, step, matter, seed):
     covariances = np.tile(np.diag(error**2), (len(states), 1, 1, 1))
     poses = to_poses(moved(states, changes))
     motion = motion_of(matter, ("cube",), step * np.arange(len(states)), poses, covariances)
-    return lesson(identify(motion, rng), states)
+    return lesson(identify(motion, rng))
 
 
 def kept(path, make):
@@ -156,24 +158,20 @@ def evaluate_tosses(count, first, keep):
     for k in range(TEACHERS):
         path, watched = folder and folder / f"toss_lesson_{k:03d}.json", films[k][: int(SECONDS / step) + 1]
         taught = lambda k=k, watched=watched: [part.tolist() for part in teach(watched, step, matter, k)]  # noqa: E731
-        lessons.append(Lesson(*(np.array(part) for part in kept(path, taught)[:2]), watched))
-    engine = Engine(matter, ("cube",), step)
-    found = pool(lessons, engine, float(matter.bodies[1].size[0]), np.random.default_rng(0))
-    print(f"friction {np.exp(found.mean[0]):.3f}, restitution {found.mean[1]:.3f} (the source: .18, .13)")
+        lessons.append(Lesson(*(np.array(part) for part in kept(path, taught))))
+    engine, sizes, told = Engine(matter, ("cube",), step), matter.bodies[1].size[:1], pool(lessons)
+    parameters = Parameters(("cube",), engine.masses, read_dynamics_prior())
+    print(f"friction {np.exp(told.mean[0]):.3f}, restitution {told.mean[1]:.3f} (the source: .18, .13)")
     print(
         "errors: impact {:.3f}, steady {:.3f} as shares, centres {:.2f}, turns {:.2f} times".format(
-            *np.exp(found.mean[3:])
+            *np.exp(told.mean[parameters.size :])
         )
     )
-    friction, restitution = (
-        found.weights @ [getattr(each, name) for each in found.materials] for name in ("friction", "restitution")
-    )
-    scatter = np.sqrt(found.weights @ found.missed / (2 * TEACHERS))
-    print(f"weighed by the whole way: friction {friction:.3f}, restitution {restitution:.3f}, scatter {scatter:.3f} m")
 
     def predict_toss(k):
-        draws = found.ends(films[k][0], np.random.default_rng(k), DRAWS, MOST)
-        usual = come_to_rest(engine, np.array([found.size]), films[k][0], default_of(engine), MOST)[0, :2]
+        start, rng = films[k][0], np.random.default_rng(k)
+        draws = predict_another(told, parameters, engine, sizes, start, rng, DRAWS, MOST)[:, 0, :2]
+        usual = come_to_rest(engine, sizes, start, default_of(engine), MOST)[0, :2]
         return row_of(draws, films[k][-1, 0, :2], usual)
 
     for k in range(TEACHERS + first, TEACHERS + first + count):
