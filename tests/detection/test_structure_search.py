@@ -1,10 +1,14 @@
 """From depth images to structures: each step on scenes whose answer is known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from derender.camera.depth_file import read_depth
 from derender.detection.floor import find_floor
 from derender.detection.pyramid import reduce
+from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import (
     drawn,
     neighbour_correlation,
@@ -12,6 +16,8 @@ from derender.detection.search.observation import (
     patches_of,
     rounding_of,
 )
+from derender.detection.search.searches import explain_otherwise
+from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import added_misfit, misfit_map
@@ -24,6 +30,8 @@ from derender.scene.pose import random_rotation, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.infer import infer_structure, point_estimate, settings_of
 from derender.structures.options import Options
+
+FRAMES = Path(__file__).resolve().parents[2] / "data" / "frames"
 
 
 @pytest.fixture
@@ -276,6 +284,38 @@ def test_round_solids_are_told_from_boxes(rng, kind):
     (name,) = graph.children("floor")
     assert graph.vertex(name).shape == kind
     assert np.abs(graph.body(name).size() - size).max() < 0.004
+
+
+@pytest.mark.parametrize("shown", ["cubes", "can"])
+def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, shown):
+    """A can gives way to the two stacked cubes that are there, and a box to a can; not where no others are proposed."""
+    can = [upright(0.0, [0, 0, 0.09], [0.1, 0.1, 0.18], CYLINDER)]
+    cubes = [upright(0.4, [0, 0, 0.05], [0.1] * 3), upright(1.2, [0.01, 0, 0.14], [0.08] * 3)]
+    box = [upright(0.4, [0, 0, 0.09], [0.09, 0.09, 0.18])]
+    right, wrong = (cubes, can) if shown == "cubes" else (can, box)
+    image = view_of(rng, np.array(right))[0]
+    state = State().add(wrong[0], UPRIGHT, False, FLOOR, 0.0)
+    rough = []
+    for row in (*right, *wrong):
+        row = row.copy()
+        row[10:12] += 0.01
+        row[13:16] *= 1.1
+        rough.append(Hypothesis(row, UPRIGHT, False, ()))
+    pool = []
+    assert explain_otherwise(rng, image, state, rough[len(right) :], Settings(), pool) is state
+    new = explain_otherwise(rng, image, state, rough, Settings(), pool)
+    assert [int(row[0]) for row in new.rows] == [int(row[0]) for row in right]
+    np.testing.assert_allclose(sorted(highest(row) for row in new.rows), [highest(row) for row in right], atol=0.006)
+    assert [len(each) for each, _ in pool] == [0, len(right)]
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_two_stacks_seen_by_a_sensor_are_three_cubes_with_every_seed(seed):
+    """Greedy searches take a can for one stack, and searches that went on from there ended there."""
+    image = read_depth(FRAMES / "realsense_two_stacks.png", FRAMES / "realsense_camera.json")
+    state, _ = point_estimate(np.random.default_rng(seed), image.depth, vars(image.camera))
+    assert state.cubes == [True] * 3
+    assert state.parents.count(FLOOR) == 2
 
 
 def test_an_empty_floor_has_no_solids(rng):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
-from derender.detection.search.bodies import box_about
+from derender.detection.search.bodies import FEWEST, box_about
 from derender.detection.search.greedy import greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
@@ -21,6 +21,7 @@ from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+from derender.scene.solids import BOX
 
 FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)  # standard deviations in pixels
 STEPS = (0.05, 0.025, 0.0125, 0.006, 0.003)  # of the closer look
@@ -155,6 +156,7 @@ def one_search(rng, image, hypotheses, settings, early, state=None):
         image, _ = refocused(image, state.rows, settings.price)
     early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
     state = repair(rng, image, state, hypotheses, settings, pool)
+    state = explain_otherwise(rng, image, state, hypotheses, settings, pool)
     state = support_all(rng, image, state, settings)
     state = merge_all(rng, image, state, settings)
     state = unite_few(rng, image, state, settings)
@@ -197,6 +199,29 @@ def repair(rng, image, state, hypotheses, settings, pool):
             quiet = quiet if value > best - settings.worthwhile else 0
             state, best = new, value
             places = find_places(image, state)
+    return state
+
+
+def explain_otherwise(rng, image, state, hypotheses, settings, pool):
+    """Try to explain by boxes what each badly explained round solid shows, and the other way round, and keep what
+    lowers the energy.
+
+    A greedy search takes what explains most at once, as one can does of two stacked cubes. The cubes explain more
+    together but either less alone, so as long as cans are among the hypotheses one is taken again. (state, energy) of
+    all that were tried are appended to `pool`.
+    """
+    best = total_energy(image, state, settings)
+    for k in reversed(np.flatnonzero(find_places(image, state).blame[:-1] >= FEWEST)):
+        if k >= len(state):  # a solid was pruned
+            continue
+        was_box, fewer = int(state.rows[k][0]) == BOX, state.without(int(k))
+        others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
+        new = greedy(rng, image, others, settings, fewer)
+        new = settle(rng, image, new, settings, 150, set(range(len(fewer), len(new))))
+        value = total_energy(image, new, settings)
+        pool.append((new, value))
+        if value < best:
+            state, best = new, value
     return state
 
 
