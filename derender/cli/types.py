@@ -61,9 +61,10 @@ def _entries():
         yield _entry(
             "distribution", name, distributions[name], [{"name": key} for key in distributions[name].parameters]
         )
-    for kind, registry in (("structure", structures), ("constraint", term_types)):
-        for name in registry:
-            yield _entry(kind, name, registry[name], [])
+    for name in structures:
+        yield _entry("structure", name, structures[name], [])
+    for name in term_types:
+        yield _entry("constraint", name, term_types[name], [])
     for name in kernels:
         numbers = [{"name": key, "default": value} for key, value in kernels[name].options.items()]
         yield _entry("kernel", name, kernels[name], [{"name": "weight", "default": 1.0}, *numbers])

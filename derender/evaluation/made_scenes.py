@@ -127,13 +127,13 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
             yaw = rng.uniform(0, 2 * np.pi)
             quaternion = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
         quaternion /= np.linalg.norm(quaternion)
-        height += np.linalg.norm(size) / 2
+        height += float(np.linalg.norm(size)) / 2
         x, y = rng.uniform(-spread, spread, 2)
         geoms.append(
             f'<body name="b{index}" pos="{x} {y} {height}" quat="{" ".join(map(str, quaternion))}"><freejoint/>'
             f'<geom type="{shape}" size="{half}"/></body>'
         )
-        height += np.linalg.norm(size) / 2 + 0.005
+        height += float(np.linalg.norm(size)) / 2 + 0.005
     rest = come_to_rest(geoms, seconds)
     if rest is None:
         return None

@@ -1,7 +1,7 @@
-"""One thing that is followed: what it is, where it is and how it moves, and how sure that is."""
+"""One thing that is followed: what it is, where it is, how it moves, how sure that is; and what is said of all."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,3 +63,25 @@ class Thing:
             for name in ("size", "pose", "covariance", "velocity", "spin", "acceleration")
         }
         return replace(self, **{**arrays, **changes})
+
+
+class Seen(NamedTuple):
+    """What the filter says of one frame.
+
+    Attributes
+    ----------
+    poses : (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far. covariances : (N, 6, 6) of
+        centre and turn, camera axes. states : (N,) of str. pixels : (N, 4), see fit.pixels_of. view : (4, 4), world to
+        camera. rounds : sets of normal equations. blobs : of what nothing explains. cost, valid : nats of the whole
+        frame, and its pixels with a return.
+    """
+
+    poses: np.ndarray
+    covariances: np.ndarray
+    states: list[str]
+    pixels: np.ndarray
+    view: np.ndarray
+    rounds: int
+    blobs: list
+    cost: float
+    valid: int

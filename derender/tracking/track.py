@@ -7,8 +7,8 @@ import numpy as np
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
 from derender.tracking.first import thing_of
-from derender.tracking.thing import MOVING, STILL
-from derender.tracking.tracker import Seen, Tracker
+from derender.tracking.thing import MOVING, STILL, Seen
+from derender.tracking.tracker import Tracker
 
 CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
 NEW_PIXELS = 60  # of a blob that may be a new thing

@@ -7,15 +7,13 @@ explains the image best; where its pixels are not explained from there, others a
 something that nothing explains.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
-from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Thing
+from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Thing
 from derender.tracking.unexplained import blobs_of, shifts_to
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
@@ -33,28 +31,6 @@ SEARCHED = 3  # starts of a search from which a fit begins, those of least cost
 GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 
 QUARTERS = [from_rotation_vector(0.5 * np.pi * axis) for axis in np.eye(3)]  # by which a box resembles itself
-
-
-class Seen(NamedTuple):
-    """What the filter says of one frame.
-
-    Attributes
-    ----------
-    poses : (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far. covariances : (N, 6, 6) of
-        centre and turn, camera axes. states : (N,) of str. pixels : (N, 4), see fit.pixels_of. view : (4, 4), world to
-        camera. rounds : sets of normal equations. blobs : of what nothing explains. cost, valid : nats of the whole
-        frame, and its pixels with a return.
-    """
-
-    poses: np.ndarray
-    covariances: np.ndarray
-    states: list[str]
-    pixels: np.ndarray
-    view: np.ndarray
-    rounds: int
-    blobs: list
-    cost: float
-    valid: int
 
 
 class Tracker(Drawing):
