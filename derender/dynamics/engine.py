@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.dynamics.states import STATE, to_poses
 from derender.physics.bodies import STANDARD_GRAVITY, Matter
-from derender.physics.mujoco_model import World
+from derender.physics.mujoco_model import Diverged, World
 
 # Steps are at most this long, seconds: boxes that slide rock from corner to corner, and where they come to rest jumps
 # with friction by .6 mm at 1 ms and .3 mm here, which hides the way to the best friction from derivatives.
@@ -108,7 +108,11 @@ class Engine:
         speed[:, :3] = states[:, 7:10] * (time / length)
         speed[:, 3:] = states[:, 10:] * time
         world.data.qacc_warmstart[:] = 0.0
-        world.step(self._steps[number])
+        try:
+            world.step(self._steps[number])
+        except Diverged:
+            world.reset()  # its warnings would stay, and all later films be said to diverge
+            raise
         result = np.empty((count, STATE))
         result[:, :3] = place[:, :3] * length
         result[:, 3:7] = place[:, 3:]
