@@ -96,15 +96,23 @@ def in_region(draws: np.ndarray, truth: np.ndarray, share: float = 0.9) -> bool:
 
 
 class Lesson(NamedTuple):
-    """What films tell of another film of the same bodies, or one film of itself.
+    """What a film tells: mean, variance (P,) of the coordinates of `Parameters` and the scales' logarithms."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+class Pooled(NamedTuple):
+    """What films tell of another one: numbers (P,) as a lesson's, each of a t distribution.
 
     Attributes
     ----------
-    mean, variance : (P,) of the coordinates of `Parameters` and the scales' logarithms.
+    mean, variance : (P,), the square of its scale. freedom : its degrees of freedom.
     """
 
     mean: np.ndarray
     variance: np.ndarray
+    freedom: int
 
 
 def lesson(found: Identified) -> Lesson:
@@ -114,10 +122,12 @@ def lesson(found: Identified) -> Lesson:
     return Lesson(mean, weights @ (points - mean) ** 2 + LEAST_VARIANCE)
 
 
-def pool(lessons: Sequence[Lesson]) -> Lesson:
+def pool(lessons: Sequence[Lesson]) -> Pooled:
     """Return what at least two films tell of another one, whose numbers differ as theirs do.
 
-    Source: DerSimonian and Laird 1986, random effects; each number on its own.
+    Source: random effects of DerSimonian and Laird 1986, each number on its own. How much a few films differ is poorly
+    known: as Higgins, Thompson and Spiegelhalter 2009, the prediction is a t distribution. Its degrees of freedom, L -
+    1 of L films, are exact where each film tells its number well.
     """
     means, variances = (np.array(part) for part in zip(*lessons, strict=True))
     weights = 1 / variances
@@ -126,11 +136,12 @@ def pool(lessons: Sequence[Lesson]) -> Lesson:
     freedom = np.sum(weights, axis=0) - np.sum(weights**2, axis=0) / np.sum(weights, axis=0)
     spread = np.maximum((scatter - (len(means) - 1)) / freedom, 0.0)
     weights = 1 / (variances + spread)
-    return Lesson(np.sum(weights * means, axis=0) / np.sum(weights, axis=0), 1 / np.sum(weights, axis=0) + spread)
+    mean = np.sum(weights * means, axis=0) / np.sum(weights, axis=0)
+    return Pooled(mean, 1 / np.sum(weights, axis=0) + spread, len(means) - 1)
 
 
 def predict_another(
-    told: Lesson,
+    told: Pooled,
     parameters: Parameters,
     engine: Engine,
     sizes: np.ndarray,
@@ -154,7 +165,7 @@ def predict_another(
     """
     draws, size = [], parameters.size
     for _ in range(count):
-        numbers = told.mean + np.sqrt(told.variance) * rng.standard_normal(len(told.mean))
+        numbers = told.mean + np.sqrt(told.variance) * rng.standard_t(told.freedom, len(told.mean))
         material, scales = parameters.material(numbers[:size]), Scales(*np.exp(numbers[size:]))
         try:
             draws.append(come_to_rest(engine, sizes, states, material, most, scales, rng))
