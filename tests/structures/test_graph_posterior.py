@@ -436,6 +436,21 @@ def test_the_normal_about_a_mode_is_about_as_wide_as_the_draws():
     assert plain.max() / plain.min() > 5.0 * ratios.max() / ratios.min()
 
 
+def test_an_edge_just_outside_the_picture_tells_no_more_than_one_inside():
+    """Of a box that ends above the picture a lower one shows what is far behind, whose step no pixel has yet."""
+    view, height, likelihood, precisions = camera(48, 36), 5, likelihoods["gaussian"], []
+    noise = likelihood.complete({"sigma": 0.001, "blur": 0.2})
+    for tall in np.arange(0.22, 0.34, 0.004):  # metres: the top is inside the picture, at its border, and outside
+        state = State().add(row(BOX, 0.4, 0.0, 0.0, 0.0, (0.08, 0.08, tall)), UPRIGHT, False, FLOOR, 0.0)
+        chart, values = make_chart(state, floor_pose(0.2), Rules(0.0015))
+        sensor = Sensor(view, model_depth(chart, values, view), likelihood, noise)
+        engine = engine_of(chart, sensor)
+        load(engine, chart, values)
+        precisions.append(Curvature(engine, chart, sensor, values).precision([height])[0, 0])
+    assert precisions[0] > 1e6 and precisions[-1] == pytest.approx(1e4)  # inside; outside, where only the prior tells
+    assert max(precisions) < 10.0 * precisions[0]
+
+
 def test_names_follow_solids_between_structures():
     state = stack()
     names = ["cube", "box", "can", "ball"]

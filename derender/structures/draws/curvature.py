@@ -8,6 +8,8 @@ to some tenth of a pixel, however great the step: its noise is taken as sqrt(sig
 This is for steps to be made from: what a walk meets corrects it, and nothing that is drawn depends on it.
 """
 
+import math
+
 import numpy as np
 
 from derender.compilation.cache import call_for_nothing, njit
@@ -148,6 +150,7 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
         trial[members[n]] = values[members[n]]
         if left >= right:
             continue
+        limit_at_border(change, weight, height, width)
         right = left + (right - left + LANES - 1) // LANES * LANES
         call_for_nothing(settings[BLUR], change, images[n], engine.strip, engine.taps, left + PAD, right + PAD, top,
                          bottom, height)  # fmt: skip
@@ -158,6 +161,22 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
                 change[row, column] = 0.0
         first, last = min(first, top), max(last, bottom)
     return min(first, last), last
+
+
+@njit(cache=True, nogil=True)
+def limit_at_border(change, weight, height, width):
+    """Limit a change of the image (H, P) where the picture ends, in place, to what an edge tells anywhere.
+
+    An edge that a move brings in shows in no neighbour, so that `weights` take no account of its step.
+    """
+    last = PAD + width - 1
+    for row in range(height):
+        inner, column = 0 < row < height - 1, 0
+        while column < change.shape[1]:
+            known = weight[row, min(max(column, PAD), last)]
+            most = np.float32(math.sqrt(SHARP)) / known if known > 0.0 else np.float32(0.0)
+            change[row, column] = min(max(change[row, column], -most), most)
+            column = last if inner and column == PAD else column + 1
 
 
 def weights(sensor, base):
