@@ -13,8 +13,9 @@ Importing it takes a few milliseconds: what is behind a name is imported when th
 import importlib
 import sys
 import types
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
@@ -57,7 +58,7 @@ PLACES = {
 }
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name not in PLACES:
         raise AttributeError(f"module 'derender' has no attribute {name!r}")
     return getattr(importlib.import_module(PLACES[name]), name)
@@ -67,11 +68,13 @@ class _Package(types.ModuleType):
     """The package itself. Its `render` is the function, also when the room derender.render has been imported."""
 
     @property
-    def render(self):
+    def render(self) -> Callable[..., Any] | None:
         return __getattr__("render")
 
     @render.setter
-    def render(self, room) -> None:  # what an import of the room sets; `from derender.render.x import y` needs it not
+    def render(
+        self, room: Any
+    ) -> None:  # what an import of the room sets; `from derender.render.x import y` needs it not
         pass
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 LONGEST = 400  # characters of each part of an error's line: names and paths of a thousand say no more
 
@@ -22,7 +23,7 @@ class DerenderError(Exception):
         self.remedy = remedy
         super().__init__(what, where, remedy)
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         return type(self), (self.what, self.where, self.remedy)
 
     def __str__(self) -> str:

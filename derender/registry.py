@@ -5,7 +5,7 @@ Another package adds a type by an entry point in the registry's group; naming it
 
 import difflib
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from derender.errors import DerenderError
 
@@ -76,7 +76,7 @@ class Registry(Generic[T]):
         return list(self)
 
 
-def suggest(name: object, choices) -> str:
+def suggest(name: object, choices: Any) -> str:
     """Return "did you mean X?" where a choice is near, else the list of choices."""
     choices = sorted(map(str, choices))
     near = difflib.get_close_matches(str(name), choices, n=1)

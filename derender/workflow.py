@@ -296,7 +296,9 @@ def has_objects(document: Document | None) -> bool:
     return document is not None and isinstance(document.prior, TreePrior)
 
 
-def _given(seen, document, options, gradient, progress, warn, command) -> tuple[Posterior, LikelihoodPrior]:
+def _given(
+    seen: Any, document: Any, options: Any, gradient: str, progress: Any, warn: Any, command: str
+) -> tuple[Posterior, LikelihoodPrior]:
     """Infer the unknown numbers of objects that are given."""
     from derender.posterior.settings import read_settings
     from derender.structures.given import infer_scene
@@ -318,7 +320,9 @@ def _given(seen, document, options, gradient, progress, warn, command) -> tuple[
     return replace(posterior, meta=meta), likelihood
 
 
-def _bare(seen, document, options, progress, warn) -> tuple[Posterior, LikelihoodPrior]:
+def _bare(
+    seen: Any, document: Any, options: Any, progress: Any, warn: Callable[..., Any]
+) -> tuple[Posterior, LikelihoodPrior]:
     """Infer what there is; a document is a prior of open structure."""
     from derender.structures.infer import infer_structure
     from derender.structures.known.library import read_library

@@ -5,7 +5,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from derender.atomic import atomic_path, files_together, make_folder
 from derender.batch.frames import Frame
@@ -79,7 +79,7 @@ class Cluster:
             time.sleep(min(0.02, timeout))
         return done
 
-    def _take(self, future, frame: Frame, warnings: tuple[str, ...]) -> Done:
+    def _take(self, future: Any, frame: Frame, warnings: tuple[str, ...]) -> Done:
         """Return what came of a frame, its files written."""
         if future.status != "finished":
             error = future.exception()

@@ -122,7 +122,7 @@ def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
     return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
 
 
-def write_thumbnail(path: Path, posterior, seen: "DepthImage") -> None:
+def write_thumbnail(path: Path, posterior: Any, seen: "DepthImage") -> None:
     """Write a small picture: the depth image, and beside it the best scene."""
     import numpy as np
 

@@ -76,7 +76,7 @@ class Camera:
         return cls(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
 
     @classmethod
-    def from_matrix(cls, matrix, width: int, height: int, **more) -> "Camera":
+    def from_matrix(cls, matrix: np.ndarray, width: int, height: int, **more: Any) -> "Camera":
         """Return the camera of a matrix of intrinsics (3, 3), row-major: fx, 0, cx; 0, fy, cy; 0, 0, 1.
 
         more : depth_scale and gravity.

@@ -56,7 +56,7 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
-    def resolve_command(self, context: click.Context, args: list[str]):
+    def resolve_command(self, context: click.Context, args: list[str]) -> Any:
         try:
             return super().resolve_command(context, args)
         except click.UsageError as error:
@@ -184,6 +184,8 @@ def _complain(line: str, status: int = 1) -> int:
     return status
 
 
-def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, file=None, line=None):
+def _show_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+) -> None:
     """Say in one line what is warned of: where in the code it was noticed is nothing to the user."""
     click.echo(f"warning: {' '.join(str(message).split())}", err=True)

@@ -1,13 +1,19 @@
 """derender eval: predicted scenes against the truth."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from derender.cli.reading import Found
 
 
 @click.command()
@@ -91,7 +97,9 @@ def _numbers(text: str) -> list[int]:
         raise click.BadParameter("give whole numbers with commas between them", param_hint="--background") from None
 
 
-def _compare(left: Path, right: Path, frame, models, background, divisor, graph_iou) -> dict[str, Any]:
+def _compare(
+    left: Path, right: Path, frame: Any, models: Any, background: list[int], divisor: int, graph_iou: float
+) -> dict[str, Any]:
     """Compare one prediction with one truth."""
     from derender.evaluation.batch import LABEL_SUFFIXES
     from derender.evaluation.metrics import compare_scenes, condition_of, mask_f1
@@ -108,7 +116,7 @@ def _compare(left: Path, right: Path, frame, models, background, divisor, graph_
     return {**result, "condition": condition_of(scene)}
 
 
-def _scene(path: Path, frame: str | None = None, models: str | None = None):
+def _scene(path: Path, frame: str | None = None, models: str | None = None) -> Any:
     """Return a scene as `show --json` prints it, the corners of its meshes' hulls with it; and what was read."""
     from derender.cli.reading import read_scene
     from derender.evaluation.truth import read_json_scene
@@ -126,7 +134,7 @@ def _scene(path: Path, frame: str | None = None, models: str | None = None):
     return scene, found
 
 
-def _rendered_labels(found, path: Path, shape: tuple[int, int]):
+def _rendered_labels(found: "Found", path: Path, shape: tuple[int, int]) -> "np.ndarray":
     """Return which solid of a predicted scene each pixel sees, planes counting as nothing."""
     import numpy as np
 
@@ -144,7 +152,7 @@ def _rendered_labels(found, path: Path, shape: tuple[int, int]):
     return np.where(np.isin(label, np.flatnonzero(solids.kind == PLANE)), -1, label)
 
 
-def _details(result: dict[str, Any]):
+def _details(result: dict[str, Any]) -> Iterator[Any]:
     """Yield lines about one scene."""
     import numpy as np
 

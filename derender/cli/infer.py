@@ -13,6 +13,7 @@ from derender.cli.options import Bar, Idle, Talk, command_line
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
+    from derender.batch.work import Done
     from derender.camera.depth_file import Reading
 
 
@@ -184,7 +185,7 @@ IDLE = (
 @options.strict
 @options.verbosity
 @options.tells_idle(*IDLE)
-def command(talk: Talk, **arguments) -> int | None:
+def command(talk: Talk, **arguments: Any) -> int | None:
     """Infer the scene graph behind each depth image IMAGE.
 
     IMAGE holds depth along the optical axis, not range: 16 bits a pixel (.png, .tiff) in millimetres unless
@@ -371,7 +372,7 @@ def _bar(talk: Talk) -> Bar | None:
     return Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
 
 
-def _line_of(done) -> str:
+def _line_of(done: "Done") -> str:
     """Return what stdout says of a frame: its name, how it went, its objects."""
     if done.error:
         return f"{done.frame.name}\tfailed"

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -67,7 +68,7 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
     talk.say(f"wrote {place} and {picture}")
 
 
-def tree_of(view) -> dict:
+def tree_of(view: Any) -> dict:
     """Return a NextView as JSON has it, angles in degrees."""
     import numpy as np
 
@@ -77,7 +78,7 @@ def tree_of(view) -> dict:
     }  # fmt: skip
 
 
-def table_of(views) -> str:
+def table_of(views: Any) -> str:
     """Return the table of the views that tell most."""
     import numpy as np
 

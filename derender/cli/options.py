@@ -31,7 +31,7 @@ class Bar:
 
     WIDTH = 30
 
-    def __init__(self, stream) -> None:
+    def __init__(self, stream: Any) -> None:
         self.stream, self.shown = stream, ""
 
     def __call__(self, fraction: float, words: str) -> None:

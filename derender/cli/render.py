@@ -1,6 +1,8 @@
 """derender render: scenes to depth images, or to pictures."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -9,6 +11,11 @@ from derender.cli import options
 from derender.cli.options import Idle, Talk
 from derender.cli.reading import read_scene_document
 from derender.errors import DerenderError
+
+if TYPE_CHECKING:
+    from derender.document import Document
+    from derender.scene.graph import SceneGraph
+    from derender.scene.solids import Solids
 
 PICTURES = (".png", ".jpg", ".jpeg", ".gif", ".bmp", ".webp")
 PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
@@ -111,7 +118,7 @@ def _name(scene: str) -> str:
     return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
 
 
-def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
+def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> Any:
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
 
@@ -126,7 +133,18 @@ def _camera(document, given: str | None, depth_scale: float | None, talk: Talk):
     return camera if depth_scale is None else replace(camera, depth_scale=depth_scale)
 
 
-def _write_depth(target, engine, document, graph, camera, antialias, noise, sensor, seeds, made) -> None:
+def _write_depth(
+    target: str,
+    engine: Any,
+    document: "Document",
+    graph: "SceneGraph",
+    camera: Any,
+    antialias: int,
+    noise: bool,
+    sensor: str | None,
+    seeds: Any,
+    made: Any,
+) -> None:
     from derender.camera.depth_file import write_depth
     from derender.document import LikelihoodPrior
     from derender.posterior.forward import observe
@@ -141,7 +159,7 @@ def _write_depth(target, engine, document, graph, camera, antialias, noise, sens
     write_depth(target, depth, camera, made, label)
 
 
-def _sensor(name: str):
+def _sensor(name: str) -> Callable[..., Any]:
     """Return the function (rng, clean depth) -> observed depth of a sensor's name, a scene file or a folder."""
     from derender.camera.sensor import SENSORS, find_sensor
     from derender.posterior.forward import observe
@@ -154,7 +172,7 @@ def _sensor(name: str):
     return lambda rng, depth: observe(rng, depth, likelihood)
 
 
-def _picture(engine, solids, names, camera) -> np.ndarray:
+def _picture(engine: Any, solids: "Solids", names: Any, camera: Any) -> np.ndarray:
     """Return (height, width, 3) uint8, by the renderer's own means or from its depth."""
     from derender.render.renderers.preview import draw_preview, enlarged
     from derender.report.pictures import colours_of

@@ -1,6 +1,8 @@
 """derender sample: draw scenes from a prior, with their depth images."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -63,13 +65,22 @@ def command(
     _write(draws, Path(output), count, images, noise, camera, renderer, talk)
 
 
-def _stream(draws) -> None:
+def _stream(draws: Iterator[Any]) -> None:
     """Print each scene as one YAML document."""
     for number, draw in enumerate(draws):
         click.echo(("---\n" if number else "") + draw.text(), nl=False)
 
 
-def _write(draws, folder: Path, count: int, images: bool, noise: bool, camera, renderer: str, talk: Talk) -> None:
+def _write(
+    draws: Iterator[Any],
+    folder: Path,
+    count: int,
+    images: bool,
+    noise: bool,
+    camera: str | None,
+    renderer: str,
+    talk: Talk,
+) -> None:
     """Write each scene, and its image, into the folder."""
     from derender.atomic import all_or_none, make_folder
     from derender.camera.camera_file import read_camera

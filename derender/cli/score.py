@@ -2,10 +2,15 @@
 
 import json
 import math
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from derender.cli import options
+from derender.cli.options import Talk
+
+if TYPE_CHECKING:
+    from derender.document import Document
 
 
 @click.command()
@@ -21,7 +26,9 @@ from derender.cli import options
 )
 @options.as_json
 @options.quiet
-def command(scene, image, camera, depth_scale, prior, as_json, talk) -> None:
+def command(
+    scene: str, image: str | None, camera: Any, depth_scale: Any, prior: str | None, as_json: bool, talk: Talk
+) -> None:
     """Print a scene's log prior, its log likelihood of a depth image, and each object's share of it.
 
     IMAGE may be left out for a DIR, which holds the image that it was inferred from. `pixels` are those in which an
@@ -72,7 +79,7 @@ def _own_image(scene: str) -> str:
     return str(path)
 
 
-def _likelihood(document):
+def _likelihood(document: "Document") -> tuple[str, dict[str, float]]:
     """Return the type and the numbers of a scene's likelihood; numbers that are open take their prior's mean."""
     if document.likelihood is None:
         return "gaussian", {}
@@ -85,7 +92,7 @@ def _number(value: float) -> str:
     return "-inf" if value == -math.inf else f"{value:.2f}" if abs(value) < 1e7 else f"{value:.3g}"
 
 
-def _table(shares) -> str:
+def _table(shares: Any) -> str:
     from derender.report.tables import number_or_dash, text_table
 
     rows = [

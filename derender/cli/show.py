@@ -1,6 +1,7 @@
 """derender show: a scene graph as a tree, or as JSON."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def command(scene: str, as_json: bool) -> None:
         click.echo(lines)
 
 
-def _shown(scene: str, as_json: bool):
+def _shown(scene: str, as_json: bool) -> Iterator[Any]:
     """Yield the text of each scene that the argument names."""
     path = Path(scene)
     if scene != "-" and path.is_dir():

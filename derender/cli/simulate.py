@@ -1,8 +1,9 @@
 """derender simulate: let physics act on a scene, or on the draws of a posterior or a prior."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,6 +11,9 @@ from derender import __version__
 from derender.cli import options
 from derender.cli.options import Idle, Talk
 from derender.errors import DerenderError
+
+if TYPE_CHECKING:
+    from derender.physics.intervention import Intervention
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
 TABLES = (".csv", ".jsonl")
@@ -188,7 +192,15 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
     return summary_of(best, runs, assumed), best, source
 
 
-def _table(paths: list[str], what, ask, margin: bool, output: str | None, as_json: bool, talk: Talk) -> int:
+def _table(
+    paths: list[str],
+    what: "Intervention",
+    ask: dict[str, float | str | None],
+    margin: bool,
+    output: str | None,
+    as_json: bool,
+    talk: Talk,
+) -> int:
     """Simulate many scenes, print or write their table, and return 1 where one could not be."""
     from derender.atomic import write_text
     from derender.physics.summary import csv_text, failed_row, row_of
@@ -214,7 +226,7 @@ def _table(paths: list[str], what, ask, margin: bool, output: str | None, as_jso
     return 1 if any(row["fault"] for row in rows) else 0
 
 
-def _lines(found):
+def _lines(found: Any) -> Iterator[Any]:
     """Yield the verdict and a table for the terminal."""
     import numpy as np
 
@@ -274,7 +286,7 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
         raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 
-def _animate(path: str, source, best, talk: Talk) -> None:
+def _animate(path: str, source: Any, best: Any, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
     from derender.report.animation import animate
 

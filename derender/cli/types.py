@@ -2,6 +2,7 @@
 
 import inspect
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -41,7 +42,7 @@ def command(name: str | None, as_json: bool) -> None:
         click.echo("\n".join(_listing(entries)))
 
 
-def _entries():
+def _entries() -> Iterator[Any]:
     """Yield each registered type: kind, name, what it is, its parameters."""
     from derender.posterior.kernels import kernels
     from derender.render.likelihoods import likelihoods

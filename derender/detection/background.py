@@ -7,6 +7,8 @@ is joined to what stands over visible floor, is no higher than the camera, and n
 upright plane that ends the floor, with nothing of the image behind it.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
@@ -36,7 +38,18 @@ ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
 
 
-def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held, floating=False, real=True):
+def standing_bodies(
+    points: np.ndarray,
+    above: np.ndarray,
+    beyond: np.ndarray,
+    good: np.ndarray,
+    footprint: np.ndarray,
+    sigma: np.ndarray,
+    origin: np.ndarray,
+    held: np.ndarray,
+    floating: bool = False,
+    real: bool = True,
+) -> np.ndarray:
     """Return (H, W) bool: pixels of `above` that stand on the support.
 
     Parameters
@@ -87,7 +100,7 @@ def standing_bodies(points, above, beyond, good, footprint, sigma, origin, held,
     return standing
 
 
-def frame_seen(good):
+def frame_seen(good: np.ndarray) -> Any:
     """Return the first and last row and column of what the camera sees; good : (H, W) bool, pixels with a depth.
 
     Registered images have margins without returns; but where returns end in few pixels that is the top of a solid
@@ -104,7 +117,7 @@ def frame_seen(good):
     return tuple(found)
 
 
-def at_border(mask, frame):
+def at_border(mask: np.ndarray, frame: Any) -> Any:
     """Return whether a body reaches the border of what has a depth."""
     top, bottom, left, right = frame
     rows, columns = np.nonzero(mask)
@@ -112,7 +125,7 @@ def at_border(mask, frame):
                 or columns.max() >= right - 1)  # fmt: skip
 
 
-def along_edge(points, beyond):
+def along_edge(points: np.ndarray, beyond: np.ndarray) -> Any:
     """Return whether a body (K, 3) stands along the edge of the support, as the wall of a bin does.
 
     beyond : (K,) metres by which its points lie beyond the support's outline.
@@ -120,7 +133,9 @@ def along_edge(points, beyond):
     return length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY
 
 
-def cut_off(points, mask, frame, real=True, least=WALL):
+def cut_off(
+    points: np.ndarray, mask: np.ndarray, frame: tuple[int, int, int, int], real: bool = True, least: float = WALL
+) -> Any:
     """Return whether a body is cut by the image's border so that it may go on as a wall does.
 
     frame : first and last row and column of what the camera sees. least : metres that a body is long of which one of
@@ -138,7 +153,7 @@ def cut_off(points, mask, frame, real=True, least=WALL):
     return max(over, under, beside) > 0.0 and long > LONG
 
 
-def shows_top(points, normal):
+def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     """Return whether a body (K, 3) shows a level top, as what is so near that it fills the view does and no wall.
 
     normal : (K, 3) of the surface at each point.
@@ -147,7 +162,14 @@ def shows_top(points, normal):
     return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
 
 
-def is_background(points, mask, normal, behind, beyond, frame):
+def is_background(
+    points: np.ndarray,
+    mask: np.ndarray,
+    normal: np.ndarray,
+    behind: np.ndarray,
+    beyond: np.ndarray,
+    frame: tuple[int, int, int, int],
+) -> bool:
     """Return whether what shows as one solid is a piece of the background: cut off by the image's border as a wall or a
     hand is, grown together with what is background, or on the very edge of the support, where a bin's wall begins.
 
@@ -166,7 +188,7 @@ def is_background(points, mask, normal, behind, beyond, frame):
     return bool((joined & outline).sum() > GROWN * max(outline.sum(), 1))
 
 
-def length(points):
+def length(points: np.ndarray) -> float:
     """Return the greatest extent of points (K, 3) along the support, in metres."""
     angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     along = points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
@@ -174,7 +196,7 @@ def length(points):
     return float((high - low).max())
 
 
-def floats(points, mask, good, jump, origin):
+def floats(points: np.ndarray, mask: np.ndarray, good: np.ndarray, jump: np.ndarray, origin: np.ndarray) -> bool:
     """Return whether a body hangs over the support with nothing under it.
 
     What shows below it and is nearly as high as its lowest point may bear it, with something hidden between.
@@ -197,7 +219,9 @@ BEYOND = 0.5  # of what stands over the floor: with less beyond its outline noth
 JOINING = 4  # pixels over visible floor that join an object to it
 
 
-def joined_to_floor(points, above, inside, footprint, camera_height):
+def joined_to_floor(
+    points: np.ndarray, above: np.ndarray, inside: np.ndarray, footprint: np.ndarray, camera_height: float
+) -> np.ndarray:
     """Return (H, W) bool: pixels beyond the floor's outline that belong to an object which fills the image.
 
     Parameters
@@ -241,7 +265,9 @@ MOST_POINTS = 3000
 MOST_WALLS = 3
 
 
-def walls_behind(points, good, above, sigma, origin):
+def walls_behind(
+    points: np.ndarray, good: np.ndarray, above: np.ndarray, sigma: np.ndarray, origin: np.ndarray
+) -> np.ndarray:
     """Return (H, W) bool: pixels on walls or behind them; a room's corner has two. Takes what `wall_behind` does."""
     found = np.zeros(good.shape, bool)
     for _ in range(MOST_WALLS):
@@ -252,7 +278,9 @@ def walls_behind(points, good, above, sigma, origin):
     return found
 
 
-def wall_behind(points, good, above, sigma, origin):
+def wall_behind(
+    points: np.ndarray, good: np.ndarray, above: np.ndarray, sigma: np.ndarray, origin: np.ndarray
+) -> np.ndarray:
     """Return (H, W) bool: pixels on a wall or behind it; none where there is no wall.
 
     Parameters

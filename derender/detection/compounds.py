@@ -4,18 +4,21 @@ A mallet's handle, a bottle's neck, a mug's handle, a carton's gable: each shows
 could not be where it is, or hardly ever is, unless it were a part of what it touches.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART
+from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import TIGHT
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
-from derender.detection.solids.state import FLOOR, held_out
+from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, shares_of_load
 from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, subset, support_of
 from derender.scene.pose import rotation_z
@@ -38,7 +41,7 @@ SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly s
 JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
 
 
-def compounds(seen, state, masks):
+def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[Any]]:
     """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
 
     A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
@@ -58,7 +61,7 @@ def compounds(seen, state, masks):
     return state, masks
 
 
-def joined(seen, state, parts, piece=None, gain=0.0):
+def joined(seen: Observation, state: State, parts: Any, piece: Any = None, gain: Any = 0.0) -> Any:
     """Return (State without some solids, [(mask, gain)]) with what they show as one free-form thing, if it is seen.
 
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already, and its gain.
@@ -77,13 +80,13 @@ def joined(seen, state, parts, piece=None, gain=0.0):
     return state, [(whole, gain)]
 
 
-def alone_on(state, i):
+def alone_on(state: State, i: Any) -> Any:
     """Return (j,), the solid on which a solid stands alone, that bears nothing itself; () where there is none."""
     j = state.parents[i]
     return () if j == FLOOR or i in state.parents or state.parents.count(j) > 1 else (j,)
 
 
-def falling(state):
+def falling(state: State) -> tuple[int, ...] | None:
     """Return (i,), a solid with nothing on it that could not be as it is; else None.
 
     A box on an edge or as a thin sheet: whatever shows so much of one face alone ends in another shape behind it. A
@@ -109,13 +112,13 @@ def falling(state):
     return None
 
 
-def tilted(row):
+def tilted(row: Any) -> Any:
     """Return whether a box or a cylinder neither stands nor lies: one flat top could not hold it as it is."""
     up = np.abs(rotation_of(row)[2])
     return (max(up) if int(row[0]) == BOX else max(up[2], np.hypot(up[0], up[1]))) < TILTED
 
 
-def held_by_another(state):
+def held_by_another(state: State) -> tuple[int, int] | None:
     """Return (i, j), a solid over nothing and the one on whose round side it is held, neither with others on it."""
     for i, row in enumerate(state.rows):
         if not np.isnan(state.bottoms[i]) or lowest(row) < LEAST_HEIGHT:
@@ -129,7 +132,7 @@ def held_by_another(state):
     return None
 
 
-def neck(state):
+def neck(state: State) -> Any:
     """Return (i, j), a narrow cylinder, nothing on it, and the upright wide one about whose axis alone it stands."""
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
@@ -144,7 +147,7 @@ def neck(state):
     return None
 
 
-def gable(seen, state, jump):
+def gable(seen: Observation, state: State, jump: Any) -> Any:
     """Return (i, j), a tilted solid and what alone bears it, from which it goes on across a convex edge; else None."""
     normal, label = None, held_out(seen.image, state, -1)[1]
     for i, row in enumerate(state.rows):
@@ -158,7 +161,7 @@ def gable(seen, state, jump):
     return None
 
 
-def hangs_on(seen, state, mask):
+def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> Any:
     """Return the solid, nothing on it, of which a thing, smaller or a rod on it, is a part that hangs in the air.
 
     mask : (H, W) bool, the thing's pixels.
@@ -177,14 +180,14 @@ def hangs_on(seen, state, mask):
     return part if mask.sum() < HANDLE * (held_out(seen.image, state, -1)[1] == part).sum() else None
 
 
-def hidden_share(seen, mask):
+def hidden_share(seen: Observation, mask: np.ndarray) -> Any:
     """Return the share of a mask's outline beyond which something nearer is seen."""
     good, piece = seen.image.weight > 0, np.where(mask, 0, -1).astype(np.int32)
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     return outline_shares(piece, 1, seen.points, good, jump, seen.footprint, seen.image.origin)[0][NEARER]
 
 
-def goes_on(points, mask, shows, normal, jump):
+def goes_on(points: np.ndarray, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> bool:
     """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
 
     mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
@@ -200,7 +203,7 @@ def goes_on(points, mask, shows, normal, jump):
     return convex > GOES_ON * outline
 
 
-def goes_on_from(seen, state, mask, first=()):
+def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Any = ()) -> Any:
     """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does."""
     label = held_out(seen.image, state, -1)[1]
     jump = TIGHT * (APART * seen.footprint + 3.0 * seen.sigma)

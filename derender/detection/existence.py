@@ -1,5 +1,7 @@
 """Whether what shows as a free-form thing is an object: how much of the image it explains, and how it stands out."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from derender.detection.freestanding import FARTHER, JOINED, outline_shares
@@ -7,16 +9,20 @@ from derender.detection.search.bodies import APART
 from derender.detection.segments import outline_area
 from derender.detection.solids.beliefs import bare_image
 
+if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
+    from derender.detection.search.observation import Observation
+
 LEAST_EXISTENCE = 0.5  # probability that a thing of the best scene is an object
 
 
-def existence_of(seen, mask, gain, settings):
+def existence_of(seen: "Observation", mask: np.ndarray, gain: float, settings: "Settings") -> tuple[float, float]:
     """Return (probability, standard error) that what a mask (H, W) shows is an object; gain : in tempered nats."""
     beliefs = bare_image() if settings.beliefs is None else settings.beliefs
     return beliefs.loose.existence.of(gain / settings.temper, outstanding(seen, mask))
 
 
-def outstanding(seen, mask):
+def outstanding(seen: "Observation", mask: np.ndarray) -> float:
     """Return how much what a mask (H, W) shows stands out, 1 at most: the share of its outline's hull that it fills,
     times the share of its outline beyond which something farther is seen, or the floor that it stands on.
 
@@ -35,7 +41,7 @@ def outstanding(seen, mask):
     return float((around[FARTHER] + min(floor[JOINED], around[JOINED])) * filled)
 
 
-def returns_about(seen):
+def returns_about(seen: "Observation") -> float:
     """Return the share of the eight neighbours of an Observation's pixels that have a depth as these do."""
     good = np.pad((seen.image.weight > 0).astype(float), 1)
     about = good[:, :-2] + good[:, 1:-1] + good[:, 2:]

@@ -9,10 +9,11 @@ planes: `bend_of` tells it. Without it a floor's noise seems to be that large, a
 A floor may be given instead: a plane in camera axes, or none at all.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
 from derender.detection.pyramid import intrinsics
 from derender.errors import DerenderError
@@ -49,7 +50,7 @@ class Floor(NamedTuple):
     inliers: np.ndarray
 
 
-def back_project(depth, camera):
+def back_project(depth: np.ndarray, camera: Camera | dict[str, float]) -> np.ndarray:
     """Return the points (H, W, 3) in camera axes of a depth image; NaN where there is no depth."""
     fx, fy, cx, cy = intrinsics(camera)
     height, width = depth.shape
@@ -57,7 +58,8 @@ def back_project(depth, camera):
     return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
 
 
-def find_floor(depth, camera, tolerance=0.008, gravity=None):
+def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], tolerance: Any = 0.008,
+               gravity: tuple[float, float, float] | np.ndarray | None = None) -> Floor:  # fmt: skip
     """Find the plane that most pixels lie on.
 
     Parameters
@@ -91,7 +93,7 @@ def find_floor(depth, camera, tolerance=0.008, gravity=None):
     return plane_through(depth, points, normal[best], offset[best], tolerance)
 
 
-def coarse_grid(points):
+def coarse_grid(points: np.ndarray) -> np.ndarray:
     """Return (h, w, 3) some SAMPLE points of an image (H, W, 3), NaN where there is no return: every so many rows and
     columns, as many left out at either end, so that an image's mirror image has the mirrored ones.
     """
@@ -101,7 +103,7 @@ def coarse_grid(points):
     return points[np.ix_(rows, columns)]
 
 
-def triples_of(grid, sample):
+def triples_of(grid: np.ndarray, sample: np.ndarray) -> np.ndarray:
     """Return (N, 3, 3) triples of points to put planes through: corners of squares of the grid, which lie on one
     surface more often than others do, and some of any three, where holes leave no squares.
     """
@@ -117,7 +119,7 @@ def triples_of(grid, sample):
     return np.concatenate(found)
 
 
-def planes_through(triples):
+def planes_through(triples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (normals (N, 3) towards the camera, offsets (N,)) of the planes through triples of points (N', 3, 3)."""
     normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normal, axis=1)
@@ -127,7 +129,8 @@ def planes_through(triples):
     return normal * side[:, None], offset * side
 
 
-def scores(sample, normal, offset, tolerance, gravity):
+def scores(sample: np.ndarray, normal: np.ndarray, offset: np.ndarray, tolerance: float,
+           gravity: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return (score, share of a sample of points (S, 3) on it, share far under it), each (N,), of planes as floors.
 
     Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have some,
@@ -155,7 +158,7 @@ def on_and_under(sample, normal, offset, tolerance):
     return found
 
 
-def floor_beside(floor, depth, camera, standing):
+def floor_beside(floor: Floor, depth: np.ndarray, camera: dict[str, float], standing: np.ndarray) -> Floor:
     """Return the plane of the floor beside what stands on it: the floor fitted again, what is near counting more.
 
     A real sensor bends a plane by millimetres, and what lies behind a table may be nearly its plane: solids stand on
@@ -187,7 +190,9 @@ def squares_to_nearest(points, others):
     return found
 
 
-def plane_through(depth, points, normal, offset, scale, weight=None):
+def plane_through(
+    depth: np.ndarray, points: np.ndarray, normal: Any, offset: Any, scale: float, weight: np.ndarray | None = None
+) -> Floor:
     """Return the Floor fitted robustly to the points near a plane.
 
     Parameters
@@ -231,7 +236,7 @@ def plane_through(depth, points, normal, offset, scale, weight=None):
     return Floor(pose, max(sigma, 3e-4), inliers.reshape(depth.shape))
 
 
-def weighted_median(values, weight):
+def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
     """Return the value at which half of the weight lies below; between two such values, their mean."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
@@ -247,7 +252,7 @@ STEEPEST = 0.15  # sine of the angle between ray and floor below which the bend 
 MOST = 3.0  # standard deviations of consumer sensors that a bend amounts to at most
 
 
-def bend_of(depth, floor, camera):
+def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) -> np.ndarray:
     """Return (H, W) metres to add to a depth image so that its floor is a plane; zeros where it is one as it is.
 
     The floor's height over its plane is taken as a polynomial of rows and columns, fitted robustly to its inliers, of a
@@ -276,7 +281,7 @@ def bend_of(depth, floor, camera):
     return np.clip(bend, -most, most) / np.maximum(slope, STEEPEST)
 
 
-def robust_fit(terms, seen):
+def robust_fit(terms: Any, seen: Any) -> Any:
     """Return (the numbers by which terms (N, K) explain most of what is seen (N,), metres that the rest scatters)."""
     kept = np.abs(seen) < WITHIN * scatter(seen)
     for _ in range(ROUNDS):
@@ -287,12 +292,12 @@ def robust_fit(terms, seen):
     return numbers, after
 
 
-def sensor_deviation(depth):
+def sensor_deviation(depth: float | np.ndarray) -> float | np.ndarray:
     """Return the standard deviation in metres of what consumer depth cameras are off by at a depth, bias included."""
     return (SENSOR_PER_DEPTH * depth + SENSOR_PER_SQUARE * depth**2) / 3.0
 
 
-def scatter(residual):
+def scatter(residual: Any) -> float:
     """Return the standard deviation of residuals about zero, from the median of their sizes."""
     return 1.4826 * float(np.median(np.abs(residual))) + 1e-9
 
@@ -303,7 +308,7 @@ MOST_NOISE = 0.02  # metres: where neighbouring pixels differ by more there is n
 FAR_BELOW = 10.0  # metres under the lowest point at which the floor lies where there is none
 
 
-def read_floor(text):
+def read_floor(text: Any) -> np.ndarray | str | None:
     """Return what `--floor` says: None for "auto", "none", or the plane (4,) a x + b y + c z + d = 0, a unit normal.
 
     Camera axes (x right, y down, z forward), metres. DerenderError for anything else.
@@ -324,7 +329,7 @@ def read_floor(text):
     return plane / np.linalg.norm(plane[:3])
 
 
-def given_floor(depth, camera, floor):
+def given_floor(depth: np.ndarray, camera: dict[str, float], floor: np.ndarray | str) -> Floor:
     """Return the Floor of a plane (4,) or of "none".
 
     Without a floor its frame has the camera's up for z and lies far below everything, so that nothing rests on it.
@@ -354,7 +359,7 @@ def given_floor(depth, camera, floor):
     return Floor(frame_of(normal, offset, points[inliers].mean(axis=0)), sigma, inliers)
 
 
-def find_backdrop(depth, camera):
+def find_backdrop(depth: np.ndarray, camera: Any) -> Any:
     """Return the Floor of a plane before which everything is seen, a table or a wall, and (H, W) bool: what lies on it
     or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
     """
@@ -370,7 +375,7 @@ def find_backdrop(depth, camera):
     return (plane, beyond) if reached >= 3 and plane.inliers.sum() > BACKDROP * seen.sum() else None
 
 
-def frame_of(normal, offset, near):
+def frame_of(normal: np.ndarray, offset: float, near: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4) of the frame in the plane normal . p = offset, z along the normal, origin under `near`."""
     fx = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
     right = fx - (fx @ normal) * normal
@@ -381,7 +386,7 @@ def frame_of(normal, offset, near):
     return pose
 
 
-def pixel_noise(depth):
+def pixel_noise(depth: np.ndarray) -> float:
     """Return the standard deviation of independent noise, from second differences along the rows."""
     second = depth[:, :-2] - 2 * depth[:, 1:-1] + depth[:, 2:]
     second = second[np.isfinite(second)]

@@ -23,7 +23,9 @@ ENDS = 0.02  # share of a piece's points beyond the ends of its extents: flying 
 EDGE, THING = 770.0, 47.0  # nats of each metre of concave edge within one piece, and of one more: as in `things.py`
 
 
-def freestanding(points, good, jump, footprint, origin):
+def freestanding(
+    points: np.ndarray, good: np.ndarray, jump: np.ndarray, footprint: np.ndarray, origin: np.ndarray
+) -> list[np.ndarray]:
     """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first.
 
     Parameters
@@ -54,13 +56,21 @@ def freestanding(points, good, jump, footprint, origin):
     return found
 
 
-def stand_free(shares):
+def stand_free(shares: np.ndarray) -> np.ndarray:
     """Return (N,) bool whether pieces stand free whose outlines have such shares (N, 5), see `outline_shares`."""
     held = shares[:, JOINED] + shares[:, NEARER] + shares[:, BORDER]
     return (shares[:, FARTHER] >= np.maximum(FREE, held)) & (shares[:, BORDER] <= CUT)
 
 
-def outline_shares(piece, count, points, good, jump, footprint, origin):
+def outline_shares(
+    piece: np.ndarray,
+    count: int,
+    points: np.ndarray,
+    good: np.ndarray,
+    jump: np.ndarray,
+    footprint: np.ndarray,
+    origin: np.ndarray,
+) -> np.ndarray:
     """Return (N, 5) the shares of each piece's outline beyond which lies what: see JOINED and so on.
 
     piece : (H, W) int, -1 for none; the rest as of `freestanding`.
@@ -69,7 +79,7 @@ def outline_shares(piece, count, points, good, jump, footprint, origin):
     return found / np.maximum(found.sum(axis=1, keepdims=True), 1.0)
 
 
-def principal_axes(points):
+def principal_axes(points: np.ndarray) -> np.ndarray:
     """Return (3, 3) the axes along which points (K, 3) spread, as columns."""
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
 

@@ -5,16 +5,19 @@ pixel as an outlier at most, says too little where neighbouring pixels tell the 
 only, be it a solid that fits or a free-form thing.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
-from derender.detection.search.greedy import complexity, sweep, total_energy, try_cubes
+from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
+from derender.detection.search.observation import Observation
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import held_out, run_polish
+from derender.detection.solids.state import State, held_out, run_polish
 from derender.detection.solids.support import assign_supports
 from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, cost_of, share_over, support_of
 
@@ -24,7 +27,7 @@ LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
 ROUNDS, YAWS = 200, 6  # of polishing a solid in its place; ways in which a box is turned at first
 
 
-def leftovers(rng, seen, state, settings):
+def leftovers(rng: np.random.Generator, seen: Observation, state: State, settings: Settings) -> tuple[State, list[Any]]:
     """Return (State, [(mask, gain)]) with what is clearly over the support and not explained yet.
 
     The image is changed as by `take_things`.
@@ -64,7 +67,7 @@ def leftovers(rng, seen, state, settings):
     return state, found
 
 
-def interior(mask):
+def interior(mask: np.ndarray) -> np.ndarray:
     """Return (H, W) bool: the pixels of a mask with it on all four sides."""
     inside = mask.copy()
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -72,7 +75,7 @@ def interior(mask):
     return inside
 
 
-def with_solid(rng, seen, state, mask, settings):
+def with_solid(rng: np.random.Generator, seen: Observation, state: State, mask: np.ndarray, settings: Settings) -> Any:
     """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
     image, points = seen.image, seen.points[mask]
     view, before = held_out(image, state, -1), total_energy(image, state, settings)

@@ -4,14 +4,14 @@ They are looked for among what the main plane takes as background: level, with a
 one rises from it as from any floor.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.detection.floor import LEVEL, back_project
 from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART, label_bodies
-from derender.detection.search.observation import CORRELATED
+from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import TIGHT
 
@@ -41,7 +41,7 @@ class Level(NamedTuple):
     mask: np.ndarray
 
 
-def levels_of(seen):
+def levels_of(seen: Observation) -> list[Any]:
     """Return the Levels among the background of an Observation of a real sensor's image, the largest first.
 
     Pieces of one height are one plane, such as a table with things on it that cut it in two.
@@ -80,7 +80,7 @@ def levels_of(seen):
     return found
 
 
-def patch_of(seen):
+def patch_of(seen: Observation) -> Any:
     """Return [x, y, length, width, turn] of the rectangle of its floor's plane that an Observation shows, None: none.
 
     Metres and radians, in the floor's frame.

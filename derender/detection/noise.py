@@ -17,7 +17,7 @@ LEAST_SIGMA, MOST_SIGMA, MOST_GROWTH = 1e-4, 1.0, 1.0  # the last two as a likel
 GROWING = 1.08  # times the near half's noise from which the far half's is clearly more
 
 
-def noise_of(residual, depth):
+def noise_of(residual: np.ndarray, depth: np.ndarray) -> tuple[float, float]:
     """Return (sigma, growth) of noise sigma + growth depth^2 in metres, from what scatters in a near and a far half.
 
     A constant one where the difference is not clear. Both lie in the ranges that a likelihood allows.
@@ -42,7 +42,7 @@ def noise_of(residual, depth):
     return float(np.clip(sigma, LEAST_SIGMA, MOST_SIGMA)), float(np.clip(growth, 0.0, MOST_GROWTH))
 
 
-def spread_of(residual):
+def spread_of(residual: np.ndarray) -> float:
     """Return the standard deviation of residuals (N,) about zero, N > 0, without those that are no noise.
 
     It begins with what most of them are below, and leaves out what lies beyond NO_NOISE of it again and again. Of
@@ -82,7 +82,7 @@ LEAST_COUNT = 60
 LEAST_LEAK = 0.03  # below it the image is as good as sharp
 
 
-def leaks(inverse_depth, noise):
+def leaks(inverse_depth: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the shares of the steps that leak to the pixel beside them, along rows and columns.
 
     Inverse depth is affine on a plane, so two pixels on either side say what the next one would be without the blur.
@@ -102,7 +102,7 @@ def leaks(inverse_depth, noise):
     return np.concatenate(shares)
 
 
-def estimate_blur(depth, sigma):
+def estimate_blur(depth: np.ndarray, sigma: float | np.ndarray) -> float:
     """Return the standard deviation, in pixels, of the blur of a depth image; 0 where it is sharp or cannot be told.
 
     depth : (H, W) metres, NaN or 0 = no return; sigma : (H, W) or float, standard deviation of the noise in metres.

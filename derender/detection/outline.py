@@ -1,11 +1,13 @@
 """The convex outline of points in a plane, without scipy, whose import takes as long as a whole search."""
 
+from typing import Any
+
 import numpy as np
 
 FLAT = 1e-10  # area over squared extent below which points count as being on a line
 
 
-def convex_outline(points):
+def convex_outline(points: Any) -> Any:
     """Return the (M, 2) corners of the convex hull of points (N, 2), counterclockwise; None where they are on a line.
 
     Quickhull: the point farthest beyond an edge is a corner, and what lies beyond the two edges to it is next.
@@ -19,7 +21,7 @@ def convex_outline(points):
     return corners if area > FLAT * np.ptp(points, axis=0).max() ** 2 else None
 
 
-def _beyond(points, start, end):
+def _beyond(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
     """Return the corners strictly to the left of the way from one corner to another, in order."""
     along, away = end - start, points - start
     height = along[0] * away[:, 1] - along[1] * away[:, 0]
@@ -30,7 +32,7 @@ def _beyond(points, start, end):
     return [*_beyond(points, start, corner), corner, *_beyond(points, corner, end)]
 
 
-def outline_planes(corners):
+def outline_planes(corners: np.ndarray) -> np.ndarray:
     """Return (M, 3) rows a, b, c of the edges' lines: a x + b y + c is the distance beyond the edge."""
     edges = np.roll(corners, -1, axis=0) - corners
     normals = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)

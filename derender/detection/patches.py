@@ -3,7 +3,7 @@
 Regions of pixels on one plane grow from the best pixels on, then are mended at their borders.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -209,7 +209,14 @@ def touching_pixels(points, label, regions, jump):
     return touching
 
 
-def find_patches(points, mask, origin, sigma, footprint, smallest=8):
+def find_patches(
+    points: np.ndarray,
+    mask: np.ndarray,
+    origin: np.ndarray,
+    sigma: np.ndarray,
+    footprint: np.ndarray,
+    smallest: Any = 8,
+) -> Patches:
     """Segment the surface into planar patches.
 
     Parameters

@@ -1,21 +1,26 @@
 """Smaller images of the same scene: one pixel of each block, less noisy, with the camera that goes with them."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from derender.compilation.cache import njit
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
 FAR_OFF = 2.0  # standard deviations
 
 
-def intrinsics(camera):
+def intrinsics(camera: "Camera | dict[str, float]") -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy of a camera object or of a dict of them."""
     if isinstance(camera, dict):
         return camera["fx"], camera["fy"], camera["cx"], camera["cy"]
     return camera.fx, camera.fy, camera.cx, camera.cy
 
 
-def reduced_camera(camera, factor, shape):
+def reduced_camera(camera: "Camera | dict[str, float]", factor: int, shape: tuple[int, int]) -> dict[str, float]:
     """Return the dict of intrinsics of the image whose pixels are blocks of factor x factor pixels."""
     fx, fy, cx, cy = intrinsics(camera)
     shift = sampled(factor)
@@ -93,12 +98,14 @@ def plane_at_origin(values, place, about, within):
     return min(max(1.0 / a, low), high) if a > 0.0 else about
 
 
-def reduced_by(depth, widest):
+def reduced_by(depth: np.ndarray, widest: int) -> int:
     """Return the whole factor by which `reduce` makes an image (H, W) smaller."""
     return max(1, int(round(depth.shape[1] / widest)))
 
 
-def reduce(depth, camera, widest):
+def reduce(
+    depth: np.ndarray, camera: "Camera | dict[str, float]", widest: int
+) -> tuple[np.ndarray, dict[str, float], int]:
     """Return (depth, camera dict, factor) of the image reduced by a whole factor to about `widest` pixels across.
 
     depth : (H, W) float metres, NaN or 0 = no return; in the answer NaN = no return.
@@ -110,7 +117,7 @@ def reduce(depth, camera, widest):
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
 
 
-def single_pixels(depth, factor):
+def single_pixels(depth: np.ndarray, factor: int) -> np.ndarray:
     """Return (H / factor, W / factor) depths: of each block that of the pixel that stands for it, NaN = no return.
 
     Where `reduce` makes use of all pixels of a block, these are as the sensor gave them: their noise is the image's,

@@ -100,7 +100,9 @@ def common_edges(points, label, count, jump, footprint):
     return edges
 
 
-def segments(points, mask, normal, jump, footprint):
+def segments(
+    points: np.ndarray, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray, footprint: np.ndarray
+) -> tuple[np.ndarray, int, np.ndarray]:
     """Return (label (H, W) int32, -1 for none; count; edges (N, N) metres) of the pieces of a masked surface.
 
     points : (H, W, 3) floor frame. normal : (H, W, 3), zero where there is none. jump : (H, W) metres between
@@ -116,7 +118,16 @@ def segments(points, mask, normal, jump, footprint):
     return label, count, common_edges(points, label, count, jump, footprint)
 
 
-def joined(points, label, count, edges, price, nats, origin, area):
+def joined(
+    points: np.ndarray,
+    label: np.ndarray,
+    count: int,
+    edges: np.ndarray,
+    price: float,
+    nats: float,
+    origin: np.ndarray,
+    area: np.ndarray,
+) -> np.ndarray:
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
     price : nats of one more thing. nats : of each metre of edge within a thing. origin : (3,) the camera's centre.
@@ -151,7 +162,7 @@ def joined(points, label, count, edges, price, nats, origin, area):
     return owner
 
 
-def one_rim(first, second, origin):
+def one_rim(first: np.ndarray, second: np.ndarray, origin: np.ndarray) -> bool:
     """Return whether two pieces (K, 3) are the outside and the inside of one thing: a mug's, with its rim unseen.
 
     They are close, one behind the other as the camera sees them, equally wide and high, and complement each other
@@ -174,7 +185,7 @@ def one_rim(first, second, origin):
     return outline_area(np.vstack([first, second])) < FILLED * (outline_area(first) + outline_area(second))
 
 
-def outline_area(points):
+def outline_area(points: np.ndarray) -> float:
     """Return the area of the outline of points (K, 3) seen from above, or of points (K, 2)."""
     corners = convex_outline(np.ascontiguousarray(points[:, :2]))
     if corners is None:

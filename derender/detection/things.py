@@ -7,7 +7,7 @@ primitive costs what the search asks for it, and its misfit. So a box that fits 
 bowl is not eight of them.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,15 +16,15 @@ from derender.detection.background import frame_seen, is_background
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.local_planes import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
-from derender.detection.search.greedy import complexity, total_energy
-from derender.detection.search.observation import HIDDEN_FLOOR
+from derender.detection.search.greedy import Settings, complexity, total_energy
+from derender.detection.search.observation import HIDDEN_FLOOR, Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
-from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import FLOOR, held_out
+from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top
 from derender.detection.symmetry import vertical_axis
 from derender.results.explanation import smooth_surface
@@ -76,7 +76,9 @@ class Cost(NamedTuple):
     normal: np.ndarray
 
 
-def take_things(seen, state, settings, reluctance=0.0):
+def take_things(
+    seen: Observation, state: State, settings: Settings, reluctance: float = 0.0
+) -> tuple[State, list[tuple[np.ndarray, float]]]:
     """Return (State of the solids that stay, [(mask, gain)] of what is free-form) that explain the image best.
 
     A mask is (H, W) bool, a gain the nats, tempered as the image is, by which the thing explains its pixels better than
@@ -104,7 +106,9 @@ def take_things(seen, state, settings, reluctance=0.0):
     return kept, things
 
 
-def likely_things(seen, state, masks, settings):
+def likely_things(
+    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], settings: Settings
+) -> tuple[Observation, list[Thing]]:
     """Return (Observation, [Thing]) of what is likelier an object than not; the rest is background as it is seen.
 
     masks : [(mask, gain in tempered nats)].
@@ -119,7 +123,7 @@ def likely_things(seen, state, masks, settings):
     return seen._replace(behind=behind), found
 
 
-def cost_of(seen, jump):
+def cost_of(seen: Observation, jump: np.ndarray) -> Cost:
     """Return the Cost of free-form surfaces for every pixel of an Observation."""
     mask = seen.mask
     normal, _, _ = local_planes(seen.points, mask, seen.image.origin, np.ascontiguousarray(jump), 2)
@@ -163,7 +167,7 @@ def surface_lengths(points, mask, normal, jump, footprint):
     return area, crease
 
 
-def groups_of(image, state, body, count):
+def groups_of(image: Image, state: State, body: np.ndarray, count: int) -> list[list[int]]:
     """Return lists of solids that show in the same bodies of pixels: whether they stay is decided together."""
     _, label, _, _ = held_out(image, state, -1)
     shares = np.zeros((len(state), count), int)
@@ -182,7 +186,16 @@ def groups_of(image, state, body, count):
     return groups
 
 
-def best_subset(seen, state, keep, members, cost, jump, settings, reluctance):
+def best_subset(
+    seen: Observation,
+    state: State,
+    keep: set[int],
+    members: list[int],
+    cost: Cost,
+    jump: np.ndarray,
+    settings: Settings,
+    reluctance: float,
+) -> set[int]:
     """Return which solids stay: `keep` without those of `members` that a free-form surface explains better."""
 
     def value(chosen):
@@ -203,7 +216,7 @@ def best_subset(seen, state, keep, members, cost, jump, settings, reluctance):
     return best
 
 
-def subset(state, keep):
+def subset(state: State, keep: set[int]) -> State:
     """Return the State of these solids alone."""
     for k in reversed(range(len(state))):
         if k not in keep:
@@ -211,7 +224,9 @@ def subset(state, keep):
     return state
 
 
-def pieces_of(seen, state, cost, jump, settings):
+def pieces_of(
+    seen: Observation, state: State, cost: Cost, jump: np.ndarray, settings: Settings
+) -> tuple[list[tuple[np.ndarray, float]], float]:
     """Return ([(mask, gain)], the sum of the gains) of the free-form things that pay beside the solids of a state."""
     image = seen.image
     depth, _, misfit, _ = held_out(image, state, -1)
@@ -246,7 +261,7 @@ def pieces_of(seen, state, cost, jump, settings):
     return found, total
 
 
-def without_background(seen, state, masks):
+def without_background(seen: Observation, state: State, masks: list[Any]) -> tuple[Observation, State, list[Any]]:
     """Return (Observation, State, masks) without the solids and the free-form things that are pieces of the background.
 
     What stands there is told apart body by body (`background.py`) before solids are known; a hand that touches a carton
@@ -281,7 +296,7 @@ def without_background(seen, state, masks):
     return seen._replace(behind=behind | gone), subset(state, keep), left
 
 
-def support_of(points, state):
+def support_of(points: np.ndarray, state: State) -> tuple[int, float]:
     """Return (FLOOR or the index of the solid that points (K, 3) stand on, its height)."""
     low = float(np.quantile(points[:, 2], ENDS))
     parent, bottom = FLOOR, 0.0
@@ -294,13 +309,13 @@ def support_of(points, state):
     return parent, bottom
 
 
-def share_over(points, row):
+def share_over(points: np.ndarray, row: Any) -> Any:
     """Return the share of points (K, 3) that lie over or under an upright solid."""
     local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
     return (local <= 0.5 * row[13:15]).all(axis=1).mean()
 
 
-def made_thing(seen, state, mask, existence):
+def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
     Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last,

@@ -8,6 +8,7 @@ prior of its own, log-normal about its median m, and the camera stands between a
 """
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,11 +17,16 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.shapes import shapes
 
+if TYPE_CHECKING:
+    from derender.results.posterior import Posterior, StructurePosterior
+    from derender.scene.graph import SceneGraph
+    from derender.scene.priors.bare_image import Loose
+
 SHARE = 0.25  # of the pixels are nearer than what counts: there may be a room behind a table
 SAME = 1e-9
 
 
-def unit_of(depth, loose):
+def unit_of(depth: np.ndarray, loose: "Loose") -> float:
     """Return the unit in metres for a depth image (H, W), NaN = no return. loose : of the prior, see Loose."""
     seen = depth[np.isfinite(depth)]
     middle = loose.unit.quantile(0.5) if isinstance(loose.unit, Distribution) else loose.unit
@@ -31,7 +37,7 @@ def unit_of(depth, loose):
     return 1.0 if abs(unit - 1.0) < SAME else unit
 
 
-def in_metres(posterior, unit):
+def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
     """Return a Posterior whose lengths were counted in units of so many metres with all of them in metres."""
     parts = tuple(part_in_metres(part, unit) for part in posterior.parts)
     meta = dict(posterior.meta)
@@ -43,7 +49,7 @@ def in_metres(posterior, unit):
     return replace(posterior, parts=parts, meta=meta, explanation=explanation)
 
 
-def part_in_metres(part, unit):
+def part_in_metres(part: "StructurePosterior", unit: float) -> "StructurePosterior":
     """Return a StructurePosterior with all lengths in metres; its log densities keep their unit."""
     powers = powers_of(part.graph)
     factors = np.array([unit ** powers.get(address, 0) for address in part.addresses])
@@ -56,14 +62,14 @@ def part_in_metres(part, unit):
                    values=part.values * factors, root_pose=root, extras=extras)  # fmt: skip
 
 
-def pose_in_metres(pose, unit):
+def pose_in_metres(pose: np.ndarray, unit: float) -> np.ndarray:
     """Return poses (..., 4, 4) with their places in metres."""
     pose = np.array(pose, float)
     pose[..., :3, 3] *= unit
     return pose
 
 
-def powers_of(graph):
+def powers_of(graph: "SceneGraph") -> dict[str, int]:
     """Return {address: 1} of a graph's numbers that are lengths."""
     found = {}
     for vertex in graph.vertices:
@@ -76,7 +82,7 @@ def powers_of(graph):
     return found
 
 
-def likelihood_in_metres(numbers, unit):
+def likelihood_in_metres(numbers: Any, unit: Any) -> dict[str, float | str]:
     """Return a likelihood's type and numbers, as a scene file has them, with lengths in metres."""
     powers = {"m": 1, "1/m": -1}
     units = {p.name: powers.get(p.unit, 0) for p in likelihoods[numbers["type"]].parameters}

@@ -4,7 +4,7 @@ A scene is made of items on a table, drawn point-sampled by the ray caster, and 
 None of it uses derender's own priors, samplers or noise.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -14,6 +14,9 @@ from derender.evaluation.made_scenes import settle, settled_bridge
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 FIELD_OF_VIEW = 58.0  # degrees
 FARTHEST = 4.0  # metres from which nothing returns
@@ -79,7 +82,7 @@ class Item(NamedTuple):
     mesh: tuple | None = None
 
 
-def table_pose(rng, kind):
+def table_pose(rng: np.random.Generator, kind: Kind) -> np.ndarray:
     """Return a pose (4, 4), table to camera."""
     down, away = np.radians(rng.uniform(*kind.down)), rng.uniform(*kind.away)
     up = np.array([0.0, -np.cos(down), -np.sin(down)])
@@ -89,26 +92,26 @@ def table_pose(rng, kind):
     return pose @ rotation_z(rng.uniform(-0.4, 0.4))
 
 
-def at(x, y, z, yaw=0.0):
+def at(x: float, y: float, z: Any, yaw: float = 0.0) -> np.ndarray:
     """Return the pose (4, 4) of an upright solid with its centre there."""
     pose = rotation_z(yaw)
     pose[:3, 3] = x, y, z
     return pose
 
 
-def turned(profile):
+def turned(profile: list[tuple[float, float]]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return (vertices, triangles) of a solid of revolution, its box's extents 1, and its (diameter, height)."""
     return framed(trimesh.creation.revolve(np.array(profile), sections=40))
 
 
-def framed(mesh):
+def framed(mesh: "Trimesh") -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return ((vertices, triangles), size (3,)) of a mesh, centred, its box's extents 1."""
     points = mesh.vertices - 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     size = np.ptp(points, axis=0)
     return (np.ascontiguousarray(points / size), np.ascontiguousarray(mesh.faces, np.int32)), size
 
 
-def free_form(rng):
+def free_form(rng: np.random.Generator) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return (mesh, size) of a bowl, a mug with a handle, a bottle, an L-shape, a wedge or a cone."""
     r, h = rng.uniform(0.04, 0.08), rng.uniform(0.05, 0.09)
     kind = rng.choice(["bowl", "mug", "bottle", "L", "wedge", "cone"])
@@ -135,13 +138,13 @@ def free_form(rng):
     return framed(trimesh.util.concatenate([trimesh.Trimesh(vertices * size, faces), ring]))
 
 
-def bare_room():
+def bare_room() -> list[Item]:
     """Return the Items of a room: its floor, 70 cm below the table, and a wall."""
     return [Item(PLANE, at(0, 0, -0.7), np.zeros(3), BEHIND),
             Item(BOX, at(0, 1.2, 0.8), np.array([6.0, 0.1, 3.0]), BEHIND)]  # fmt: skip
 
 
-def room(rng):
+def room(rng: np.random.Generator) -> list[Item]:
     """Return the Items of a table top that ends, a floor below, a wall and clutter behind."""
     top = np.array([rng.uniform(0.7, 0.9), rng.uniform(0.5, 0.6), 0.04])
     items = [Item(BOX, at(0, 0, -0.02), top, SUPPORT), *bare_room()]
@@ -176,14 +179,14 @@ def apart(rng, count, spread, shape_of, free=False):
     return types, sizes, poses, meshes
 
 
-def some_solid(rng, low=0.04, high=0.13):
+def some_solid(rng: np.random.Generator, low: float = 0.04, high: float = 0.13) -> tuple[str, np.ndarray]:
     """Return (type, size) of a box, a cube, a cylinder or a sphere."""
     kind = str(rng.choice(["box", "box", "cube", "cylinder", "sphere"]))
     size = rng.uniform(low, high, 3)
     return kind, size[{"box": [0, 1, 2], "cylinder": [0, 0, 1]}.get(kind, [0, 0, 0])]
 
 
-def dropped(rng, low, high, spread, upright):
+def dropped(rng: np.random.Generator, low: Any, high: Any, spread: Any, upright: Any) -> Any:
     """Return (types, sizes, poses, parents) of solids that physics has put to rest."""
     while True:
         types, sizes = zip(*[some_solid(rng) for _ in range(rng.integers(low, high))], strict=True)
@@ -192,7 +195,7 @@ def dropped(rng, low, high, spread, upright):
             return types, sizes, *rest
 
 
-def leaning_board(rng):
+def leaning_board(rng: np.random.Generator) -> tuple[list[list[int] | np.ndarray | str], ...]:
     """Return (types, sizes, poses, parents) of a box and a board that stands on the floor and leans on it.
 
     As in all made scenes an object's parent is what bears most of it; against what else it leans is not asked.
@@ -228,7 +231,7 @@ def stacked_cartons(rng):
 HEIGHTS = ((-0.32, 0.3), (0.32, 0.27))  # metres: middle and half the width of two tables side by side
 
 
-def on_two_tables(rng):
+def on_two_tables(rng: np.random.Generator) -> Any:
     """Return (types, sizes, poses, parents, Items of the tables and the room, height of the second in metres)."""
     rise = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.06, 0.25))
     types, sizes, poses, parents, items = [], [], [], [], bare_room()
@@ -285,7 +288,7 @@ def arranged(rng, name):
     return types, sizes, poses, parents or ["floor"] * count, supports or [()] * count, meshes or [None] * count
 
 
-def make(rng, name):
+def make(rng: Any, name: str) -> Any:
     """Return one Scene of the kind of this name."""
     kind = KINDS[name]
     camera = Camera.from_field_of_view(*kind.size, FIELD_OF_VIEW)
@@ -316,7 +319,7 @@ def make(rng, name):
     return Scene(SENSORS[kind.sensor](rng, depth), camera, label, objects, tables, free)
 
 
-def smooth_noise(rng, shape, reach):
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], reach: float) -> np.ndarray:
     """Return (H, W) noise of standard deviation 1 that neighbours within about `reach` pixels share."""
     from scipy import ndimage
 
@@ -324,17 +327,24 @@ def smooth_noise(rng, shape, reach):
     return noise / noise.std()
 
 
-def white(rng, depth):
+def white(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     """Return the depth with noise of single pixels, 1 mm at a metre."""
     return depth + 0.001 * depth**2 * rng.standard_normal(depth.shape)
 
 
-def shared(rng, depth):
+def shared(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     """Return the depth with noise that grows with depth and is shared by neighbours."""
     return depth + SIGMA * depth**2 * smooth_noise(rng, depth.shape, SHARED)
 
 
-def stereo(rng, depth, baseline_focal=30.0, step=1 / 32, error=0.05, bias=0.08):
+def stereo(
+    rng: np.random.Generator,
+    depth: np.ndarray,
+    baseline_focal: Any = 30.0,
+    step: Any = 1 / 32,
+    error: Any = 0.05,
+    bias: Any = 0.08,
+) -> np.ndarray:
     """Return the depth as active stereo gives it: what is near is fattened by about a pixel, what only one eye sees is
     lost, disparities (in the sensor's pixels: 600 of focal length, 50 mm of baseline) are off by what neighbours share,
     slowly bent, and quantised."""
@@ -355,7 +365,7 @@ def stereo(rng, depth, baseline_focal=30.0, step=1 / 32, error=0.05, bias=0.08):
         return np.where(lost | (disparity < baseline_focal / FARTHEST), np.nan, baseline_focal / disparity)
 
 
-def phone(rng, depth):
+def phone(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     """Return the depth as a phone's software makes it of a few hundred LiDAR points: smooth even over edges, its noise
     shared by neighbours, all of it too long or too short by 1 %."""
     from scipy import ndimage

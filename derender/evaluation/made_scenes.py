@@ -7,17 +7,21 @@ supports (indices of what else carries it).
 """
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.physics.bodies import DENSITY
 from derender.physics.settling import come_to_rest
 
+if TYPE_CHECKING:
+    from derender.document import Document
+
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
 GRAVITY = 9.81
 
 
-def turned(yaw, x, y, z):
+def turned(yaw: float, x: float, y: float, z: float) -> np.ndarray:
     """Return the pose (4, 4) of an upright body."""
     pose = np.eye(4)
     pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
@@ -39,7 +43,7 @@ def place_bridge(rng):
     return sizes, np.array(poses)
 
 
-def let_rest(sizes, poses):
+def let_rest(sizes: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Let upright boxes come to rest where they stand; see `come_to_rest`."""
     bodies = []
     for size, pose in zip(sizes, poses, strict=True):
@@ -51,7 +55,7 @@ def let_rest(sizes, poses):
     return come_to_rest(bodies, 2.0)
 
 
-def settled_bridge(rng):
+def settled_bridge(rng: np.random.Generator) -> Any:
     """Return kinds, sizes, poses, parents and second supports of a bridge at rest that bears on both its towers."""
     while True:
         sizes, poses = place_bridge(rng)
@@ -74,7 +78,7 @@ FIELD_OF_VIEW = np.radians(60.0)
 KINECT_DISPARITY = 580.0 * 0.075  # focal length in pixels times baseline in metres
 
 
-def camera_of(width, height):
+def camera_of(width: int, height: int) -> dict[str, float]:
     """Return the intrinsics dict of the pinhole camera that sees the scenes."""
     focal = width / 2 / np.tan(FIELD_OF_VIEW / 2)
     return {
@@ -82,7 +86,7 @@ def camera_of(width, height):
     }  # fmt: skip
 
 
-def look_at(rng, distance, elevation, target):
+def look_at(rng: np.random.Generator, distance: float, elevation: float, target: np.ndarray) -> np.ndarray:
     """Return the pose of the world (z up) in a camera at this distance and elevation that looks at `target`."""
     azimuth = rng.uniform(0, 2 * np.pi)
     direction = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
@@ -96,7 +100,7 @@ def look_at(rng, distance, elevation, target):
     return pose
 
 
-def random_size(rng, kind, low=0.04, high=0.14):
+def random_size(rng: np.random.Generator, kind: str, low: float = 0.04, high: float = 0.14) -> np.ndarray:
     """Return the full extents (3,) of a solid of this kind, each edge or diameter uniform in [low, high] metres."""
     if kind == "cube":
         return np.full(3, rng.uniform(low, high))
@@ -142,7 +146,9 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
     return poses, parents
 
 
-def stack(rng, count, low=0.04, high=0.14):
+def stack(
+    rng: np.random.Generator, count: int, low: Any = 0.04, high: Any = 0.14
+) -> tuple[list[str], np.ndarray, np.ndarray, list[int | str]]:
     """Return kinds, sizes, poses and parents of a flush tower of boxes: upright, centres anywhere on the face below."""
     kinds, sizes, poses, parents = [], [], [], []
     height, centre, yaw = 0.0, np.zeros(2), rng.uniform(0, np.pi / 2)
@@ -166,7 +172,7 @@ def stack(rng, count, low=0.04, high=0.14):
     return kinds, np.array(sizes), np.array(poses), parents
 
 
-def kinect_noise(rng, depth, label):
+def kinect_noise(rng: np.random.Generator, depth: np.ndarray, label: np.ndarray) -> np.ndarray:
     """Return the depth as a Kinect-like sensor gives it: noise 1.2 mm + 1.9 mm/m^2 (z - 0.4)^2, disparity in steps of
     1/8 pixel at the sensor's own focal length, 60 % of the edge pixels and 1 % of all lost."""
     noisy = depth + rng.normal(size=depth.shape) * (0.0012 + 0.0019 * (depth - 0.4) ** 2)
@@ -186,7 +192,18 @@ def kinect_noise(rng, depth, label):
     return np.where(lost, np.nan, noisy)
 
 
-def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, noise="millimetre", distance=(0.65, 0.9)):
+def photograph(
+    rng: np.random.Generator,
+    kinds: list[str],
+    sizes: np.ndarray,
+    poses: np.ndarray,
+    parents: list[int | str],
+    *,
+    width: Any = 160,
+    height: Any = 120,
+    noise: str = "millimetre",
+    distance: tuple[float, float] = (0.65, 0.9),
+) -> Any:
     """Return the scene dict that a camera 20 to 50 degrees up sees."""
     from derender.detection.solids.image import render_floor_scene
 
@@ -208,7 +225,7 @@ def photograph(rng, kinds, sizes, poses, parents, *, width=160, height=120, nois
     return {"depth": observed, "clean": depth, "label": label, "camera": camera, "floor": world, "objects": objects}
 
 
-def make_scene(rng, name):
+def make_scene(rng: np.random.Generator, name: str) -> Any:
     """Return one scene of the set `name` (one of SETS)."""
     while True:
         if name in ("settled", "noisy", "mixed", "pile"):
@@ -242,7 +259,7 @@ def make_scene(rng, name):
             return scene
 
 
-def make_groups(rng, count=20):
+def make_groups(rng: np.random.Generator, count: Any = 20) -> Any:
     """Return 20 boxes scattered in three groups, none of which reaches into another, at 320 x 240."""
     from derender.detection.solids.image import make_row
     from derender.detection.solids.interpenetration import penetration
@@ -269,7 +286,7 @@ def make_groups(rng, count=20):
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
 
 
-def prior_document(prior):
+def prior_document(prior: str) -> "Document":
     """Return the Document of a built-in prior by its name, or of a file of one."""
     from derender import data_path
     from derender.document import read_document
@@ -277,7 +294,7 @@ def prior_document(prior):
     return read_document(prior if str(prior).endswith(".yaml") else data_path(f"priors/{prior}.yaml"))
 
 
-def drawn_scene(seed, prior, size=None, sigma=None):
+def drawn_scene(seed: int, prior: str, size: Any = None, sigma: Any = None) -> Any:
     """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
 
     size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
@@ -288,13 +305,14 @@ def drawn_scene(seed, prior, size=None, sigma=None):
     document = prior_document(prior)
     rng = np.random.default_rng([seed, 2026])
     graph = document.prior.sample(rng)
-    camera = document.camera
+    camera, likelihood = document.camera, document.likelihood
+    assert camera is not None and likelihood is not None, "the priors that scenes are made from name both"
     if size is not None:
         times = size[0] / camera.width
         camera = replace(camera, width=size[0], height=size[1], fx=camera.fx * times, fy=camera.fy * times,
                          cx=(camera.cx + 0.5) * times - 0.5, cy=(camera.cy + 0.5) * times - 0.5)  # fmt: skip
     depth, label = render_depth(graph.solids(), camera)
-    values = document.likelihood.sample(rng)
+    values = likelihood.sample(rng)
     if sigma is not None:
         values["sigma"] = sigma
-    return graph, likelihoods[document.likelihood.type].sample(rng, depth, values), label, camera
+    return graph, likelihoods[likelihood.type].sample(rng, depth, values), label, camera

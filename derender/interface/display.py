@@ -65,7 +65,7 @@ def _table(head: tuple[str, ...], rows: str) -> str:
 MOST_BARS = 12  # structures in one plot
 
 
-def plot_depth(seen: Any, ax=None):
+def plot_depth(seen: Any, ax: Any = None) -> Any:
     """Draw a depth image: of a DepthImage, a Scene, a Posterior (the observed one) or an array (H, W) in metres."""
     if isinstance(seen, Posterior):
         if seen.image is None:
@@ -80,7 +80,7 @@ def plot_depth(seen: Any, ax=None):
     return axes
 
 
-def plot_sizes(posterior: Posterior, ax=None):
+def plot_sizes(posterior: Posterior, ax: Any = None) -> Any:
     """Draw the length, width and height of each object with their 90 % ranges, in millimetres."""
     axes, objects = _axes(ax), posterior.objects
     places = np.arange(len(objects))
@@ -95,7 +95,7 @@ def plot_sizes(posterior: Posterior, ax=None):
     return axes
 
 
-def plot_structures(posterior: Posterior, ax=None):
+def plot_structures(posterior: Posterior, ax: Any = None) -> Any:
     """Draw the probabilities of the structures found, the most probable on top."""
     from derender.report.tree_text import told_structures
 
@@ -107,7 +107,7 @@ def plot_structures(posterior: Posterior, ax=None):
     return axes
 
 
-def _axes(ax):
+def _axes(ax: Any) -> Any:
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt

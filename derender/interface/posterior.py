@@ -13,6 +13,7 @@ from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene
 from derender.results import posterior as kept
+from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
     from derender.interface.simulation import How
@@ -69,7 +70,7 @@ class Objects(tuple[Found, ...]):
             raise KeyError(key)
         return super().__getitem__(key)
 
-    def to_pandas(self):
+    def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with a row for each object: sizes and places in metres.
 
         Raises
@@ -210,7 +211,7 @@ class Posterior(kept.Posterior):
 
         return chance_that(event, self, draws, until, seed, **how)
 
-    def to_arviz(self):
+    def to_arviz(self) -> Any:
         """Return what ArviZ works on: an InferenceData, or with ArviZ 1 a DataTree; of the most probable structure.
 
         Its groups are `posterior`, `sample_stats` and, where the image is known, `observed_data`, `log_likelihood` and
@@ -237,19 +238,19 @@ class Posterior(kept.Posterior):
             data = arviz.from_netcdf(str(path))
             return data.load() if hasattr(data, "load") else data
 
-    def plot_depth(self, ax=None):
+    def plot_depth(self, ax: Any = None) -> Any:
         """Draw the observed depth into matplotlib axes, new ones by default, and return them."""
         from derender.interface.display import plot_depth
 
         return plot_depth(self, ax)
 
-    def plot_sizes(self, ax=None):
+    def plot_sizes(self, ax: Any = None) -> Any:
         """Draw each object's sizes with their 90 % ranges into matplotlib axes, and return them."""
         from derender.interface.display import plot_sizes
 
         return plot_sizes(self, ax)
 
-    def plot_structures(self, ax=None):
+    def plot_structures(self, ax: Any = None) -> Any:
         """Draw the structures' probabilities into matplotlib axes, and return them."""
         from derender.interface.display import plot_structures
 
@@ -265,7 +266,7 @@ class Posterior(kept.Posterior):
             raise DerenderError("the posterior knows no camera", remedy="load the folder that derender infer wrote")
         return self.camera
 
-    def _scene(self, graph) -> Scene:
+    def _scene(self, graph: SceneGraph) -> Scene:
         told = dict(self.meta.get("likelihood") or {})
         kind = told.pop("type", None)
         return Scene(graph, self.camera, None if kind is None else LikelihoodPrior(kind, told))

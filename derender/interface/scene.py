@@ -133,7 +133,7 @@ class Scene:
         (text,) = (data for name, data in export_mjcf(self.graph, Path("scene.xml")).items() if name.endswith(".xml"))
         return text.decode()
 
-    def plot_depth(self, ax=None):
+    def plot_depth(self, ax: Any = None) -> Any:
         """Draw its depth image into matplotlib axes, new ones by default, and return them."""
         from derender.interface.display import plot_depth
 

@@ -184,7 +184,7 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
     return residual
 
 
-def greatest(residual):
+def greatest(residual: np.ndarray) -> float:
     """Return the greatest norm of a body's residual (B, 6)."""
     return math.sqrt(float((residual * residual).sum(axis=1).max(initial=0.0)))
 

@@ -1,7 +1,7 @@
 """The scene graph of where things came to rest: every body on what bears it now."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def _at_rest(vertex: Vertex) -> Vertex:
     return replace(vertex, options=options, contact=replace(vertex.contact, values=values))
 
 
-def _contact(relative: np.ndarray, parent, child) -> Contact | None:
+def _contact(relative: np.ndarray, parent: Any, child: Any) -> Contact | None:
     """Return the flattest contact of two bodies that reproduces a relative pose, or None."""
     best: tuple[float, Contact] | None = None
     for kind in TYPES:

@@ -8,7 +8,7 @@ STEP = 0.002  # seconds
 AT_REST, FOR = 0.005, 100  # m/s and rad/s that nothing exceeds for so many steps on end
 
 
-def come_to_rest(bodies, seconds):
+def come_to_rest(bodies: list[str], seconds: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Let bodies move until they rest.
 
     Parameters

@@ -106,7 +106,7 @@ def _run(
     return Trajectory(names, sizes, times[: last + 1], poses[: last + 1], resting)
 
 
-def advance(world, done: Disturbance, gravity: np.ndarray, first: int, last: int) -> None:
+def advance(world: World, done: Disturbance, gravity: np.ndarray, first: int, last: int) -> None:
     """Step a world from step number `first` to `last` under what is done to it."""
     if done.shake is not None:
         for step in range(first, last):

@@ -7,7 +7,7 @@ Both keep every state inside the domain, angles going round their period.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from derender.registry import suggest
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import new_misfit
 from derender.scene.graph import SceneGraph
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 METHODS = ("gauss-newton", "gradient")
 GRADIENTS = ("exact", "finite-difference")
@@ -63,8 +66,20 @@ class MapProblem:
     DerenderError : an unknown address, a contact type without compiled form.
     """
 
-    def __init__(self, graph: SceneGraph, addresses: Sequence[str], camera, observed, *, sigma=0.005, blur=1.0,
-                 background=10.0, limit=math.inf, ranges=None, edges=True) -> None:  # fmt: skip
+    def __init__(
+        self,
+        graph: SceneGraph,
+        addresses: Sequence[str],
+        camera: "Camera",
+        observed: np.ndarray,
+        *,
+        sigma: float = 0.005,
+        blur: float = 1.0,
+        background: float = 10.0,
+        limit: float = math.inf,
+        ranges: dict[str, tuple[float, float]] | None = None,
+        edges: Any = True,
+    ) -> None:
         self.graph, self.addresses = graph, tuple(addresses)
         self.placement, self.values, self.domain = new_placement(graph, self.addresses)
         count = len(self.addresses)
@@ -111,8 +126,16 @@ class MapProblem:
         finite = np.isfinite(low) & np.isfinite(length)
         return np.where(finite, np.where(finite, low, 0) + np.where(finite, length, 0) * drawn, self.values)
 
-    def maximise(self, starts=None, method: str = "gauss-newton", gradient: str = "exact", iterations: int = 12,
-                 step: float = 0.05, tolerance: float = 0.5, explore: bool = True) -> list[Maximum]:  # fmt: skip
+    def maximise(
+        self,
+        starts: np.ndarray | None = None,
+        method: str = "gauss-newton",
+        gradient: str = "exact",
+        iterations: int = 12,
+        step: float = 0.05,
+        tolerance: float = 0.5,
+        explore: bool = True,
+    ) -> list[Maximum]:
         """Ascend from each start (S, P), by default from the graph's own values, and return the ends in that order.
 
         Parameters
@@ -130,7 +153,7 @@ class MapProblem:
             return [self._fixed(start, iterations, step, difference) for start in starts]
         return [self._newton(start, iterations, tolerance, explore) for start in starts]
 
-    def _newton(self, start, iterations, tolerance, explore) -> Maximum:
+    def _newton(self, start: np.ndarray, iterations: int, tolerance: float, explore: bool) -> Maximum:
         values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
         return self._maximum(levenberg(self._fine, values, self.domain, iterations, tolerance), before)
 
@@ -139,7 +162,7 @@ class MapProblem:
         path, densities = ascent.path, self._constant - ascent.costs
         return Maximum(path[-1], float(densities[-1]), path, densities, before + len(path) - 1)
 
-    def _explore(self, start) -> tuple[np.ndarray, int]:
+    def _explore(self, start: np.ndarray) -> tuple[np.ndarray, int]:
         """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
 
         The lattice begins at `start`, so that a random start makes it random; wrong basins are few on a coarse image.
@@ -157,7 +180,7 @@ class MapProblem:
         best = min(ends, key=lambda end: end.costs[-1])
         return best.path[-1], len(best.path) - 1
 
-    def _fixed(self, start, iterations, length, difference) -> Maximum:
+    def _fixed(self, start: np.ndarray, iterations: int, length: float, difference: float) -> Maximum:
         return self._maximum(fixed_steps(self._fine, start, self.domain, iterations, length, difference))
 
 
@@ -172,7 +195,9 @@ def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarr
     return np.where(number > 0, total / np.maximum(number, 1), np.nan), sigma.mean(axis=(1, 3))
 
 
-def climb(target, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None) -> np.ndarray:
+def climb(
+    target: Any, values: np.ndarray, gradient: str = "exact", rng: np.random.Generator | None = None
+) -> np.ndarray:
     """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
 
     The ascents move contact and shape numbers on the antialiased image under uniform priors in the target's ranges; the

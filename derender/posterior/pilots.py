@@ -103,7 +103,9 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, si
     return Found(pools[0], levels[0])
 
 
-def restarted(rng, space: Space, singles: dict[str, Any], values, density) -> tuple[np.ndarray, np.ndarray]:
+def restarted(
+    rng: np.random.Generator, space: Space, singles: dict[str, Any], values: np.ndarray, density: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return better places (n, P) than `values`, and their densities (n, 2), where one object stands at another angle.
 
     What is half hidden is easily taken for turned; a whole scene hardly comes out of that, where each of the others has
@@ -122,7 +124,9 @@ def restarted(rng, space: Space, singles: dict[str, Any], values, density) -> tu
     return kept, densities
 
 
-def turned(rng, space: Space, name: str, backend: Any, values: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def turned(
+    rng: np.random.Generator, space: Space, name: str, backend: Any, values: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return where an object of `values` ends, and the densities there, set down at some angles."""
     target, ends = backend.target, []
     place, period = target.placement(values, name), target.placement_periods(name)[0]
@@ -140,7 +144,15 @@ def turned(rng, space: Space, name: str, backend: Any, values: np.ndarray) -> li
     return ends
 
 
-def climb(rng, backend: Any, parts: list[Part], levels: list[Tuning], start, rounds: int, thin: int) -> Climb:
+def climb(
+    rng: np.random.Generator,
+    backend: Any,
+    parts: list[Part],
+    levels: list[Tuning],
+    start: np.ndarray,
+    rounds: int,
+    thin: int,
+) -> Climb:
     """Walk on all levels from `start` (R, P) and let neighbours exchange places, with
 
     log ratio = (temperature - temperature') * (log likelihood' - log likelihood).

@@ -13,6 +13,7 @@ from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.layout import Stretch
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
+from derender.posterior.space import Space
 from derender.sampling.chains import Segment
 
 
@@ -28,7 +29,9 @@ class Backend(Protocol):
     def program(self, tuning: Tuning) -> Any:
         """Return what a sweep needs of a tuning. Made once in one thread, its fits are there for all."""
 
-    def sweep(self, rng, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
         """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
 
 
@@ -98,7 +101,7 @@ class MixtureSampler:
         sampler.places, sampler.learned = found
         return sampler
 
-    def start(self, rng):
+    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         space = self.target.space
         if self.places is not None:
             values = self.places[int(rng.random() * len(self.places))]
@@ -107,7 +110,9 @@ class MixtureSampler:
         tuning = self.learned or first_tuning(space, values)
         return _pack(values, tuning, np.empty((0, len(values))), self.parts)
 
-    def warm_up(self, rng, state, done, rounds, total):
+    def warm_up(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
+    ) -> dict[str, np.ndarray]:
         values, tuning, history, counts, taken = _unpack(state)
         backend = self.backend()
         stop = done + rounds
@@ -123,7 +128,9 @@ class MixtureSampler:
             tuning = shaped(self.target.space, tuning, history[len(history) // 2 :])
         return _pack(values, tuning, history if done < total else history[:0], self.parts, counts, taken)
 
-    def advance(self, rng, state, draws):
+    def advance(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], draws: int
+    ) -> tuple[dict[str, np.ndarray], Segment]:
         values, tuning, history, counts, taken = _unpack(state)
         stretch = self.backend().sweep(rng, values, tuning, draws, self.thin, taken)
         taken += draws * self.thin
@@ -131,7 +138,7 @@ class MixtureSampler:
         return state, Segment(stretch.values, stretch.densities[:, 0], stretch.densities[:, 1])
 
 
-def importance_resampling(rng, space, backend: Backend, particles: int) -> np.ndarray:
+def importance_resampling(rng: np.random.Generator, space: Space, backend: Backend, particles: int) -> np.ndarray:
     """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (section 3)."""
     drawn = [space.sample(rng) for _ in range(particles)]
     logs = np.array([backend.evaluate(values)[1] for values in drawn])
@@ -140,7 +147,14 @@ def importance_resampling(rng, space, backend: Backend, particles: int) -> np.nd
     return drawn[min(int(chosen), particles - 1)]
 
 
-def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -> dict[str, np.ndarray]:
+def _pack(
+    values: np.ndarray,
+    tuning: Tuning,
+    history: np.ndarray,
+    parts: list[Part],
+    counts: np.ndarray | None = None,
+    taken: int = 0,
+) -> dict[str, np.ndarray]:
     """Return the state as arrays by name."""
     return {
         "values": values,
@@ -155,7 +169,7 @@ def _pack(values, tuning: Tuning, history, parts, counts=None, taken: int = 0) -
     }
 
 
-def _unpack(state: Mapping[str, np.ndarray]):
+def _unpack(state: Mapping[str, np.ndarray]) -> tuple[np.ndarray, Tuning, np.ndarray, np.ndarray, int]:
     scale = json.loads(bytes(state["scale"]))
     tuning = Tuning(state["mean"], state["covariance"], scale, float(state["temperature"]), state["archive"])
     return state["values"], tuning, state["history"], state["counts"], int(state["taken"])

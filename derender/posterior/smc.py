@@ -5,7 +5,7 @@ estimates the evidence.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.space import Space
 from derender.sampling.smc import anneal, systematic
 from derender.scene.priors.terms import MOST_TRIES
+
+if TYPE_CHECKING:
+    from derender.posterior.compiled.backend import CompiledBackend
+    from derender.posterior.compiled.interpreted import InterpretedBackend
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
 ROUNDING = 1e-6  # of log densities
@@ -47,7 +51,9 @@ class Population(NamedTuple):
     stops: tuple[Stop, ...] = ()
 
 
-def from_prior(rng: np.random.Generator, space: Space, backend, count: int) -> tuple[np.ndarray, np.ndarray, float]:
+def from_prior(
+    rng: np.random.Generator, space: Space, backend: "CompiledBackend | InterpretedBackend", count: int
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Return values (count, P) from the prior with its terms, their densities (count, 2), and the log of what the terms
     leave of the unknowns' own prior: draws of that one weighed by the terms and resampled, more where few count.
 
@@ -76,7 +82,7 @@ def from_prior(rng: np.random.Generator, space: Space, backend, count: int) -> t
 def tempered(
     rng: np.random.Generator,
     space: Space,
-    backend,
+    backend: "CompiledBackend | InterpretedBackend",
     parts: list[Part],
     particles: int,
     steps: int,

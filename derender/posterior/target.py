@@ -4,7 +4,7 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,8 +14,13 @@ from derender.posterior.scene_space import bases_of, fold, scene_space, theta_fo
 from derender.posterior.space import Block, wrap
 from derender.scene import polygon
 from derender.scene.contacts import contacts
+from derender.scene.distributions.base import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse, rotation_z, translation
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
+    from derender.scene.priors.tree import TreePrior
 
 area_element = interpreted(polygon.area_element)
 TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # from a face's frame to that of the face that meets it
@@ -41,12 +46,14 @@ class ObservedImage:
     type : registered likelihood. values : its fixed numbers by name.
     """
 
-    def __init__(self, camera, observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None):
+    def __init__(
+        self, camera: "Camera", observed: np.ndarray, type: str = "gaussian", values: Mapping[str, float] | None = None
+    ) -> None:
         self.camera, self.observed, self.type = camera, np.ascontiguousarray(observed, np.float64), type
         self.values = dict(values or {})
         self._evaluators = threading.local()
 
-    def evaluator(self):
+    def evaluator(self) -> Any:
         """Return a new DepthEvaluator: each chain, which may run in a thread of its own, has one."""
         from derender.render.raycast.evaluator import DepthEvaluator
 
@@ -76,7 +83,9 @@ class SceneTarget:
     likelihood : priors of the likelihood's unknowns by name.
     """
 
-    def __init__(self, prior, graph: SceneGraph, images: Images, likelihood=None) -> None:
+    def __init__(
+        self, prior: "TreePrior", graph: SceneGraph, images: Images, likelihood: dict[str, Distribution] | None = None
+    ) -> None:
         self.prior, self.template, self.images = prior, graph, images
         self.likelihood = dict(likelihood or {})
         self.space = scene_space(prior, graph, self.likelihood)
@@ -93,7 +102,7 @@ class SceneTarget:
         self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
 
-    def backend(self, parts: list[Part], cycle: bool = False):
+    def backend(self, parts: list[Part], cycle: bool = False) -> Any:
         """Return the compiled backend, or the interpreted one where something of the model has no compiled form."""
         from derender.posterior.compiled.backend import CompiledBackend
         from derender.posterior.compiled.interpreted import InterpretedBackend

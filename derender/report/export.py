@@ -7,6 +7,7 @@ asked for; others (a material library, meshes) go beside it.
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -155,7 +156,7 @@ def roll_pitch_yaw(pose: np.ndarray) -> tuple[float, float, float]:
     return float(roll), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
-def _add_inertia(link, kind: int, size: np.ndarray, options) -> None:
+def _add_inertia(link: Any, kind: int, size: np.ndarray, options: Any) -> None:
     a, b, c = size
     volume = float(np.prod(size)) * {kinds.SPHERE: np.pi / 6, kinds.CYLINDER: np.pi / 4}.get(kind, 1.0)
     mass = options.get("mass") or volume * options.get("density", DENSITY)

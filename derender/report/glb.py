@@ -14,6 +14,7 @@ from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.scene import solids as kinds
 from derender.scene.pose import quaternion, rotation_x
+from derender.scene.solids import Solids
 
 if TYPE_CHECKING:
     from derender.physics.verdict import Trajectory
@@ -66,7 +67,7 @@ def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> by
     return struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body
 
 
-def _mesh_in_object(solids, index: int) -> tuple[np.ndarray, np.ndarray]:
+def _mesh_in_object(solids: Solids, index: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a solid's triangles in its own axes; of a plane, a square under the scene."""
     if solids.kind[index] != kinds.PLANE:
         return solid_mesh(solids, index)
@@ -76,7 +77,9 @@ def _mesh_in_object(solids, index: int) -> tuple[np.ndarray, np.ndarray]:
     return vertices + offset, triangles
 
 
-def _add_mesh(tree: dict, data: bytearray, name: str, vertices: np.ndarray, triangles: np.ndarray, colour) -> None:
+def _add_mesh(
+    tree: dict, data: bytearray, name: str, vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray
+) -> None:
     # Every triangle has vertices of its own and no normals are given: glTF then asks for flat shading.
     points = vertices[triangles].reshape(-1, 3).astype("<f4")
     order = np.arange(len(points), dtype="<u4")

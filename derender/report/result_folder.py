@@ -13,7 +13,7 @@ from derender.atomic import files_together, write_text
 from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
-from derender.results.posterior import Posterior
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.trust import Doubt, judgement, trusted
 
 SIMULATION = "simulation.json"  # what `derender simulate` found; of an older result it says nothing about a new one
@@ -177,7 +177,7 @@ def likelihood_at_best(likelihood: LikelihoodPrior, part: Any) -> LikelihoodPrio
     )
 
 
-def _best_values(part) -> dict[str, float]:
+def _best_values(part: StructurePosterior) -> dict[str, float]:
     chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
     return dict(zip(part.addresses, part.values[chain, draw], strict=True))
 

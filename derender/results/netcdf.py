@@ -4,6 +4,7 @@ import importlib.util
 from collections.abc import Iterator, Mapping
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def can_be_read() -> bool:
 
 
 def _write_group(
-    group, dimensions: Mapping[str, np.ndarray], variables: Mapping[str, np.ndarray], identity: Iterator[int]
+    group: Any, dimensions: Mapping[str, np.ndarray], variables: Mapping[str, np.ndarray], identity: Iterator[int]
 ) -> None:
     """Write variables over all dimensions, and these with their coordinates as the scales that NetCDF-4 asks for."""
     scales = []

@@ -90,7 +90,7 @@ class StructurePosterior:
         chain, draw = np.unravel_index(np.argmax(self.log_density), self.log_density.shape)
         return self.graph_at(int(chain), int(draw)), float(self.log_density[chain, draw])
 
-    def at(self, place) -> "StructurePosterior":
+    def at(self, place: Any) -> "StructurePosterior":
         """Return the part with some draws alone. place : what takes them from arrays (chains, draws, ...)."""
         root_pose = None if self.root_pose is None else self.root_pose[place]
         return replace(self, values=self.values[place], log_prior=self.log_prior[place],
@@ -187,7 +187,7 @@ class Posterior:
                     found[what] = found.get(what, 0.0) + part.weight
         return {what: p / present for what, p in sorted(found.items(), key=lambda item: -item[1])} if present else {}
 
-    def _probability(self, holds) -> float:
+    def _probability(self, holds: Callable[..., Any]) -> float:
         total = sum(part.weight for part in self.parts)
         return float(sum(part.weight for part in self.parts if holds(part.graph)) / total) if total > 0.0 else 0.0
 

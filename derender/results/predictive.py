@@ -92,7 +92,9 @@ def predictive_images(posterior: Posterior, camera: Camera, count: int, rng: np.
     return np.array(found).reshape(count, *camera.shape)
 
 
-def image_at(posterior: Posterior, part: StructurePosterior, chain: int, draw: int, camera: Camera, rng) -> np.ndarray:
+def image_at(
+    posterior: Posterior, part: StructurePosterior, chain: int, draw: int, camera: Camera, rng: np.random.Generator
+) -> np.ndarray:
     """Return (H, W), an image drawn from the likelihood of one draw, at a camera's pixels."""
     kind, values = likelihood_at(posterior, part, chain, draw)
     # How many independent pixels an image is worth is no property of the pixels that a camera makes.

@@ -118,10 +118,12 @@ class Sampler(Protocol):
     def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Return a first state."""
 
-    def warm_up(self, rng, state, done: int, rounds: int, total: int) -> dict[str, np.ndarray]:
+    def warm_up(
+        self, rng: np.random.Generator, state: Any, done: int, rounds: int, total: int
+    ) -> dict[str, np.ndarray]:
         """Return the state after `rounds` more of `total` warm-up rounds, of which `done` are done; may adapt."""
 
-    def advance(self, rng, state, draws: int) -> tuple[dict[str, np.ndarray], Segment]:
+    def advance(self, rng: np.random.Generator, state: Any, draws: int) -> tuple[dict[str, np.ndarray], Segment]:
         """Return the state and the draws after `draws` more of them; adapts nothing."""
 
 
@@ -162,7 +164,7 @@ def chain_generator(seed: int, number: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
 
 
-def chain(sampler: Sampler, rng, warmup: int, draws: int, record: Record | None = None) -> Iterator[Record]:
+def chain(sampler: Sampler, rng: Any, warmup: int, draws: int, record: Record | None = None) -> Iterator[Record]:
     """Yield the chain's record after each segment, from the start or from `record`, until `draws` are there.
 
     Segments are cut at fixed places, so that stopping between two of them changes nothing that follows. The arrays of

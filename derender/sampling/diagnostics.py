@@ -7,6 +7,7 @@ or for values that are not finite; `agree` and `far_apart` judge all parameters.
 """
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -173,7 +174,9 @@ def normal_quantile(probability: np.ndarray) -> np.ndarray:
     return np.where(np.abs(centred) <= 0.425, quantile, np.copysign(tail, centred))
 
 
-def _ratio(coefficients, argument):
+def _ratio(
+    coefficients: tuple[tuple[float, ...], tuple[float, ...]], argument: float | np.ndarray
+) -> float | np.ndarray:
     numerator, denominator = coefficients
     return np.polyval(numerator, argument) / np.polyval(denominator, argument)
 
@@ -202,7 +205,7 @@ AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chai
 FAR = 1.3  # R-hat of chains in modes of their own
 
 
-def agree(values):
+def agree(values: Any) -> Any:
     """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
     if values.shape[1] < FEW:
         return True
@@ -210,6 +213,6 @@ def agree(values):
     return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
 
 
-def far_apart(values):
+def far_apart(values: Any) -> Any:
     """Whether chains (C, D, N) that have gone on are so far from agreeing that going on again will not help."""
     return any(r_hat(column) > FAR for column in np.moveaxis(values, -1, 0))

@@ -7,6 +7,8 @@ at the end of this file. A step is `kernel(rng, state) -> (state, info)`.
 import math
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
 from derender.compilation.cache import njit
 
 State = TypeVar("State")
@@ -24,12 +26,12 @@ class Info(NamedTuple):
     name: str
 
 
-def log_threshold(rng):
+def log_threshold(rng: np.random.Generator) -> float:
     """Return the log of a number uniform in (0, 1]: a step is accepted where that is below its log ratio."""
     return math.log(1.0 - rng.random())
 
 
-def adapted_scale(scale, rate, wanted, gain):
+def adapted_scale(scale: float, rate: float, wanted: float, gain: float) -> float:
     """Return a step's scale after a stretch (Robbins-Monro on its logarithm).
 
     rate, wanted : shares of accepted steps, seen and aimed at. gain : change of log scale for a rate wrong by 1.
@@ -37,7 +39,7 @@ def adapted_scale(scale, rate, wanted, gain):
     return scale * math.exp(max(-MOST_CHANGE, min(MOST_CHANGE, gain * (rate - wanted))))
 
 
-def decide(rng, old: State, new: State, log_ratio: float, name: str) -> tuple[State, Info]:
+def decide(rng: np.random.Generator, old: State, new: State, log_ratio: float, name: str) -> tuple[State, Info]:
     """Return the new state with probability min(1, exp(log ratio)), else the old one, and what happened."""
     accepted = log_threshold(rng) < log_ratio
     return (new if accepted else old), Info(accepted, log_ratio, name)

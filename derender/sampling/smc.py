@@ -48,7 +48,9 @@ def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None 
     return np.minimum(np.searchsorted(cumulative, places, side="right"), len(weights) - 1)
 
 
-def anneal(rng: np.random.Generator, gain: np.ndarray, advance: Advance, count: int | None = None, share: float = 0.5):
+def anneal(
+    rng: np.random.Generator, gain: np.ndarray, advance: Advance, count: int | None = None, share: float = 0.5
+) -> tuple[float, list[float]]:
     """Raise the exponent on a population's gain from 0 to 1.
 
     Parameters

@@ -77,7 +77,9 @@ def interruptible() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, former)
 
 
-def _run_threads(plan, jobs, stop, progress):
+def _run_threads(
+    plan: Plan, jobs: int, stop: Any, progress: Callable[..., Any]
+) -> tuple[dict[int, Record], dict[int, str]]:
     records: dict[int, Record] = {}
     lost: dict[int, str] = {}
 
@@ -111,7 +113,7 @@ class _Processes:
     records, lost : by chain, see `Outcome`. fault : of the user's, which ends all.
     """
 
-    def __init__(self, plan: Plan, stop, progress) -> None:
+    def __init__(self, plan: Plan, stop: Any, progress: Callable[..., Any]) -> None:
         self.plan, self.stop, self.progress = plan, stop, progress
         self.context = multiprocessing.get_context("spawn")
         self.waiting = deque(range(plan.chains))
@@ -120,7 +122,7 @@ class _Processes:
         self.lost: dict[int, str] = {}
         self.fault: BaseException | None = None
 
-    def run(self, jobs: int):
+    def run(self, jobs: int) -> tuple[dict[int, Record], dict[int, str]]:
         """Return (records, lost)."""
         told = False
         try:
@@ -149,17 +151,17 @@ class _Processes:
         self.workers[ours] = (process, None)
         self._assign(ours)
 
-    def _assign(self, connection) -> None:
+    def _assign(self, connection: Any) -> None:
         process, _ = self.workers[connection]
         number = None if not self.waiting or self.stop.is_set() else self.waiting.popleft()
         self.workers[connection] = (process, number)
         self._tell(connection, ("leave", None) if number is None else ("run", number))
 
-    def _tell(self, connection, message) -> None:
+    def _tell(self, connection: Any, message: tuple[str, int | None]) -> None:
         with contextlib.suppress(OSError):  # the process has died: reading from the connection will tell
             connection.send(message)
 
-    def _hear(self, connection) -> None:
+    def _hear(self, connection: Any) -> None:
         process, number = self.workers[connection]
         try:
             kind, content = connection.recv()
@@ -185,7 +187,7 @@ class _Processes:
         self._assign(connection)
 
 
-def _work(connection, plan: Plan) -> None:
+def _work(connection: Any, plan: Plan) -> None:
     """Serve chains to the parent until it says leave. Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stopped = False

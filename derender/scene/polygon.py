@@ -10,8 +10,12 @@ last arguments are the two outlines' `sides`.
 """
 
 import math
+from typing import TYPE_CHECKING
 
 from derender.compilation.cache import njit
+
+if TYPE_CHECKING:
+    from derender.scene.shapes.base import Outline
 
 # A generator this much steeper than long is vertical: cos(pi/2) is 6e-17 and not 0 in floating point.
 VERTICAL = 1e-12
@@ -79,7 +83,7 @@ def upper(x, theta, a, b, c, d, radius):
     return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
 
 
-def sides(parent, child) -> tuple[float, float, float, float, float]:
+def sides(parent: "Outline", child: "Outline") -> tuple[float, float, float, float, float]:
     """Return (a, b, c, d, radius) of the outlines (a, b, radius) of two bounded faces."""
     return parent[0], parent[1], child[0], child[1], parent[2] + child[2]
 

@@ -1,6 +1,7 @@
 """Rigid poses as (4, 4) float64 arrays, child to parent. Quaternions are wxyz, angles radians, lengths metres."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,12 @@ def rotation_z(angle: float) -> np.ndarray:
     return np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 
 
-def from_axes(x_axis, y_axis, z_axis, origin=(0.0, 0.0, 0.0)) -> np.ndarray:
+def from_axes(
+    x_axis: tuple[int, int, int] | np.ndarray,
+    y_axis: tuple[int, int, int] | np.ndarray,
+    z_axis: tuple[int, int, int] | np.ndarray,
+    origin: Any = (0.0, 0.0, 0.0),
+) -> np.ndarray:
     """Return the (4, 4) pose of a frame whose axes and origin are given in the parent's coordinates, (3,) each."""
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x_axis, y_axis, z_axis, origin
@@ -48,7 +54,7 @@ def inverse(pose: np.ndarray) -> np.ndarray:
     return result
 
 
-def from_quaternion(quat_wxyz, position=(0.0, 0.0, 0.0)) -> np.ndarray:
+def from_quaternion(quat_wxyz: Any, position: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
     """Return the (4, 4) pose of a (4,) quaternion (w, x, y, z), normalised first, and a (3,) position.
 
     Raises ValueError for a quaternion of zero length.
@@ -90,7 +96,7 @@ def quaternion(pose: np.ndarray) -> np.ndarray:
     return quat / math.copysign(math.sqrt(quat @ quat), quat[0])
 
 
-def from_rotation_vector(vector) -> np.ndarray:
+def from_rotation_vector(vector: Any) -> np.ndarray:
     """Return the (4, 4) rotation about `vector` (3,) by its length in radians (Rodrigues' formula)."""
     x, y, z = (float(part) for part in vector)
     angle = math.sqrt(x * x + y * y + z * z)
@@ -107,7 +113,7 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     return scale * quat[1:]
 
 
-def twist_exp(v, w) -> np.ndarray:
+def twist_exp(v: list[float] | np.ndarray, w: list[float] | np.ndarray) -> np.ndarray:
     """Return the (4, 4) exponential of the twist with linear part `v` (3,) and angular part `w` (3,).
 
     The rotation is that of `w`; the shift is V v with V = I + (1 - cos a)/a^2 [w] + (a - sin a)/a^3 [w]^2, a = |w|.

@@ -7,11 +7,13 @@ and that is improved over turn and shift. The full pose then follows from the de
 the refined scene (`with_poses_refined`), as for poses that were given to less than the images tell.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derender.detection.search.greedy import total_energy
+from derender.detection.search.greedy import Settings, total_energy
+from derender.detection.search.observation import Observation
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.state import State
@@ -19,10 +21,14 @@ from derender.errors import DerenderError
 from derender.render.blur import blur
 from derender.scene.pose import inverse, rotation_z, twist_exp
 from derender.scene.solids import BOX
+from derender.structures.draws.chart import Chart
 from derender.structures.draws.curvature import APART, weights
 from derender.structures.draws.metropolis import engine_of, load
-from derender.structures.draws.refined import refined_at, with_sensor_refitted
-from derender.structures.draws.sensor import model_depth
+from derender.structures.draws.refined import Refined, refined_at, with_sensor_refitted
+from derender.structures.draws.sensor import Sensor, model_depth
+
+if TYPE_CHECKING:
+    from derender.structures.together import Look
 
 SAME_TOP, SAME_PLACE = 0.015, 0.04  # metres between tops, and between centres, of what may be one solid in two images
 MOST_TRIED, MOST_IMPROVED = 12, 3  # motions whose energy is looked at, and improved
@@ -34,7 +40,7 @@ WORTH_MOVING = 20.0  # nats by which a pose that was given must be bettered to b
 ROUNDS = 2  # in which scene and poses are improved in turn
 
 
-def found_over(first, state: State, seen, settings, name: str) -> np.ndarray:
+def found_over(first: "Look", state: State, seen: Observation, settings: Settings, name: str) -> np.ndarray:
     """Return (4, 4), an image's floor frame to the first one's, such that each shows what was found in the other.
 
     first : Look. state, seen : what was found in the image, its Observation. name : of it, for a fault.
@@ -60,7 +66,7 @@ def found_over(first, state: State, seen, settings, name: str) -> np.ndarray:
     return over
 
 
-def moved(state: State, over) -> State:
+def moved(state: State, over: np.ndarray) -> State:
     """Return a State moved along the floor: over (4, 4), a turn about z and a shift."""
     state = state.copy()
     turns = state.rows[:, ROTATION:CENTRE].reshape(-1, 3, 3)
@@ -90,21 +96,21 @@ def motions(first: State, state: State) -> Iterator[np.ndarray]:
             yield onto(first.rows[i], state.rows[j], 0.0)
 
 
-def heading(row) -> float:
+def heading(row: np.ndarray) -> float:
     """Return the angle in which a box's first level edge points."""
     turn = row[1:10].reshape(3, 3)
     axis = int(np.argmin(np.abs(turn[2])))
     return float(np.arctan2(turn[1, axis], turn[0, axis]))
 
 
-def onto(row, other, turn) -> np.ndarray:
+def onto(row: np.ndarray, other: np.ndarray, turn: float) -> np.ndarray:
     """Return the motion (4, 4) along the floor with this turn that brings another solid's centre over one's."""
     over = rotation_z(turn)
     over[:2, 3] = row[CENTRE : CENTRE + 2] - over[:2, :2] @ other[CENTRE : CENTRE + 2]
     return over
 
 
-def matching(first: State, state: State, over) -> float:
+def matching(first: State, state: State, over: np.ndarray) -> float:
     """Return how many solids a motion brings onto those of the first state, the nearer the better."""
     total = 0.0
     for row in moved(state, over).rows:
@@ -114,7 +120,7 @@ def matching(first: State, state: State, over) -> float:
     return total
 
 
-def improved(energy, over, value):
+def improved(energy: Callable[..., Any], over: np.ndarray, value: float) -> tuple[float, np.ndarray]:
     """Return (energy, motion) after steps along and about the floor that lower it."""
     for step in STEPS:
         going = True
@@ -130,7 +136,7 @@ def improved(energy, over, value):
     return value, over
 
 
-def with_poses_refined(rng, refined, found):
+def with_poses_refined(rng: np.random.Generator, refined: Refined, found: list[bool]) -> Refined:
     """Return the Refined with the further views' poses as the depths tell them, and the scene at its mode again.
 
     found : (V,) bool, which views' poses were found, not given: those given move only where that explains much more.
@@ -148,7 +154,7 @@ def with_poses_refined(rng, refined, found):
     return refined
 
 
-def view_moved(refined, view, least):
+def view_moved(refined: Refined, view: Sensor, least: float) -> Sensor:
     """Return a view with its camera where its depths explain most, the scene held; itself where not `least` nats are
     gained."""
     chart, values = refined.chart, refined.values
@@ -167,7 +173,7 @@ def view_moved(refined, view, least):
     return best if height > began + least else view
 
 
-def pose_step(chart, values, view):
+def pose_step(chart: Chart, values: np.ndarray, view: Sensor) -> list[np.ndarray]:
     """Return (v, w) of a Gauss-Newton step of a view's camera, metres and radians in its axes."""
     camera, smooth = view.camera, view.values["blur"]
     base = model_depth(chart, values, camera, view.into)

@@ -7,17 +7,20 @@ so the ratio of integrals holds the Occam factor, and no price has to be set.
 """
 
 import math
+from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.greedy import cube_of, spaced
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.state import FLOOR
+from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, flat_top, log_standing, shadows_overlap, with_bottom
 from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_z
@@ -61,7 +64,7 @@ FEW_PIXELS = 80  # in which a solid's shape may hardly show
 QUICK = 50  # steps of each temperature for one changed solid
 
 
-def supports_within(state, i):
+def supports_within(state: State, i: int) -> list[int]:
     """Return the other supports on which solid `i` might stand: those under it, and the floor."""
     row = state.rows[i]
     found = [FLOOR]
@@ -72,7 +75,7 @@ def supports_within(state, i):
     return [j for j in found if j != state.parents[i]]
 
 
-def changes(best, i):
+def changes(best: Refined, i: int) -> list[State]:
     """Return the states in which solid `i` is a cube instead of a box or the reverse, or stands on something else.
 
     Where two of a box's extents are about as long as a cube's edge the third may be hidden.
@@ -96,7 +99,7 @@ def changes(best, i):
     return found
 
 
-def longer(row, floor):
+def longer(row: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Return the rows (2, ROW) of a box that is longer along one of its sides, the face that the camera sees held.
 
     How far it goes on behind that face may be open: then the walk from a cube stops at what the cube's edges explain.
@@ -111,14 +114,14 @@ def longer(row, floor):
     return rows
 
 
-def changed(state, i, row, cube):
+def changed(state: State, i: int, row: np.ndarray, cube: bool) -> State:
     """Return a state with another solid `i`."""
     new = state.copy()
     new.rows[i], new.cubes[i] = row, cube
     return new
 
 
-def other_shapes(best, i, shapes):
+def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
     """Return the states in which a solid that shows in few pixels has another of these shapes, as large as it is."""
     state = best.state
     if pixels_of(best)[i] > FEW_PIXELS:
@@ -153,7 +156,7 @@ def other_shapes(best, i, shapes):
     return states + stood_up(state, i, shapes)
 
 
-def stood_up(state, i, shapes):
+def stood_up(state: State, i: int, shapes: tuple[str, ...]) -> list[State]:
     """Return the states in which a solid that lies or leans is a box or a cube that stands, as high and as wide."""
     row, parent = state.rows[i], state.parents[i]
     if state.forms[i] != FREE or int(row[0]) == SPHERE:
@@ -175,7 +178,9 @@ def stood_up(state, i, shapes):
     return states
 
 
-def of_one_solid(rng, best, i, rules, shapes=()):
+def of_one_solid(
+    rng: np.random.Generator, best: Refined, i: int, rules: Rules, shapes: tuple[str, ...] = ()
+) -> list[Weighed]:
     """Return the Weighed of the changes of one solid that are not hopeless.
 
     shapes : names of those that it may be instead, where that hardly shows.
@@ -205,7 +210,7 @@ def of_one_solid(rng, best, i, rules, shapes=()):
     return [of_block(rng, trial, places, own, rules) for trial, places in candidates]
 
 
-def propped_up(best, i, shapes):
+def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
     """Return the states in which a solid that stands on nothing has a box or a cube under it, hidden by it or by
     others: as high as it hangs, below its middle or somewhat behind."""
     state, row = best.state, best.state.rows[i]
@@ -228,7 +233,7 @@ def propped_up(best, i, shapes):
     return states
 
 
-def likeliest_of_each(trials):
+def likeliest_of_each(trials: list[Refined]) -> list[Refined]:
     """Return the highest of those trials with the same structure (cubes that hold different corners at the start)."""
     found: dict[tuple, Refined] = {}
     for trial in trials:
@@ -238,12 +243,12 @@ def likeliest_of_each(trials):
     return list(found.values())
 
 
-def all_seen(trial):
+def all_seen(trial: Refined) -> bool:
     """Whether every solid of a Refined shows or carries something: one that does neither could be anywhere at all."""
     return len(without_unseen(trial.state, trial)) == len(trial.state)
 
 
-def without(best, i, floor, rules):
+def without(best: Refined, i: int, floor: np.ndarray, rules: Rules) -> Refined:
     """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
     state = best.state.without(i)
     chart, values = make_chart(state, floor, rules)
@@ -251,14 +256,16 @@ def without(best, i, floor, rules):
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
 
-def one_step_away(best, names):
+def one_step_away(best: Any, names: Any) -> Iterator[Any]:
     """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
     for i in range(len(best.state)):
         yield from (structure_key(state, names) for state in changes(best, i))
         yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
 
 
-def from_search(rng, best, pool, energy, rules):
+def from_search(
+    rng: np.random.Generator, best: Refined, pool: list[tuple[State, float]], energy: float, rules: Rules
+) -> list[Any]:
     """Return the Weighed of structures that the search met, more than one step from the best.
 
     pool : (state, energy) of them. energy : the best one's.
@@ -278,7 +285,9 @@ def from_search(rng, best, pool, energy, rules):
     return weighed_whole(rng, best, near, rules, QUICK)
 
 
-def weighed_whole(rng, best, states, rules, steps):
+def weighed_whole(
+    rng: np.random.Generator, best: Refined, states: list[State], rules: Rules, steps: int
+) -> list[Weighed]:
     """Return the Weighed of those states that are not hopeless, by integrals over everything.
 
     steps : of each temperature for each solid.
@@ -307,7 +316,9 @@ def weighed_whole(rng, best, states, rules, steps):
     return weighed
 
 
-def climbed(rng, best, states, rules, steps, within):
+def climbed(
+    rng: np.random.Generator, best: Refined, states: list[State], rules: Rules, steps: int, within: float
+) -> list[Refined]:
     """Return the Refined of those states whose modes are within so many nats of the best's."""
     floor = floor_pose_of(best)
     trials = in_threads(rng, [

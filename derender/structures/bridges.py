@@ -25,7 +25,7 @@ from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
-from derender.scene.vertex import nearest_contact
+from derender.scene.vertex import Vertex, nearest_contact
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other
@@ -92,7 +92,7 @@ def _bounded(graph: SceneGraph, name: str) -> bool:
     return shapes[graph.vertex(name).shape].bounded
 
 
-def _level(graph: SceneGraph, vertex, other: str) -> bool:
+def _level(graph: SceneGraph, vertex: Vertex, other: str) -> bool:
     """Whether the vertex would lie flat on `other`, not merely graze it."""
     try:
         residual = support_residual(graph, vertex.name, other)

@@ -1,27 +1,35 @@
 """Free-form things in a posterior: each part of it gets them as objects, with what is not known of their extents."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.detection.outline import convex_outline
 from derender.detection.search.bodies import APART
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, vertex_of
-from derender.detection.solids.image import CENTRE, SIZE, rotation_of
-from derender.detection.solids.state import FLOOR
+from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
+from derender.detection.solids.state import FLOOR, State
 from derender.scene.shapes.thing import encode_surface
+
+if TYPE_CHECKING:
+    from derender.detection.search.observation import Observation
+    from derender.detection.things import Thing
+    from derender.results.posterior import StructurePosterior
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
-def thing_name(number):
+def thing_name(number: int) -> str:
     """Return the name of an Observation's thing of this number."""
     return f"thing_{number + 1}"
 
 
-def with_things(rng, parts, seen, state):
+def with_things(
+    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State
+) -> "list[StructurePosterior]":
     """Return StructurePosteriors with free-form things among their objects.
 
     seen : Observation. state : State of the solids that the search found.
@@ -34,7 +42,14 @@ def with_things(rng, parts, seen, state):
     return [_with_all(rng, part, state, names, made, float(np.median(seen.sigma))) for part in parts]
 
 
-def _with_all(rng, part, state, names, made, noise):
+def _with_all(
+    rng: np.random.Generator,
+    part: "StructurePosterior",
+    state: State,
+    names: list[str],
+    made: "list[tuple[Thing, str, np.ndarray, np.ndarray]]",
+    noise: float,
+) -> "StructurePosterior":
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
     best = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
@@ -72,7 +87,7 @@ LEAST_FOOT = 0.005  # metres under what is seen that may be hidden
 DEEP = 0.002  # metres that a thing is deep behind each point that is seen, at least
 
 
-def closed_surface(image, mask, row, jump):
+def closed_surface(image: Image, mask: np.ndarray, row: np.ndarray, jump: np.ndarray) -> Any:
     """Return (vertices (V, 3) in metres, the box's axes; triangles (T, 3)) of a thing, closed; None where too few show.
 
     What is seen is joined where neighbours have no jump between them. Nothing is added before it on any ray, so drawing
@@ -104,7 +119,7 @@ def closed_surface(image, mask, row, jump):
     return np.vstack([vertices, foot]), np.vstack([faces.reshape(-1, 3), sides + len(vertices)])
 
 
-def hidden_foot(vertices, bottom):
+def hidden_foot(vertices: np.ndarray, bottom: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (vertices (V, 3), triangles (T, 3)) of an upright prism from a height up to the lowest of the vertices.
 
     What stands before a thing may hide its foot; none where it shows.
@@ -121,7 +136,7 @@ def hidden_foot(vertices, bottom):
     return np.vstack([lower, upper]), np.concatenate([fan[:, ::-1], fan + count, *sides])
 
 
-def visible_surface(image, mask, jump):
+def visible_surface(image: Image, mask: np.ndarray, jump: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (depth (V,), place (V, 2) in rows and columns, triangles (T, 3)) of what is seen of a thing.
 
     Each pixel is a square of its own size, so that silhouettes lie where they are seen and not half a pixel within; of
@@ -178,14 +193,14 @@ def visible_surface(image, mask, jump):
     return found, place, np.concatenate([np.column_stack([a, c, b]), np.column_stack([b, c, d])])
 
 
-def direction_at(image, place):
+def direction_at(image: Image, place: np.ndarray) -> np.ndarray:
     """Return the directions (..., 3) of an Image's rays at places (..., 2) in rows and columns, between pixels too."""
     first = image.direction[0, 0]
     ways = np.stack([image.direction[1, 0] - first, image.direction[0, 1] - first])
     return first + place @ ways
 
 
-def surface_of(image, mask, row, jump):
+def surface_of(image: Image, mask: np.ndarray, row: np.ndarray, jump: np.ndarray) -> tuple[str, np.ndarray, np.ndarray]:
     """Return (text, size (3,), centre (3,) in the floor frame) of a thing's surface; the box itself where too few show.
 
     Takes what `closed_surface` does.

@@ -13,14 +13,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
 from derender.posterior.kernels import mixture
+from derender.posterior.kernels.base import Part
 from derender.posterior.sampler import MixtureSampler
 from derender.posterior.scene_space import period_of
 from derender.posterior.settings import Settings
@@ -45,7 +47,7 @@ PREFERRED = "-z"  # face to rest on of a representative
 PARTICLES, STEPS = 50, 60  # of the population by which a structure is weighed
 
 
-def structures(prior: TreePrior, rng) -> list[SceneGraph]:
+def structures(prior: TreePrior, rng: np.random.Generator) -> list[SceneGraph]:
     """Return a scene of each structure that the prior can draw.
 
     Structures are looked for among scenes drawn without the terms, which may allow one scene in hundreds; a structure
@@ -68,7 +70,9 @@ def structures(prior: TreePrior, rng) -> list[SceneGraph]:
     return [graph for graph in shown.values() if graph is not None] or [prior.sample(rng)]
 
 
-def structure_weights(found, settings: Settings, seed: int, tell) -> list[float]:
+def structure_weights(
+    found: list[tuple[SceneTarget, float]], settings: Settings, seed: int, tell: Callable[..., Any]
+) -> list[float]:
     """Return the posterior probability of each structure: its prior's times its evidence, estimated by tempering."""
     done = 0
 
@@ -149,7 +153,7 @@ def has_fixed_objects(document: Document) -> bool:
     return isinstance(document.prior, TreePrior)
 
 
-def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> ObservedImage:
+def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrior) -> ObservedImage:
     """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means.
 
     Raises DerenderError where the noise is unknown too of an image that is said to be worth fewer pixels.
@@ -165,7 +169,7 @@ def observed_image(image: np.ndarray, camera, likelihood: LikelihoodPrior) -> Ob
     return ObservedImage(camera, image, likelihood.type, {**fixed, **free})
 
 
-def targets(document: Document, image: np.ndarray, camera, seed: int) -> list[tuple[SceneTarget, float]]:
+def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) -> list[tuple[SceneTarget, float]]:
     """Return a target for each structure that the prior can draw, with the log of the structure's prior probability.
 
     Structures that say the same of the world (see `representative`) are one.
@@ -203,7 +207,7 @@ def _root_values(prior: TreePrior, graph: SceneGraph) -> dict:
 def infer_scene(
     document: Document,
     image: np.ndarray,
-    camera,
+    camera: Camera,
     settings: Settings | None = None,
     method: str = "auto",
     seed: int = 0,
@@ -287,7 +291,7 @@ def infer_scene(
     return Result(Posterior(tuple(parts), seed, command), interrupted, lost)
 
 
-def part_of(target: SceneTarget, records: list[Record], mixed, weight: float) -> StructurePosterior | None:
+def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weight: float) -> StructurePosterior | None:
     """Return the draws of several chains as one rectangle, cut where that keeps the most; None without any draw."""
     counts = sorted((record.drawn for record in records), reverse=True)
     kept = max(range(len(counts)), key=lambda k: (k + 1) * counts[k], default=None)
@@ -311,7 +315,14 @@ def part_of(target: SceneTarget, records: list[Record], mixed, weight: float) ->
     )
 
 
-def _part(target: SceneTarget, values, log_prior, log_likelihood, weight, extras) -> StructurePosterior:
+def _part(
+    target: SceneTarget,
+    values: np.ndarray,
+    log_prior: np.ndarray,
+    log_likelihood: np.ndarray,
+    weight: float,
+    extras: Any,
+) -> StructurePosterior:
     poses = None
     if any(address.startswith("root.") for address in target.space.addresses):
         poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
@@ -346,7 +357,9 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
     return _part(target, values[None, None], prior, likelihood, part.weight, part.extras)
 
 
-def _particles(target, mixed, settings: Settings, seed: int, number: int, weight: float, tell) -> StructurePosterior:
+def _particles(
+    target: Any, mixed: Any, settings: Settings, seed: int, number: int, weight: float, tell: Any
+) -> StructurePosterior:
     """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations."""
     populations = []
     for chain in range(settings.chains):

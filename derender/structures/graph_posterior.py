@@ -8,20 +8,26 @@ that says what they share; and faces are off where they appear (`draws/faces.py`
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
-from derender.detection.search.greedy import total_energy
+from derender.detection.search.greedy import Settings, total_energy
+from derender.detection.search.observation import Observation
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names, names_of, scene_graph, structure_key
+from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import (
     from_search,
     of_one_solid,
 )
+from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
     WARM,
+    Refined,
     at_mode,
     chains_of,
     floor_pose_of,
@@ -45,7 +51,16 @@ WORTH_DRAWING = 0.05  # weight of a structure that gets draws of its own, not it
 NEGLIGIBLE, MOST_PARTS = 8.0, 12
 
 
-def parts_of(rng, seen, state, pool, settings, chains=2, draws=100, only_best=False):
+def parts_of(
+    rng: np.random.Generator,
+    seen: Observation,
+    state: State,
+    pool: list[tuple[State, float]],
+    settings: Settings,
+    chains: int = 2,
+    draws: int = 100,
+    only_best: bool = False,
+) -> list[StructurePosterior]:
     """Return the parts of the posterior about the search's best state.
 
     seen : Observation. pool : (state, energy) that the search came by. only_best : the mode of one structure alone.
@@ -89,7 +104,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     return parts
 
 
-def shown_and_left(trial):
+def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
     """Return {pixels: of each solid, how many independent ones show it; unexplained: spots left that are no noise}.
 
     What neighbouring pixels share is not told from noise by its spots.
@@ -102,11 +117,11 @@ def shown_and_left(trial):
 class DrawsOfOne:
     """Chains of one structure at a time, made when they are first asked for: the likeliest needs them anyway."""
 
-    def __init__(self, chains, draws) -> None:
+    def __init__(self, chains: int, draws: int) -> None:
         self.chains, self.count = chains, draws
         self.made: tuple = ()
 
-    def of(self, rng, refined):
+    def of(self, rng: np.random.Generator, refined: Refined) -> list[Draws]:
         """Return the list of Draws of a Refined, one for each chain."""
         if not self.made or self.made[0] is not refined:
             self.made = refined, chains_of(rng, refined, self.chains, self.count)
@@ -159,12 +174,14 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     return sorted(found.values(), key=lambda each: -each[1])
 
 
-def draws_of(rng, made, refined):
+def draws_of(rng: np.random.Generator, made: DrawsOfOne, refined: Refined) -> np.ndarray:
     """Return (n, D) draws of the coordinates of a Refined."""
     return np.concatenate([drawn.values for drawn in made.of(rng, refined)])
 
 
-def one_solid_each(rng, best, others, rules, shapes):
+def one_solid_each(
+    rng: np.random.Generator, best: Any, others: Any, rules: Rules, shapes: Any
+) -> tuple[Refined, list[Weighed]]:
     """Return the likeliest and the others once each solid of it has been tried otherwise, all against the same best.
 
     Where a change leads to a better one, all solids are tried again, ROUNDS times at most.
@@ -184,7 +201,7 @@ def one_solid_each(rng, best, others, rules, shapes):
     return best, others
 
 
-def leading(best, others):
+def leading(best: Refined | str, others: list[Weighed]) -> tuple[Refined | str, list[Weighed]]:
     """Return the likeliest of the best and the Weighed of others, and the rest with odds against it.
 
     What was weighed against another best keeps its odds, with the error of both; it shares no coordinates any more.

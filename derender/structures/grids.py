@@ -65,7 +65,9 @@ class Shown(NamedTuple):
     sigma: np.ndarray
 
 
-def shown(depth, sigma, camera, pose, size, mask):
+def shown(
+    depth: np.ndarray, sigma: np.ndarray, camera: Camera, pose: np.ndarray, size: np.ndarray, mask: np.ndarray
+) -> Shown:
     """Return the Shown of a box.
 
     depth, sigma : (H, W) metres. mask : (H, W) bool, where the box is what is seen. pose : (4, 4), box to camera.
@@ -91,7 +93,9 @@ def shown(depth, sigma, camera, pose, size, mask):
     return Shown(place[good], step[good], np.abs(way[good]), normal[good], deeper, noise)
 
 
-def of_faces(place, normal, deeper, sigma):
+def of_faces(
+    place: np.ndarray, normal: np.ndarray, deeper: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return (deeper, sigma), (K,) metres, without what each face as a whole is off, and with the noise that it shows.
 
     The box's pose and extents are not exact: a plane for each face, by least squares without what is no noise.

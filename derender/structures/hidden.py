@@ -1,8 +1,11 @@
 """How many solids the prior expects where nothing would show them: behind and under what is seen."""
 
+from typing import Any
+
 import numpy as np
 
-from derender.detection.solids.beliefs import bare_image
+from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import Beliefs, bare_image
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE, make_row
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.sizes import CUBE, FIRST, HIGH, LOW, NODES
@@ -18,7 +21,7 @@ LEAST_STEEPNESS = 1e-3  # sine at which a ray meets the floor: below, a pixel's 
 LEAST_AREA = 1e-4  # square metres of hidden floor that are worth a look
 
 
-def hidden_expected(rng, refined, beliefs=None):
+def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | None = None) -> float:
     """Return the expected number of solids on the floor that nothing would show, given a structure's scene.
 
     Solids of the prior are put on the parts of the floor that what stands in front hides from the camera, no farther
@@ -50,7 +53,7 @@ def hidden_expected(rng, refined, beliefs=None):
     return rate_on_floor(beliefs, len(refined.state), shown) * total * count / TRIES
 
 
-def floor_areas(pixels, depth, floor, camera):
+def floor_areas(pixels: np.ndarray, depth: np.ndarray, floor: np.ndarray, camera: Camera) -> np.ndarray:
     """Return (n,) the square metres of floor, met at a depth (H, W), in each pixel of (n, 2) rows and columns."""
     rows, columns = pixels.T
     ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))], axis=1)
@@ -58,7 +61,7 @@ def floor_areas(pixels, depth, floor, camera):
     return depth[rows, columns] ** 2 / (camera.fx * camera.fy) / steepness
 
 
-def rate_on_floor(beliefs, count, area):
+def rate_on_floor(beliefs: Beliefs, count: int, area: float) -> float:
     """Return how many solids are expected on one more square metre of a floor that shows so many on so much area.
 
     The rate is exponential about the prior's: the gamma distribution of a rate, after `count` were counted.
@@ -67,7 +70,7 @@ def rate_on_floor(beliefs, count, area):
     return (1.0 + count) / (1.0 / prior + area)
 
 
-def drawn_rows(rng, places, beliefs):
+def drawn_rows(rng: np.random.Generator, places: np.ndarray, beliefs: Beliefs) -> np.ndarray:
     """Return rows (n, ROW) of solids drawn from the prior, each standing at a place (n, 3) on the floor."""
     shares = np.exp(beliefs.kinds)
     kinds = rng.choice(len(shares), size=len(places), p=shares / shares.sum())
@@ -87,7 +90,7 @@ def drawn_rows(rng, places, beliefs):
     ])  # fmt: skip
 
 
-def out_of_sight(rows, floor, camera, depth):
+def out_of_sight(rows: np.ndarray, floor: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Return (n,) bool: which solids lie in the image and all behind its depth (H, W), told by points of their boxes.
 
     floor : (4, 4) pose, floor frame to camera.
@@ -105,7 +108,7 @@ def out_of_sight(rows, floor, camera, depth):
     return (inside & (seen < points[..., 2] - 0.1 * MARGIN)).all(axis=1)
 
 
-def drawn_extents(rng, row, count):
+def drawn_extents(rng: np.random.Generator, row: np.ndarray, count: int) -> np.ndarray:
     """Return extents (count,) drawn from a row of a table of sizes, to its grid."""
     grid = np.exp(np.linspace(row[LOW], row[HIGH], NODES))
     share = np.exp(row[FIRST:] - row[FIRST:].max()) * np.gradient(grid)

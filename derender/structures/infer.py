@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from derender.detection.leftovers import leftovers
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
-from derender.detection.search.observation import CORRELATED, observe, of_whole_image, patches_of
+from derender.detection.search.observation import CORRELATED, Observation, observe, of_whole_image, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
@@ -25,9 +26,15 @@ from derender.detection.solids.support import final_parents
 from derender.detection.things import likely_things, take_things, without_background
 from derender.detection.unit import in_metres, unit_of
 from derender.errors import DerenderError
+from derender.results.explanation import Explanation
+from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
-from derender.scene.priors.bare_image import BareImagePrior
-from derender.structures.options import Options
+from derender.scene.priors.bare_image import BareImagePrior, Missed
+from derender.structures.options import Frame, Options
+
+if TYPE_CHECKING:
+    from derender.results.posterior import StructurePosterior
+    from derender.structures.together import Look
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 # Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent; by
@@ -94,7 +101,7 @@ def point_estimate(rng, depth, camera, settings=None, widest=WIDEST, pool=None, 
     return state, seen._replace(things=tuple(things))
 
 
-def with_freestanding(seen, settings):
+def with_freestanding(seen: Observation, settings: Settings) -> Observation:
     """Return the Observation of an image without a floor with what stands free of its surroundings as its things.
 
     What such a piece explains cannot be told without what else might be there: it counts as much as leaves it open.
@@ -110,7 +117,9 @@ def with_freestanding(seen, settings):
     return seen._replace(things=tuple(things))
 
 
-def searched_well(rng, seen, hypotheses, settings, pool):
+def searched_well(
+    rng: np.random.Generator, seen: Observation, hypotheses: list[Any], settings: Settings, pool: list[Any]
+) -> tuple[State, Any, bool]:
     """As `search`, again while it leaves what only a free-form thing would explain, and noise has no such forms."""
     state, image, agreed = search(rng, seen.image, hypotheses, settings, pool)
     for _ in range(AGAIN if settings.temper == 1.0 and settings.free_forms and settings.tries > 1 else 0):
@@ -124,7 +133,7 @@ def searched_well(rng, seen, hypotheses, settings, pool):
     return state, image, agreed
 
 
-def settings_for(settings, seen):
+def settings_for(settings: Settings, seen: Observation) -> Settings:
     """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
     settings = settings.for_correlation(seen.correlation)
     if seen.correlation > CORRELATED and seen.camera["width"] > WIDEST:
@@ -132,7 +141,7 @@ def settings_for(settings, seen):
     return settings
 
 
-def width_wanted(seen, widest):
+def width_wanted(seen: Observation, widest: int) -> int:
     """Return how many columns an image should have in which what stands on the floor has as many pixels as it takes.
 
     Where it fills the image, half as many tell as much; where it is small, more columns tell what it is. A sensor's
@@ -145,7 +154,7 @@ def width_wanted(seen, widest):
     return int(widest * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))
 
 
-def settings_of(options):
+def settings_of(options: Options) -> Settings:
     """Return the Settings that Options ask for; an open prior among them says what it allows.
 
     Of a prior the search takes which shapes there are, how many objects at most, whether they may interpenetrate (no
@@ -297,7 +306,8 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
     return replace(posterior, parts=parts, explanation=told)
 
 
-def missed_by(observations, extras, missed, explained):
+def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],
+              missed: Missed, explained: float) -> float:  # fmt: skip
     """Return the probability that the search has missed what is there.
 
     That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
@@ -317,14 +327,16 @@ def missed_by(observations, extras, missed, explained):
     return float(1.0 - (1.0 - whole) * np.prod(found))
 
 
-def view_data(graph, into, look, frame):
+def view_data(
+    graph: SceneGraph, into: np.ndarray, look: "Look", frame: Frame
+) -> dict[str, list[list[float]] | float | str]:
     """Return what is kept of a further view: its name, pose (to the first camera), and the share that is explained."""
     there = replace(graph, root_pose=into @ graph.root_pose)
     told = explanation_of(there, [look.seen], frame.depth, frame.camera)
     return {"image": frame.name, "pose": inverse(into).tolist(), "explained": told.share(frame.depth)}
 
 
-def explanation_of(graph, observations, depth, camera):
+def explanation_of(graph: Any, observations: Any, depth: np.ndarray, camera: Any) -> Explanation:
     """Return what a scene says of each pixel of the image as it came, an Explanation.
 
     observations : of the image, one for each plane on which something stands.
@@ -345,7 +357,7 @@ def explanation_of(graph, observations, depth, camera):
     return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse)
 
 
-def image_of(seen, depth, camera, temper, unit):
+def image_of(seen: Observation, depth: np.ndarray, camera: Any, temper: float, unit: float) -> Any:
     """Return the image as it came, as grids.py looks at it, with the noise that an Observation has of it."""
     from derender.structures.grids import Image
 
@@ -353,7 +365,7 @@ def image_of(seen, depth, camera, temper, unit):
     return Image(depth, whole_camera(camera, depth.shape), of_whole_image(seen.sigma, seen, depth.shape), temper, unit)
 
 
-def whole_camera(camera, shape):
+def whole_camera(camera: Any, shape: tuple[int, int]) -> Any:
     """Return the Camera that a mapping of fx, fy, cx, cy or a Camera is for an image of this shape."""
     from derender.camera.intrinsics import Camera
 
@@ -362,7 +374,8 @@ def whole_camera(camera, shape):
     return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
-def likelihood_of(parts, observations, depth, camera, settings):
+def likelihood_of(parts: "list[StructurePosterior]", observations: list[Observation], depth: np.ndarray, camera: Any,
+                  settings: Settings) -> dict[str, float | str]:  # fmt: skip
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 
     That of the draws where they were made from every pixel; else one fitted to the whole image given the best scene:

@@ -11,8 +11,8 @@ independent noise as a hundred.
 import numpy as np
 
 from derender.render.blur import blur
-from derender.structures.draws.refined import with_sensor_refitted
-from derender.structures.draws.sensor import model_depth
+from derender.structures.draws.refined import Refined, with_sensor_refitted
+from derender.structures.draws.sensor import Sensor, model_depth
 
 SAME_SURFACE = 0.01  # share of the depth within which a point seen in one image is the one seen in another
 FEWEST = 50  # places that both see, fewer of which tell nothing
@@ -20,7 +20,7 @@ SURE = 3.0  # standard deviations of a correlation, 1 / sqrt(places), below whic
 CLIPPED = 3.0  # standard deviations at which residuals are cut off: edges and outliers would outweigh all others
 
 
-def with_shared_errors(rng, refined):
+def with_shared_errors(rng: np.random.Generator, refined: Refined) -> Refined:
     """Return the Refined whose views count for as much as they tell beside the others, at its mode again."""
     views = refined.sensor.views
     if len(views) == 1 or any("effective_pixels" not in view.values for view in views):
@@ -35,7 +35,7 @@ def with_shared_errors(rng, refined):
     return with_sensor_refitted(rng, refined._replace(sensor=sensor))
 
 
-def shared(refined):
+def shared(refined: Refined) -> np.ndarray:
     """Return (V, V) the correlation of the residuals of each two views of a Refined at the same places, 0 with itself.
 
     Those that chance alone may make are 0.
@@ -52,14 +52,21 @@ def shared(refined):
     return found
 
 
-def residual_of(view, model):
+def residual_of(view: Sensor, model: np.ndarray) -> np.ndarray:
     """Return (H, W) the residuals of a view in standard deviations of its noise, cut off, NaN where it says nothing."""
     smooth = blur(model, view.values["blur"])
     noise = view.values["sigma"] + view.values.get("sigma_growth", 0.0) * smooth**2
     return np.clip((view.returned - smooth) / noise, -CLIPPED, CLIPPED)
 
 
-def correlation(one, other, model, other_model, residual, other_residual):
+def correlation(
+    one: Sensor,
+    other: Sensor,
+    model: np.ndarray,
+    other_model: np.ndarray,
+    residual: np.ndarray,
+    other_residual: np.ndarray,
+) -> float:
     """Return the correlation of two views' residuals (H, W) at places that both see, given their models' depths."""
     camera, to = one.camera, other.camera
     rows, columns = np.nonzero(np.isfinite(residual))

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.results.fit import flat_noise, tolerance_of
 from derender.structures.options import Frame
@@ -21,7 +22,9 @@ TOLERANCES = 2.0  # times what may be a depth's error (results/fit.py), beyond w
 SAME, DIFFERENT = 0.01, 0.1  # share of the pixels: with fewer it is one place, with more another scene
 
 
-def averaged(depth: np.ndarray, camera, frames: Sequence[Frame], name: str = "the first image"):
+def averaged(
+    depth: np.ndarray, camera: Camera, frames: Sequence[Frame], name: str = "the first image"
+) -> tuple[np.ndarray, list[Frame]]:
     """Return (depth (H, W), Frames) with images from one place averaged, each about the first of its place.
 
     Raises

@@ -5,28 +5,31 @@ background as it is seen. Given that, what stands on one tells nothing of what s
 is the product of theirs. A plane on which nothing is found stays background.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from derender.detection.floor import NoFloor
 from derender.detection.levels import levels_of, patch_of
-from derender.detection.search.observation import Support, of_whole_image
+from derender.detection.search.observation import Observation, Support, of_whole_image
 from derender.detection.solids.graph import FLOOR_NAME, floating
-from derender.scene.graph import ROOT, Contact
+from derender.results.posterior import StructurePosterior
+from derender.scene.graph import ROOT, Contact, SceneGraph
 from derender.scene.pose import inverse
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 
 POSE = tuple(floating(np.eye(4)).values)  # the seven numbers of a contact that holds to nothing
 
 
-def support_name(number):
+def support_name(number: Any) -> Any:
     """Return the name of the plane of this number, from 1: the main one is the floor."""
     return FLOOR_NAME if number == 1 else f"support_{number}"
 
 
-def further_supports(seen, shape, look):
+def further_supports(seen: Observation, shape: tuple[int, int], look: Callable[..., Any]) -> list[Any]:
     """Return [(State, Observation)] of further planes on which something stands, the largest first.
 
     seen : Observation of the main plane. shape : (H, W) of the image as it came. look : function with a keyword
@@ -44,7 +47,7 @@ def further_supports(seen, shape, look):
     return found
 
 
-def with_supports(parts, seen, others):
+def with_supports(parts: list[StructurePosterior], seen: Observation, others: list[Any]) -> list[StructurePosterior]:
     """Return the StructurePosteriors of all planes together, weights summing to one.
 
     parts, seen : of the main plane. others : [(parts, Observation)] of further ones. The lowest plane is unbounded, as
@@ -65,17 +68,17 @@ def with_supports(parts, seen, others):
     return parts
 
 
-def height_over(floor_pose, other_pose):
+def height_over(floor_pose: Any, other_pose: Any) -> Any:
     """Return the metres by which a floor's frame lies above another's, (4, 4) to the camera each."""
     return float((other_pose[:3, 3] - floor_pose[:3, 3]) @ floor_pose[:3, 2])
 
 
-def bounded(graph, name, patch):
+def bounded(graph: SceneGraph, name: str, patch: Any) -> SceneGraph:
     """Return a graph in which a plane is there as far as a patch reaches; None: everywhere."""
     return graph if patch is None or name not in graph.names else graph.replace(name, options={"patch": patch})
 
 
-def new_names(parts, more, number):
+def new_names(parts: Any, more: Any, number: Any) -> Any:
     """Return {name: new name} of what the parts of another plane have: counted on where the first parts' names end."""
     last: dict[str, int] = {}
     for part in parts:
@@ -92,7 +95,7 @@ def new_names(parts, more, number):
     return names
 
 
-def renamed(part, names, patch):
+def renamed(part: Any, names: Any, patch: Any) -> Any:
     """Return a StructurePosterior with other names, its plane as far as a patch reaches."""
     graph = bounded(part.graph, FLOOR_NAME, patch)
     waiting = {f"{new} ": old for old, new in names.items() if old in graph.names}  # no new name is an old one
@@ -105,7 +108,7 @@ def renamed(part, names, patch):
     return replace(part, graph=graph, addresses=addresses)
 
 
-def multiplied(part, other, weight):
+def multiplied(part: Any, other: Any, weight: Any) -> Any:
     """Return the StructurePosterior of two planes' together: draws of each, independent of the other's.
 
     The best draws of both are one draw. What hung on the other's root, its plane first, hangs on the first one's.
@@ -140,13 +143,13 @@ def multiplied(part, other, weight):
     return both.at((np.zeros(shape, int), np.arange(order.size).reshape(shape)))
 
 
-def as_one_chain(part, count):
+def as_one_chain(part: Any, count: Any) -> Any:
     """Return a StructurePosterior with so many of its draws in one chain, each as often as the others, or nearly."""
     chains, draws = np.unravel_index(np.resize(np.arange(part.log_density.size), count), part.log_density.shape)
     return part.at((chains[None], draws[None]))
 
 
-def hung_anew(part, other, names):
+def hung_anew(part: Any, other: Any, names: Any) -> Any:
     """Return (K, draws, 7) the poses of what hangs on another's root, over the root of part's draw of the same number.
 
     part, other : of one chain each. names : of the K vertices.
@@ -161,12 +164,12 @@ def hung_anew(part, other, names):
     return found
 
 
-def periods_of(part):
+def periods_of(part: Any) -> Any:
     """Return the period of each unknown of a StructurePosterior, None for those without."""
     return part.periods or (None,) * len(part.addresses)
 
 
-def added(first, second):
+def added(first: Any, second: Any) -> Any:
     """Return the extras of two planes' structures together: counts added, lists joined, the rest of the first."""
     both = {key: first[key] + second[key] for key in ("pixels", "unexplained", "hidden_expected")
              if first.get(key) is not None and second.get(key) is not None}  # fmt: skip

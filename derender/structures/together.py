@@ -6,17 +6,18 @@ brought to the mode, weighed and drawn from under the product of the images' lik
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.detection.search.greedy import total_energy
+from derender.detection.search.greedy import Settings, total_energy
 from derender.detection.search.observation import Observation
 from derender.detection.solids.graph import matched_names, names_of, structure_key
 from derender.detection.solids.image import SIZE
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.state import State
 from derender.errors import DerenderError
+from derender.results.posterior import StructurePosterior
 from derender.scene.pose import inverse, rotation_z
 from derender.structures.alignment import found_over, moved, with_poses_refined
 from derender.structures.draws.refined import View, height, refine, view_of
@@ -48,12 +49,12 @@ class Look(NamedTuple):
     found: bool = False
 
 
-def first_look(state, seen) -> Look:
+def first_look(state: State, seen: Observation) -> Look:
     """Return the Look at the first image."""
     return Look(state, seen, np.eye(4), np.eye(4))
 
 
-def look_from(first: Look, state, seen, frame: Frame, settings) -> Look:
+def look_from(first: Look, state: State, seen: Observation, frame: Frame, settings: Settings) -> Look:
     """Return the Look at another image from where its camera is said, or found, to have stood.
 
     Raises
@@ -72,19 +73,19 @@ def look_from(first: Look, state, seen, frame: Frame, settings) -> Look:
     return Look(state, seen, frame.into, along_floor(over))
 
 
-def along_floor(over):
+def along_floor(over: Any) -> Any:
     """Return the turn about z and the shift along the floor of a motion (4, 4) between two floors' frames."""
     level = rotation_z(float(np.arctan2(over[1, 0], over[0, 0])))
     level[:2, 3] = over[:2, 3]
     return level
 
 
-def energy_of(looks: Sequence[Look], state, settings) -> float:
+def energy_of(looks: Sequence[Look], state: State, settings: Settings) -> float:
     """Return the search's energy of a State over the first floor, the sum over all images."""
     return sum(total_energy(look.seen.image, moved(state, inverse(look.over)), settings) for look in looks)
 
 
-def joined(looks: Sequence[Look], settings) -> list[tuple[State, float]]:
+def joined(looks: Sequence[Look], settings: Settings) -> list[tuple[State, float]]:
     """Return (State over the first floor, energy) of what the images show together, the best first, each once.
 
     Each image's own state is completed by what the others found elsewhere; a solid that several have found is as that
@@ -102,7 +103,7 @@ def joined(looks: Sequence[Look], settings) -> list[tuple[State, float]]:
     return sorted(found.values(), key=lambda pair: pair[1])[:MOST_CANDIDATES]
 
 
-def completed(state, states):
+def completed(state: State, states: list[State]) -> State:
     """Return a State with the solids of others that lie elsewhere than all of its own, each on what bears it."""
     for other in states:
         for k, row in enumerate(other.rows):
@@ -112,7 +113,7 @@ def completed(state, states):
     return on_supports(state)
 
 
-def as_others_have_it(state, states, looks, settings):
+def as_others_have_it(state: State, states: list[State], looks: Any, settings: Settings) -> tuple[State, float]:
     """Return (State, energy) with each solid as that state has it by which all images are explained best."""
     energy = energy_of(looks, state, settings)
     own = [str(k) for k in range(len(state))]
@@ -135,14 +136,16 @@ def as_others_have_it(state, states, looks, settings):
     return state, energy
 
 
-def views_of(looks: Sequence[Look], settings) -> list[View]:
+def views_of(looks: Sequence[Look], settings: Settings) -> list[View]:
     """Return the Views by which all images are explained together."""
     usual = settings.temper
     return [view_of(look.seen, settings.for_correlation(look.seen.correlation).temper / usual)._replace(into=look.into)
             for look in looks]  # fmt: skip
 
 
-def together_parts(rng, looks: Sequence[Look], settings, chains, draws, only_best):
+def together_parts(
+    rng: np.random.Generator, looks: Sequence[Look], settings: Settings, chains: int, draws: int, only_best: bool
+) -> list[StructurePosterior]:
     """Return the parts of the posterior given all images, in the axes of the first camera."""
     views, floor = views_of(looks, settings), looks[0].seen.floor.pose
     candidates = joined(looks, settings)

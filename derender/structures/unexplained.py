@@ -12,11 +12,12 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.bodies import body_hypotheses
+from derender.detection.search.greedy import Settings
 from derender.detection.search.guesses import guesses
-from derender.detection.solids.image import make_image
+from derender.detection.solids.image import Image, make_image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import FLOOR, held_out, run_polish
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
 from derender.structures.alternatives import (
@@ -25,8 +26,9 @@ from derender.structures.alternatives import (
     likeliest_of_each,
     weighed_whole,
 )
-from derender.structures.draws.refined import at_mode, floor_pose_of, height
+from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
+from derender.structures.weighing import Weighed
 
 SIDES = (2, 3, 5, 8)  # pixels of the windows
 FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand
@@ -44,7 +46,7 @@ class Spot(NamedTuple):
     shown: np.ndarray
 
 
-def nearer_than_explained(best):
+def nearer_than_explained(best: Refined) -> np.ndarray:
     """Return (H, W) by how many standard deviations of the noise pixels are nearer than explained; NaN: no return."""
     sensor = best.sensor
     model = blur(model_depth(best.chart, best.values, sensor.camera), sensor.values["blur"])
@@ -52,7 +54,7 @@ def nearer_than_explained(best):
     return np.clip((model - sensor.returned) / noise, -MOST_OF_ONE, MOST_OF_ONE)
 
 
-def spots(nearer):
+def spots(nearer: np.ndarray) -> list[Spot]:
     """Return the Spots of an image (H, W) of standard deviations, the strongest first, none beside another."""
     nearer, found = nearer.copy(), []
     while len(found) < SPOTS:
@@ -67,7 +69,7 @@ def spots(nearer):
     return found
 
 
-def strongest(nearer, side):
+def strongest(nearer: np.ndarray, side: int) -> tuple[float, int, int, int]:
     """Return (strength, side, row, column) of the square window whose sum, or sum of squares, tells most.
 
     Squares by the cube root of their mean, which is nearly normal (Wilson and Hilferty, PNAS 1931).
@@ -82,13 +84,13 @@ def strongest(nearer, side):
     return float(strength[row, column]), side, int(row), int(column)
 
 
-def window_sums(image, side):
+def window_sums(image: np.ndarray, side: int) -> np.ndarray:
     """Return (H - side + 1, W - side + 1) the sums of an image (H, W) over square windows."""
     sums = np.pad(image, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
     return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
-def additions(rng, best, settings):
+def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> list[Weighed]:
     """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
 
     Others may have given way to explain what it shows, so all move and all are integrated over. Nothing is proposed
@@ -110,7 +112,9 @@ def additions(rng, best, settings):
     return weighed_whole(rng, best, [trial.state for trial in candidates], settings.rules, QUICK)
 
 
-def with_one_more(rng, image, state, points, settings):
+def with_one_more(
+    rng: np.random.Generator, image: Image, state: State, points: np.ndarray, settings: Settings
+) -> list[State]:
     """Return the states with one solid more that shows points (N, 3), floor frame: the best polished ones."""
     if len(points) == 0:
         return []

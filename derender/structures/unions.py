@@ -4,15 +4,17 @@ Weighed as alternatives.py says, whose changes are of one solid.
 """
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.search.moves import corners_of, cut_anew, touching_pairs
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.state import FLOOR
+from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents
 from derender.scene.solids import BOX
 from derender.structures.alternatives import (
@@ -24,10 +26,10 @@ from derender.structures.alternatives import (
     climbed,
     weighed_whole,
 )
-from derender.structures.draws.chart import make_chart
-from derender.structures.draws.refined import at_mode, floor_pose_of, height
+from derender.structures.draws.chart import Chart, make_chart
+from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
-from derender.structures.weighing import Block, of_block, with_own_sensor
+from derender.structures.weighing import Block, Weighed, of_block, with_own_sensor
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
@@ -35,7 +37,7 @@ THOROUGH = 600  # for each solid where two are cut anew: all edges about them ma
 FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change when it is cut anew, before any climb
 
 
-def merged_row(row, other):
+def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the row of the upright box about two upright boxes, along the axes of the first."""
     rotation = row[1:10].reshape(3, 3)
     along = np.concatenate([corners_of(row), corners_of(other)]) @ rotation
@@ -46,7 +48,7 @@ def merged_row(row, other):
     return new
 
 
-def merges(rng, best, rules):
+def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
     """Return the Weighed of two neighbouring boxes being one."""
     state = best.state
     tasks = []
@@ -63,7 +65,7 @@ def merges(rng, best, rules):
     return [found for found in in_threads(rng, tasks) if found is not None]
 
 
-def merged(rng, best, i, j, rules):
+def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
     """Return the Weighed of solid `j` being part of `i`; None where that is hopeless."""
     state = best.state
     new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
@@ -99,7 +101,7 @@ def recuts(rng, best, rules):
     return weighed_whole(rng, best, [each.state for each in rough] * 2, rules, THOROUGH)
 
 
-def grown_into(state, cut, j):
+def grown_into(state: State, cut: tuple[int, ...], j: int) -> State | None:
     """Return the state with box j grown into others, which are cut back (moves.cut_anew), held to nothing yet; None:
     nothing of one is left."""
     new = state.copy()
@@ -112,7 +114,7 @@ def grown_into(state, cut, j):
     return new
 
 
-def change_of_image(best, chart, values):
+def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:
     """Return how much worse another chart's images explain those of the best in nats, no pixel more than LIMIT."""
     total = 0.0
     for view in best.sensor.views:
@@ -123,7 +125,7 @@ def change_of_image(best, chart, values):
     return total
 
 
-def on_supports(state):
+def on_supports(state: State) -> State:
     """Return the state with each upright solid on what bears it, and held to its top."""
     state = state.copy()
     state.parents = final_parents(state)

@@ -18,9 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.compilation.threads import in_threads
+from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import ROW
+from derender.detection.solids.state import State
 from derender.detection.solids.support import log_standing
-from derender.sampling.evidence import evidence_of
+from derender.sampling.evidence import Evidence, evidence_of
 from derender.structures.draws.chart import make_chart, place_rows
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
@@ -60,7 +62,9 @@ class Weighed(NamedTuple):
     places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
 
-def evidence_over(rng, refined, rules, solids=None):
+def evidence_over(
+    rng: np.random.Generator, refined: Refined, rules: Rules, solids: tuple[int, ...] | None = None
+) -> Evidence:
     """Return the Evidence of the density over the coordinates of some solids, all others held; None: over all.
 
     What would tip off its supports is less probable: the integral without that term, times its mean over the draws.
@@ -83,24 +87,24 @@ def evidence_over(rng, refined, rules, solids=None):
 class Block:
     """Some solids of a structure with the others at their mode: its integrals, each made once."""
 
-    def __init__(self, refined, places, rules) -> None:
+    def __init__(self, refined: Refined, places: list[int], rules: Rules) -> None:
         self.refined, self.places = refined, tuple(places)
         self.rules, self.apart = rules, refined.sensor.log_prior()  # the latter is in no integral
         self._evidence: Any = None
 
     @functools.cached_property
-    def near(self):
+    def near(self) -> float:
         """The log integral as `near_evidence` has it, as if nothing tipped."""
         return near_evidence(self.refined, self.places) + self.apart
 
-    def evidence(self, rng):
+    def evidence(self, rng: np.random.Generator) -> Evidence:
         """Return the Evidence over the solids' coordinates."""
         if self._evidence is None:
             self._evidence = evidence_over(rng, self.refined, self.rules, self.places)
         return self._evidence
 
 
-def of_block(rng, trial, places, own, rules):
+def of_block(rng: np.random.Generator, trial: Refined, places: list[int], own: Block, rules: Rules) -> Weighed:
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
 
     places : indices of those solids in it. own : Block of those of the best.
@@ -115,7 +119,7 @@ def of_block(rng, trial, places, own, rules):
     return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
 
 
-def surest(alike):
+def surest(alike: list[Weighed]) -> Weighed:
     """Return that of some Weighed of one structure, in the order in which they were weighed, which tells its odds.
 
     One that was integrated over before one that was only looked at, and of those the last one against the present best
@@ -129,7 +133,7 @@ def surest(alike):
     return likeliest if likeliest.odds > last[0].odds + apart else last[0]
 
 
-def surest_of_each(weighed):
+def surest_of_each(weighed: list[Weighed]) -> list[Weighed]:
     """Return the Weighed of each structure and of each number of shared solids that `surest` chooses."""
     alike: dict[tuple, list] = {}
     for each in weighed:
@@ -137,7 +141,7 @@ def surest_of_each(weighed):
     return [surest(some) for some in alike.values()]
 
 
-def discrete_part(state):
+def discrete_part(state: State) -> Any:
     """Return what tells states of the same solids in the same order apart but for their numbers."""
     return tuple(state.cubes), tuple(state.parents), tuple(state.rows[:, 0]), tuple(state.forms)
 
@@ -171,13 +175,15 @@ def made_sure(rng, best, others, drawn, rules):
     return others
 
 
-def integrals(rng, best, rules, places, draws):
+def integrals(
+    rng: np.random.Generator, best: Refined, rules: Rules, places: tuple[int, ...], draws: np.ndarray
+) -> list[Evidence]:
     """Return the Evidences over some solids of the best with all else at draws (n, D), and last `over_blur` of them."""
     held = [evidence_over(rng, best._replace(values=values.copy()), rules, places) for values in draws]
     return [*held, over_blur(rng, best, places)]
 
 
-def averaged(logs, errors):
+def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float]:
     """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); minus infinity: it is 0."""
     count, possible = len(logs), logs[np.isfinite(logs)]
     if not len(possible):
@@ -188,7 +194,9 @@ def averaged(logs, errors):
     return {"odds": odds, "error": math.sqrt((float(np.mean(np.square(errors))) + spread) / count)}
 
 
-def odds_at(rng, best, weighed, values, own, rules):
+def odds_at(
+    rng: np.random.Generator, best: Refined, weighed: Any, values: np.ndarray, own: Evidence, rules: Rules
+) -> tuple[float, float]:
     """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best.
 
     own : Evidence over the best's solids that differ, there.
@@ -212,7 +220,7 @@ def odds_at(rng, best, weighed, values, own, rules):
     return other.log - own.log, math.hypot(other.standard_error, own.standard_error)
 
 
-def with_own_sensor(rng, trial, places, least):
+def with_own_sensor(rng: np.random.Generator, trial: Refined, places: Any, least: float) -> Refined:
     """Return a Refined under the sensor that it suggests itself, where that explains more by at least `least` nats.
 
     Then the solids that changed are climbed again.

@@ -5,6 +5,8 @@ gap to it but for the error of both poses, and keeps it from frame to frame; wha
 anywhere. Contact is with what lies below: where lowering the thing by a little would press it in.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.solids.image import ROW, make_row
@@ -22,7 +24,7 @@ LOWERED, PRESSED = 0.001, 0.3  # metres, and the share of them that must go into
 NO_SUPPORT = -40.0  # log density of standing on what is not below
 
 
-def rows_of(poses, sizes, kinds, floor):
+def rows_of(poses: np.ndarray, sizes: np.ndarray, kinds: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """Return (N, ROW) the things in the floor's axes; NaN rows where a pose is."""
     rows = np.full((len(poses), ROW), np.nan)
     to_floor = inverse(floor)
@@ -33,7 +35,7 @@ def rows_of(poses, sizes, kinds, floor):
     return rows
 
 
-def gaps_of(rows, has_floor):
+def gaps_of(rows: np.ndarray, has_floor: bool) -> np.ndarray:
     """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there."""
     count = len(rows)
     gaps = np.full((count, 2 + count), np.inf)
@@ -53,7 +55,7 @@ def gaps_of(rows, has_floor):
     return gaps
 
 
-def evidence(gaps, spread, resting):
+def evidence(gaps: np.ndarray, spread: np.ndarray, resting: np.ndarray) -> np.ndarray:
     """Return (T, N, 2 + N) log densities of the gaps by what each thing rests on.
 
     gaps : (T, N, 2 + N) metres. spread : (T, N) standard deviation of each thing's height, metres.
@@ -78,7 +80,7 @@ def evidence(gaps, spread, resting):
     return told
 
 
-def smoothed(told, start=None):
+def smoothed(told: np.ndarray, start: Any = None) -> np.ndarray:
     """Return (T, M) probabilities of a chain's states given all of its log densities (T, M): forward and backward.
 
     start : (M,) probabilities in the first frame before its image, or None.
@@ -100,7 +102,14 @@ def smoothed(told, start=None):
     return both / both.sum(axis=1, keepdims=True)
 
 
-def parent_probabilities(poses, covariances, sizes, kinds, floors, resting):
+def parent_probabilities(
+    poses: np.ndarray,
+    covariances: np.ndarray,
+    sizes: np.ndarray,
+    kinds: np.ndarray,
+    floors: np.ndarray,
+    resting: np.ndarray,
+) -> np.ndarray:
     """Return P(parent) (T, N, 2 + N): nothing, the floor, each thing; NaN where a thing is not there.
 
     poses : (T, N, 4, 4) to camera, NaN where not there. covariances : (T, N, 6, 6). sizes : (T, N, 3). kinds : (N,).

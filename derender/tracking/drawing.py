@@ -1,5 +1,7 @@
 """What is drawn of the things that are followed, how it compares with the present frame, and fits of one of them."""
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from derender.render.blur import blur_taps
@@ -7,6 +9,10 @@ from derender.render.raycast.canvas import FACE_BITS
 from derender.render.raycast.normal_equations import cost, new_misfit
 from derender.scene.solids import PLANE
 from derender.tracking import fit as fitting
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
+    from derender.tracking.first import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
 LIMIT = 8.0  # nats: a pixel off by more than four standard deviations tells no more
@@ -35,7 +41,7 @@ class Drawing:
     rounds : sets of normal equations so far.
     """
 
-    def __init__(self, camera, start, depth, moving_camera) -> None:
+    def __init__(self, camera: "Camera", start: "Start", depth: np.ndarray, moving_camera: bool) -> None:
         self.camera, self.start, self.moving_camera = camera, start, moving_camera
         self.things, self.floor, self.view = list(start.things), start.floor, np.eye(4)
         self.backdrop: np.ndarray | None = None
@@ -44,7 +50,7 @@ class Drawing:
         self.see(depth)
         cost(self.misfit, self.poses, self.sizes)
 
-    def allocate(self, depth) -> None:
+    def allocate(self, depth: np.ndarray) -> None:
         """Make arrays for the things there are, and draw them."""
         self.planes = 0 if self.floor is None else 1
         self.kinds = np.array([PLANE] * self.planes + [thing.kind for thing in self.things], np.int32)
@@ -56,7 +62,7 @@ class Drawing:
 
     def place(self) -> None:
         """Put everything where the things and the view say."""
-        if self.planes:
+        if self.floor is not None:
             self.poses[0] = self.view @ self.floor
         for k, thing in enumerate(self.things):
             self.poses[self.planes + k] = self.view @ thing.pose
@@ -64,7 +70,7 @@ class Drawing:
             if not thing.here:
                 self.poses[self.planes + k, 2, 3] = -1.0  # behind the camera: not seen
 
-    def see(self, depth) -> None:
+    def see(self, depth: np.ndarray) -> None:
         """Compare what is drawn with another frame (H, W), metres, from now on."""
         clean = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
         spread = np.empty(clean.shape)
@@ -81,13 +87,13 @@ class Drawing:
         code = self.misfit.canvas.code
         return np.where(code < 0, -1, code >> FACE_BITS)
 
-    def wrong_share(self, k) -> float:
+    def wrong_share(self, k: int) -> float:
         """Return the share of thing k's pixels that are off."""
         fitting.pixels_of(self.misfit, self.counts, OFF)
         seen = self.counts[self.planes + k]
         return float((seen[2] + seen[3]) / max(seen[1], 1.0))
 
-    def take_as_usual(self, k, most=None) -> None:
+    def take_as_usual(self, k: int, most: float | None = None) -> None:
         """Take how well thing k is explained now as how well it usually is; most : times by which that may rise."""
         thing = self.things[k]
         total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
@@ -98,16 +104,16 @@ class Drawing:
             thing.usual_off = max(thing.usual_off, min(off_now, most * thing.usual_off))
             thing.usual_cost = max(thing.usual_cost, min(cost_now, most * thing.usual_cost))
 
-    def price(self, k) -> float:
+    def price(self, k: int) -> float:
         """Return the nats of the whole image and of thing k's growth."""
         return float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper + self.growth(k)
 
-    def excess(self, k) -> float:
+    def excess(self, k: int) -> float:
         """Return by how many nats the cost about thing k is above its usual one."""
         total, count, _ = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
         return float(total - self.things[k].usual_cost * count)
 
-    def unexplained(self, k) -> bool:
+    def unexplained(self, k: int) -> bool:
         """Whether the cost about thing k, or the number of pixels there that are off, is above what it may be."""
         total, count, off = fitting.cost_about(self.misfit, self.planes + k, MARGIN)
         total += self.growth(k)
@@ -115,13 +121,15 @@ class Drawing:
         dear = total > usual * (1 + EXCESS[1]) + EXCESS[0] * DEVIATION * np.sqrt(count)
         return bool(dear or off > usually_off + EXCESS[0] * np.sqrt(usually_off + 1.0))
 
-    def growth(self, k) -> float:
+    def growth(self, k: int) -> float:
         """Return the nats by which the size that thing k is drawn with is less probable than the one that is known."""
         thing = self.things[k]
         grown = (self.sizes[self.planes + k] - thing.size) @ thing.ties.T / thing.ties.sum(axis=1)
         return float(0.5 * grown @ np.linalg.solve(thing.covariance[6:, 6:], grown))
 
-    def fit(self, k, expected, information, free, rounds=ROUNDS):
+    def fit(
+        self, k: int, expected: np.ndarray, information: np.ndarray, free: bool, rounds: int = ROUNDS
+    ) -> tuple[float, np.ndarray]:
         """Fit thing k from where it is drawn; return (energy, curvature). free : whether its size may change."""
         thing, index = self.things[k], self.planes + k
         members = np.zeros(len(self.kinds), bool)
@@ -137,7 +145,7 @@ class Drawing:
         self.rounds += taken
         return energy, curvature
 
-    def turned(self, matrix, back=False):
+    def turned(self, matrix: np.ndarray, back: bool = False) -> np.ndarray:
         """Return a (P, P) precision of world axes in camera axes, or the other way round."""
         if not self.moving_camera:
             return np.ascontiguousarray(matrix)
@@ -145,25 +153,25 @@ class Drawing:
         turn[:3, :3] = turn[3:6, 3:6] = self.view[:3, :3].T if back else self.view[:3, :3]
         return np.ascontiguousarray(turn @ matrix @ turn.T)
 
-    def draw(self, k, pose) -> float:
+    def draw(self, k: int, pose: Any) -> float:
         """Draw thing k at a pose in the world and return the whole cost."""
         self.poses[self.planes + k] = self.view @ pose
         self.sizes[self.planes + k] = self.things[k].size
         return float(cost(self.misfit, self.poses, self.sizes))
 
-    def loosen(self, loose) -> None:
+    def loosen(self, loose: bool) -> None:
         """Take the noise as large, or as it is."""
         fitting.look(self.misfit, self.observed, np.maximum(self.spread, LOOSE) if loose else self.spread)
         cost(self.misfit, self.poses, self.sizes)
 
-    def fit_from_afar(self, k, start, information, free=True):
+    def fit_from_afar(self, k: int, start: np.ndarray, information: np.ndarray, free: bool = True) -> np.ndarray:
         """Fit thing k from where it is drawn, by its outline first; return the curvature."""
         self.loosen(True)
         self.fit(k, start, information, free=False, rounds=AFAR_ROUNDS)
         self.loosen(False)
         return self.fit(k, start, information, free=free)[1]
 
-    def outside(self, k) -> bool:
+    def outside(self, k: int) -> bool:
         """Whether thing k is drawn outside the image."""
         x, y, z = self.poses[self.planes + k, :3, 3]
         if z <= 0.0:
@@ -171,7 +179,7 @@ class Drawing:
         column, row = self.camera.fx * x / z + self.camera.cx, self.camera.fy * y / z + self.camera.cy
         return not (0 <= column < self.camera.width and 0 <= row < self.camera.height)
 
-    def left_behind(self, k) -> bool:
+    def left_behind(self, k: int) -> bool:
         """Whether many pixels beside thing k are nearer than anything drawn there."""
         rectangle = self.misfit.canvas.rectangle[self.planes + k]
         if rectangle[0] >= rectangle[1]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from glob import glob
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def frame_files(sources: Sequence[str | Path]) -> list[Path]:
     return found
 
 
-def _in_counting_order(path: Path):
+def _in_counting_order(path: Path) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
 
 
@@ -109,7 +109,7 @@ def timing_of(tree: dict, where: object) -> Timing:
     return Timing(fps, gravity, times)
 
 
-def _numbers(value, name, where) -> np.ndarray:
+def _numbers(value: list[float], name: str, where: Any) -> np.ndarray:
     try:
         numbers = np.asarray(value, float).ravel()
     except (TypeError, ValueError):
@@ -119,7 +119,7 @@ def _numbers(value, name, where) -> np.ndarray:
     return numbers
 
 
-def checked_fps(value, where) -> float:
+def checked_fps(value: float, where: Any) -> float:
     """Return frames a second as a number, or raise DerenderError."""
     try:
         fps = float(value)
@@ -130,7 +130,7 @@ def checked_fps(value, where) -> float:
     return fps
 
 
-def checked_times(times, where) -> np.ndarray:
+def checked_times(times: np.ndarray, where: Any) -> np.ndarray:
     """Return times (T,) that increase, or raise DerenderError."""
     wrong = np.flatnonzero(np.diff(times) <= 0)
     if len(wrong):
@@ -185,7 +185,7 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     return Film(names, frames, seen_camera, guessed, times, timing.gravity, rate is None and timing.times is None)
 
 
-def check_size(frame, first, path) -> None:
+def check_size(frame: np.ndarray, first: np.ndarray, path: Path) -> None:
     """Raise DerenderError where a frame is not as large as the first one."""
     if frame.shape != first.shape:
         sizes = [f"{shape[1]} x {shape[0]}" for shape in (frame.shape, first.shape)]

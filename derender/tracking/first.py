@@ -1,12 +1,15 @@
 """What is there in the first frame, as things to be followed: from the posterior of that image."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.scene.pose import inverse
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.tracking.thing import TIES, Thing
+
+if TYPE_CHECKING:
+    from derender.scene.graph import SceneGraph
 
 DRAWS = 60  # of the posterior, for the spread of sizes and poses
 LEAST_SPREAD = (3e-4, 3e-3, 3e-4)  # metres, radians, metres: of centre, turn and extents of what is known best
@@ -40,7 +43,7 @@ class Start(NamedTuple):
         return self._replace(things=[thing.copy() for thing in self.things])
 
 
-def start_from(posterior, rng) -> Start:
+def start_from(posterior: Any, rng: np.random.Generator) -> Start:
     """Return what a posterior of the first frame says is there."""
     graph = posterior.best_graph()
     poses = graph.poses()
@@ -61,7 +64,7 @@ def start_from(posterior, rng) -> Start:
     )
 
 
-def thing_of(graph, draws, name) -> Thing:
+def thing_of(graph: "SceneGraph", draws: Any, name: str) -> Thing:
     """Return one solid of a scene as a thing, its spread that of the draws of the scene."""
     vertex = graph.vertex(name)
     pose, size, ties = graph.poses()[name], np.array(graph.body(name).size(), float), TIES[vertex.shape]

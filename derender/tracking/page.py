@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures
 from derender.report.html import wide
@@ -22,7 +23,7 @@ ROW, LEFT, WIDE, NARROWEST = 26, 110, 960, 640
 
 
 def report_page(
-    track: Track, frames: Sequence[np.ndarray], camera, events: Sequence[dict[str, Any]], title: str
+    track: Track, frames: Sequence[np.ndarray], camera: Camera, events: Sequence[dict[str, Any]], title: str
 ) -> str:
     """Return the page as text. frames : of the film, (H, W) metres each, as many as the track has."""
     colours = pictures.colours_of(solids_at(track, 0), ["floor", *track.names])[1:]
@@ -61,7 +62,7 @@ def solids_at(track: Track, t: int) -> Solids:
     )  # fmt: skip
 
 
-def _film(track, frames, camera) -> str:
+def _film(track: Track, frames: Any, camera: Camera) -> str:
     """Return observed, explained and residual depth with a slider."""
     shown = range(0, len(track.times), max(1, -(-len(track.times) // MOST_PICTURES)))
     solids = solids_at(track, 0)
@@ -90,7 +91,7 @@ def _film(track, frames, camera) -> str:
     )
 
 
-def _time_line(track, events, named) -> str:
+def _time_line(track: Any, events: Any, named: Any) -> str:
     """Return an SVG: a row for each thing, coloured by what it rests on."""
     count, parents = len(track.times), track.parents()
     step = WIDE / max(count, 1)
@@ -133,11 +134,11 @@ def _time_line(track, events, named) -> str:
     return wide(picture, "time line") + f'<p class="soft">{legend}</p>'
 
 
-def _swatch(colour) -> str:
+def _swatch(colour: str) -> str:
     return f'<span class="bar" style="width:14px;background:{colour}"></span>'
 
 
-def _events(events, named) -> str:
+def _events(events: Any, named: Any) -> str:
     rows = "".join(
         f'<tr><td class="number">{event["frame"]}</td><td class="number">{event["time"]:.3f}</td>'
         f"<td>{_swatch(named.get(event['object'], '#000'))} {escape(event['object'])}</td>"
@@ -148,14 +149,14 @@ def _events(events, named) -> str:
     return wide(f'<table class="narrow">{head}{rows}</table>', "events")
 
 
-def _words(event) -> str:
+def _words(event: Any) -> str:
     if "to" in event:
         chance = f" (P = {event['probability']:.2f})"
         return f"from {event['from'] or 'nothing'} to {event['to'] or 'nothing'}{chance}"
     return f"{event['speed'][0]:+.2f} to {event['speed'][1]:+.2f} m/s" if "speed" in event else ""
 
 
-def _things(track, named) -> str:
+def _things(track: Track, named: dict[str, str]) -> str:
     rows = []
     for k, name in enumerate(track.names):
         deviations = np.sqrt(np.maximum(np.diagonal(track.covariances[:, k, :3, :3], axis1=1, axis2=2), 0)).max(axis=1)

@@ -5,12 +5,18 @@ unexplained, another frame is inferred and followed both ways, and the pass that
 the sum of its costs, under one noise for all.
 """
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
 from derender.tracking.first import Start
 from derender.tracking.thing import LOST
 from derender.tracking.track import Recorder, Track
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 GROWN = 0.002  # metres by which an extent must have changed for the film to be gone through again with what is known
 POSE_ROOM = (0.005, 0.05)  # metres and radians: what the first pose may change by when the sizes have
@@ -32,7 +38,17 @@ class Passes:
     comes in later, or None. progress : called after each frame with the share done, or None.
     """
 
-    def __init__(self, frames, camera, gravity, step, begin, look=None, moving_camera=False, progress=None) -> None:
+    def __init__(
+        self,
+        frames: Any,
+        camera: "Camera",
+        gravity: Any,
+        step: float,
+        begin: Callable[..., Any],
+        look: Any = None,
+        moving_camera: Any = False,
+        progress: Any = None,
+    ) -> None:
         self.frames, self.camera, self.gravity, self.step = frames, camera, gravity, step
         self.begin, self.look, self.moving_camera, self.progress = begin, look, moving_camera, progress
 
@@ -72,7 +88,7 @@ class Passes:
         again = self.go(found.anchor, found.start._replace(things=things, searched=True))
         return again if again.cut is None and again.cost() < found.cost() else found
 
-    def go(self, anchor, start: Start) -> "Pass":
+    def go(self, anchor: int, start: Start) -> "Pass":
         """Follow what is there in frame `anchor` to the end of the film and to its beginning."""
         both = []
         for frames in (self.frames[anchor:], self.frames[anchor::-1] if anchor else []):
@@ -99,7 +115,7 @@ class Pass:
     cut : the frame of a cut, or None.
     """
 
-    def __init__(self, anchor, start, forward, backward) -> None:
+    def __init__(self, anchor: int, start: Start, forward: Recorder, backward: Any) -> None:
         self.anchor, self.start, self.forward, self.backward = anchor, start, forward, backward
         self.cut = next(
             (anchor + way * r.cut for way, r in ((1, forward), (-1, backward)) if r and r.cut is not None), None
@@ -125,7 +141,7 @@ class Pass:
         limit = least * (1 + UNEXPLAINED[1]) * pixels + UNEXPLAINED[0] * DEVIATION * np.sqrt(pixels)
         return int((cost > limit).sum()) <= MOST_UNEXPLAINED
 
-    def track(self, times, names) -> Track:
+    def track(self, times: np.ndarray, names: list[str]) -> Track:
         """Return the track of the film."""
         if self.backward is None:
             return self.forward.track(times, names)

@@ -4,6 +4,7 @@ What happens in a film is told from poses and contacts: lifted, placed, pushed, 
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ KINDS = ("lifted", "fell", "placed", "landed", "slid", "moves", "rests", "topple
          "hidden", "seen", "lost", "found")  # fmt: skip
 
 
-def events_of(track) -> list[dict[str, Any]]:
+def events_of(track: Track) -> list[dict[str, Any]]:
     """Return the events of a track in the order of time.
 
     Each is {"frame", "time", "event", "object"}, and where it changes "from" and "to", what it rested and rests on, and
@@ -77,7 +78,7 @@ def events_of(track) -> list[dict[str, Any]]:
     return sorted(events, key=lambda event: event["frame"])
 
 
-def _states(tell, t, before, state) -> None:
+def _states(tell: Callable[..., Any], t: int, before: str, state: str) -> None:
     """Tell what a change of state means."""
     if t == 0 or before == state:
         return
@@ -99,14 +100,14 @@ def _states(tell, t, before, state) -> None:
         tell(t, "rests")
 
 
-def _up_turned(rested, pose, floors, t) -> bool:
+def _up_turned(rested: np.ndarray, pose: np.ndarray, floors: np.ndarray, t: int) -> bool:
     """Whether what pointed up when the thing rested now points elsewhere."""
     up = floors[t][:3, 2]
     then = rested[:3, :3].T @ up  # what was up, in the thing's axes
     return float(np.arccos(np.clip(up @ (pose[:3, :3] @ then), -1.0, 1.0))) > TOPPLED
 
 
-def _bounced(speeds, t) -> bool:
+def _bounced(speeds: np.ndarray, t: int) -> bool:
     """Whether the normal speed turns from down to up at frame t."""
     if t < 2 or t + 1 > len(speeds) or not np.isfinite(speeds[t - 1]):
         return False
@@ -163,7 +164,7 @@ def track_json(track: Track) -> dict[str, Any]:
     }
 
 
-def _rounded(values, digits=DIGITS):
+def _rounded(values: np.ndarray, digits: int = DIGITS) -> list[list[list[float] | float] | float]:
     return np.round(np.asarray(values, float), digits).tolist()
 
 

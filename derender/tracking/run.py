@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.atomic import make_folder
 from derender.camera.depth_file import read_depth
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.structures.options import Options
 from derender.tracking.film import (
@@ -126,7 +127,7 @@ def track_to_folder(
     return Outcome(track, folder, events)
 
 
-def track_film(film: Film, options: Options, moving_camera=False, progress=None) -> Track:
+def track_film(film: Film, options: Options, moving_camera: Any = False, progress: Any = None) -> Track:
     """Infer the first frame of a film, and follow what is there through the others."""
     infer, rng = inferrer(options, film.camera, progress), np.random.default_rng(options.seed)
     passes = Passes(
@@ -136,7 +137,7 @@ def track_film(film: Film, options: Options, moving_camera=False, progress=None)
     return passes.best().track(film.times, film.names)
 
 
-def inferrer(options: Options, camera, progress=None):
+def inferrer(options: Options, camera: Camera, progress: Any = None) -> Any:
     """Return a function (depth, quick) that infers one frame; quick: its best scene only."""
     from derender.structures.infer import infer_structure
 
@@ -162,7 +163,7 @@ def times_of(film: Film, count: int) -> np.ndarray:
     return film.times[0] + step * np.arange(count)
 
 
-def tell_events(track: Track, told: int, tell, lag: int) -> int:
+def tell_events(track: Track, told: int, tell: Any, lag: int) -> int:
     """Tell the events that are at least `lag` frames old and not among the first `told`; return how many are told."""
     sure = [event for event in events_of(track) if event["frame"] < len(track.times) - lag]
     for event in sure[told:]:
@@ -170,7 +171,7 @@ def tell_events(track: Track, told: int, tell, lag: int) -> int:
     return max(told, len(sure))
 
 
-def first_of(sources, camera, depth_scale, fps) -> Film:
+def first_of(sources: Any, camera: Any, depth_scale: Any, fps: Any) -> Film:
     """Wait for the first frame of a folder that grows, and return a film of it."""
     waited = 0.0
     while not (files := frame_files(sources)):
@@ -186,7 +187,7 @@ def first_of(sources, camera, depth_scale, fps) -> Film:
     return Film([files[0].name], [seen.depth], seen.camera, seen.camera_is_guess, times, timing.gravity, rate is None)
 
 
-def watched(sources, camera, depth_scale, film: Film) -> Iterator[np.ndarray]:
+def watched(sources: Any, camera: Any, depth_scale: Any, film: Film) -> Iterator[np.ndarray]:
     """Yield the frames after the first as they come, until none has come for some time."""
     camera = camera_beside(sources, camera)
     taken, last = {film.names[0]}, time.monotonic()
@@ -202,7 +203,7 @@ def watched(sources, camera, depth_scale, film: Film) -> Iterator[np.ndarray]:
             time.sleep(POLL)
 
 
-def patiently(path, camera, depth_scale):
+def patiently(path: Path, camera: Camera, depth_scale: Any) -> Any:
     """Read a frame that may still be being written: what fails is tried again a few times."""
     for _ in range(5):
         try:

@@ -1,14 +1,18 @@
 """A film followed from its first frame to its last: the answer of tracking, and how it comes about."""
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
-from derender.tracking.first import thing_of
+from derender.tracking.first import Start, thing_of
 from derender.tracking.thing import MOVING, STILL, Seen
 from derender.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 CUT = 0.5  # share of the pixels that fit nothing from which on a frame is of another scene
 NEW_PIXELS = 60  # of a blob that may be a new thing
@@ -68,7 +72,7 @@ class Track:
         return self.views @ (self.floor if self.floor is not None else upright(self.gravity))
 
 
-def upright(gravity) -> np.ndarray:
+def upright(gravity: Any) -> np.ndarray:
     """Return a frame (4, 4) whose z axis points against gravity, far below everything."""
     up = -np.asarray(gravity, float) / np.linalg.norm(gravity)
     side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
@@ -88,7 +92,16 @@ class Recorder:
     comes in later, or None.
     """
 
-    def __init__(self, depth, camera, start, gravity, step, moving_camera=False, infer=None) -> None:
+    def __init__(
+        self,
+        depth: np.ndarray,
+        camera: "Camera",
+        start: Start,
+        gravity: Any,
+        step: float,
+        moving_camera: bool = False,
+        infer: Any = None,
+    ) -> None:
         self.gravity = UP * start.down if gravity is None else np.asarray(gravity, float)
         self.tracker = Tracker(camera, start, depth, self.gravity, step, moving_camera)
         self.seen: list[Seen] = [self.tracker.report([])]
@@ -97,7 +110,7 @@ class Recorder:
         self.cut: int | None = None
         self.notes: list[str] = []
 
-    def advance(self, depth) -> bool:
+    def advance(self, depth: np.ndarray) -> bool:
         """Take the next frame; False where it shows another scene: nothing is followed into it."""
         if self.cut is not None:
             return False
@@ -123,7 +136,7 @@ class Recorder:
         floor = there & (tracker.owner() >= 0)
         return int(floor.sum()) > 0 and float(off[floor].mean()) > CUT
 
-    def _newcomers(self, depth, seen) -> bool:
+    def _newcomers(self, depth: np.ndarray, seen: Seen) -> bool:
         """Look for things that have come in where nothing explains what is seen; whether there was one."""
         big = [blob for blob in seen.blobs if blob.pixels >= NEW_PIXELS]
         self.waiting = self.waiting + 1 if big else 0
@@ -152,11 +165,13 @@ class Recorder:
             found = True
         return found
 
-    def _new_name(self, kind) -> str:
+    def _new_name(self, kind: Any) -> str:
         taken = {thing.name for thing in self.tracker.things}
         return next(name for n in range(1, len(taken) + 2) if (name := f"{kind}_{n}") not in taken)
 
-    def track(self, times=None, frames=None, before: "Recorder | None" = None) -> Track:
+    def track(
+        self, times: np.ndarray | None = None, frames: list[str] | None = None, before: "Recorder | None" = None
+    ) -> Track:
         """Return what was found so far; before : what was found going backward from the same first frame."""
         tracker, things = self.tracker, list(self.tracker.things)
         own = len(things)

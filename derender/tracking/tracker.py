@@ -7,6 +7,8 @@ explains the image best; where its pixels are not explained from there, others a
 something that nothing explains.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from derender.render.raycast.normal_equations import cost
@@ -14,7 +16,11 @@ from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Thing
-from derender.tracking.unexplained import blobs_of, shifts_to
+from derender.tracking.unexplained import Blob, blobs_of, shifts_to
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
+    from derender.tracking.first import Start
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
 WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
@@ -42,7 +48,15 @@ class Tracker(Drawing):
     step : seconds between frames. moving_camera : whether the camera may move.
     """
 
-    def __init__(self, camera, start, depth, gravity, step, moving_camera=False) -> None:
+    def __init__(
+        self,
+        camera: "Camera",
+        start: "Start",
+        depth: np.ndarray,
+        gravity: np.ndarray,
+        step: float,
+        moving_camera: bool = False,
+    ) -> None:
         super().__init__(camera, start, depth, moving_camera)
         self.gravity, self.step = np.asarray(gravity, float), float(step)
         self.drift = np.eye(4)  # the camera's last motion
@@ -67,7 +81,7 @@ class Tracker(Drawing):
                 thing.covariance[:6, :6] = np.linalg.inv(curvature)[:6, :6]
             thing.pose, thing.size = self.poses[self.planes + k].copy(), self.sizes[self.planes + k].copy()
 
-    def _take(self, k, curvature) -> None:
+    def _take(self, k: int, curvature: np.ndarray) -> None:
         """Make what is drawn of thing k its pose, size and covariance."""
         thing, index = self.things[k], self.planes + k
         thing.pose = inverse(self.view) @ self.poses[index]
@@ -82,18 +96,18 @@ class Tracker(Drawing):
             covariance[p, p] = max(covariance[p, p], least)
         thing.size = self.sizes[index].copy()
 
-    def _bias(self, thing) -> float:
+    def _bias(self, thing: Thing) -> float:
         """Return the metres at a thing's depth that outlines may be off by in all frames alike."""
         return BIAS * max(float((self.view @ thing.pose)[2, 3]), 0.0) / self.camera.fx
 
-    def _expected(self, thing):
+    def _expected(self, thing: Thing) -> np.ndarray:
         """Return where constant velocity leads a thing, (4, 4)."""
         pose = thing.pose.copy()
         pose[:3, :3] = from_rotation_vector(thing.spin * self.step)[:3, :3] @ pose[:3, :3]
         pose[:3, 3] += thing.velocity * self.step
         return pose
 
-    def _predictions(self, thing):
+    def _predictions(self, thing: Thing) -> list[np.ndarray]:
         """Return poses (4, 4) where a moving thing may be, the likeliest first: at constant velocity, without its spin,
         at constant acceleration, in free fall, thrown back by an impact, and standing still.
         """
@@ -113,11 +127,11 @@ class Tracker(Drawing):
         predictions[-1][:3, :3] = thing.pose[:3, :3]
         return predictions
 
-    def _ranked(self, k, poses):
+    def _ranked(self, k: int, poses: list[np.ndarray]) -> list[np.ndarray]:
         """Return poses (4, 4) of thing k in the world by the cost of the image, the least first."""
         return sorted(poses, key=lambda pose: self.draw(k, pose))
 
-    def _information(self, thing):
+    def _information(self, thing: Thing) -> np.ndarray:
         """Return the precision (P, P) of a moving thing's pose before the image, and of its size."""
         information = np.zeros(thing.covariance.shape)
         room = ROOM[0] + ROOM_SHARE * np.linalg.norm(thing.velocity) * self.step
@@ -126,7 +140,7 @@ class Tracker(Drawing):
         information[6:, 6:] = np.linalg.inv(thing.covariance[6:, 6:])
         return information
 
-    def _follow(self, k) -> None:
+    def _follow(self, k: int) -> None:
         """Find a moving thing in the present frame."""
         thing = self.things[k]
         before = thing.pose.copy()
@@ -165,7 +179,7 @@ class Tracker(Drawing):
         self._take(k, curvature)
         self._moved(thing, before)
 
-    def _moved(self, thing, before) -> None:
+    def _moved(self, thing: Thing, before: np.ndarray) -> None:
         """Take the thing's motion since the last frame as its velocity; let it rest when it is quiet."""
         shift = thing.pose[:3, 3] - before[:3, 3]
         turn = rotation_between(before, thing.pose)
@@ -184,7 +198,7 @@ class Tracker(Drawing):
             thing.state = STILL
             thing.velocity, thing.spin = np.zeros(3), np.zeros(3)
 
-    def _search(self, k, expected, information, curvature):
+    def _search(self, k: int, expected: np.ndarray, information: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Fit thing k from other beginnings; leave it drawn where the cost is least, and return its curvature there."""
         thing, index = self.things[k], self.planes + k
         wide = information.copy()
@@ -209,7 +223,7 @@ class Tracker(Drawing):
         cost(self.misfit, self.poses, self.sizes)
         return kept[2]
 
-    def _wake(self, k) -> None:
+    def _wake(self, k: int) -> None:
         """Test whether a resting thing moves; if so, follow it."""
         thing, index = self.things[k], self.planes + k
         members = np.zeros(len(self.kinds), bool)
@@ -264,7 +278,7 @@ class Tracker(Drawing):
         self.drift = self.view @ inverse(kept)
         self.place()
 
-    def advance(self, depth) -> Seen:
+    def advance(self, depth: np.ndarray) -> Seen:
         """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
         self.rounds = 0
         self.see(depth)
@@ -302,7 +316,7 @@ class Tracker(Drawing):
                     self._polish(k)
         return [k for k in resting if self.things[k].state == MOVING]
 
-    def _polish(self, k) -> None:
+    def _polish(self, k: Any) -> None:
         """Fit a moving thing again, now that what moves beside it has been found."""
         thing = self.things[k]
         before, information = thing.pose[:3, 3].copy(), self._information(thing)
@@ -312,14 +326,14 @@ class Tracker(Drawing):
         self._take(k, curvature)
         thing.velocity = thing.velocity + (thing.pose[:3, 3] - before) / self.step
 
-    def _close(self, moving) -> bool:
+    def _close(self, moving: list[int]) -> bool:
         """Whether two moving things touch in the image."""
         boxes = [self.misfit.canvas.rectangle[self.planes + k] for k in moving if self.things[k].state == MOVING]
         return any(
             a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3] for n, a in enumerate(boxes) for b in boxes[:n]
         )
 
-    def _find_again(self, blobs) -> None:
+    def _find_again(self, blobs: list[Blob]) -> None:
         """Look for lost and hidden things where nothing explains what is seen."""
         for k, thing in enumerate(self.things):
             if thing.state not in (LOST, GONE, HIDDEN) or not blobs:
@@ -345,7 +359,7 @@ class Tracker(Drawing):
                 self.poses[index] = drawn
                 cost(self.misfit, self.poses, self.sizes)
 
-    def report(self, blobs) -> Seen:
+    def report(self, blobs: list[Blob]) -> Seen:
         """Return what is known of the present frame."""
         count = len(self.things)
         poses, covariances = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
@@ -362,7 +376,7 @@ class Tracker(Drawing):
             int(np.count_nonzero(self.observed)),
         )  # fmt: skip
 
-    def add(self, thing: Thing, depth) -> None:
+    def add(self, thing: Thing, depth: np.ndarray) -> None:
         """Follow another thing from now on."""
         self.things.append(thing)
         self.allocate(depth)
@@ -371,6 +385,6 @@ class Tracker(Drawing):
         self.take_as_usual(len(self.things) - 1)
 
 
-def rotation_between(before, after):
+def rotation_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,), world axes, from one pose to another."""
     return rotation_vector(after[:3, :3] @ before[:3, :3].T)

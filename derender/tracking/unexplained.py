@@ -1,8 +1,12 @@
 """What is seen nearer to the camera than anything that is drawn: where lost things are, and new ones."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
+    from derender.tracking.tracker import Tracker
 
 OFF = 5.0  # standard deviations nearer than what is drawn
 AT_LEAST = 0.008  # metres, and so much besides: contacts and edges are off by less
@@ -23,7 +27,7 @@ class Blob(NamedTuple):
     centre: np.ndarray
 
 
-def blobs_of(tracker) -> list[Blob]:
+def blobs_of(tracker: "Tracker") -> list[Blob]:
     """Return what nothing explains in the tracker's present frame, the largest first."""
     observed = tracker.observed
     near = (observed > 0) & (tracker.misfit.blurred - observed > OFF * tracker.spread + AT_LEAST)
@@ -41,7 +45,7 @@ def blobs_of(tracker) -> list[Blob]:
     return found
 
 
-def centre_of(mask, depth, camera):
+def centre_of(mask: np.ndarray, depth: np.ndarray, camera: "Camera") -> np.ndarray:
     """Return the middle (3,) of the points that some pixels show, robustly, camera axes."""
     rows, columns = np.nonzero(mask)
     z = depth[rows, columns]
@@ -52,7 +56,7 @@ def centre_of(mask, depth, camera):
                      np.mean(z)])  # fmt: skip
 
 
-def shifts_to(tracker, blobs, own, pose) -> list[np.ndarray]:
+def shifts_to(tracker: "Tracker", blobs: list[Blob], own: np.ndarray | None, pose: np.ndarray) -> list[np.ndarray]:
     """Return poses (4, 4) of a thing, camera axes, that bring it to each blob.
 
     own : (H, W) bool, where it is drawn now, whose middle goes to the blob's; None: its centre goes somewhat behind.

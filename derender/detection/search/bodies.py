@@ -4,6 +4,9 @@ Patches need some ten pixels on one plane each; a small ball, or a can far off, 
 tells where it is, how wide and how high.
 """
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 
 from derender.compilation.cache import njit
@@ -53,7 +56,7 @@ def label_bodies(points, wanted, jump):
     return label, count
 
 
-def find_bodies(points, wanted, footprint):
+def find_bodies(points: np.ndarray, wanted: np.ndarray, footprint: np.ndarray) -> list[np.ndarray]:
     """Return the points (K, 3) of each body of FEWEST pixels or more.
 
     points : (H, W, 3) float64, floor frame. wanted : (H, W) bool. footprint : (H, W) metres across a pixel.
@@ -63,7 +66,7 @@ def find_bodies(points, wanted, footprint):
     return [points[label == k] for k in np.flatnonzero(pixels >= FEWEST)]
 
 
-def box_about(points, yaw, bottom):
+def box_about(points: np.ndarray, yaw: float, bottom: float) -> np.ndarray:
     """Return the row of the upright box, turned so far, that holds points (N, 3) and stands on a height."""
     top = max(np.quantile(points[:, 2], 0.95), bottom + THINNEST)
     upright = rotation_z(yaw)[:3, :3]
@@ -73,7 +76,7 @@ def box_about(points, yaw, bottom):
     return make_row(BOX, upright, upright @ (0.5 * (low + high)), np.maximum(high - low, THINNEST))
 
 
-def body_hypotheses(points, origin, shapes, bottom=0.0):
+def body_hypotheses(points: np.ndarray, origin: Any, shapes: Any, bottom: Any = 0.0) -> Iterator[Any]:
     """Yield a solid of each shape allowed that shows these points (N, 3) and stands on a height.
 
     origin : (3,) the camera's centre, floor frame.
@@ -102,7 +105,7 @@ def body_hypotheses(points, origin, shapes, bottom=0.0):
             yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False, ())
 
 
-def lying_cylinder(points, turn, wide):
+def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hypothesis:
     """Return the cylinder on the floor along the longer side of the rectangle about points (N, 3)."""
     longer = int(np.argmax(wide))
     axis = np.array([*turn[:, longer], 0.0])

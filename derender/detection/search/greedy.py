@@ -3,13 +3,15 @@
 Whole searches are put together from these in searches.py.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
+from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
+from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit, added_misfits
 from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
@@ -78,7 +80,7 @@ class Settings(NamedTuple):
     until: float | None = None
 
     @property
-    def rules(self):
+    def rules(self) -> Rules:
         """What solids may do to each other, see rules.Rules."""
         overlap = np.inf if self.may_overlap else None
         beliefs = bare_image() if self.beliefs is None else self.beliefs
@@ -86,11 +88,11 @@ class Settings(NamedTuple):
         return Rules(slack, overlap, self.may_float, beliefs, self.faces)
 
     @property
-    def price_of_floating(self):
+    def price_of_floating(self) -> float:
         """Nats that standing on nothing costs; where solids may float, what a height anywhere in a metre costs."""
         return self.temper * np.log(1.0 / self.slack) if self.may_float else self.floating_price
 
-    def for_correlation(self, correlation):
+    def for_correlation(self, correlation: float) -> "Settings":
         """Return the settings for an image whose neighbouring residuals have this correlation.
 
         In an autoregressive field ((1 + r) / (1 - r))^2 pixels tell as much as one independent one; see SHARED.
@@ -104,14 +106,22 @@ class Settings(NamedTuple):
         return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
                                                 faces=faces)  # fmt: skip
 
-    def for_pixels(self, many):
+    def for_pixels(self, many: float) -> "Settings":
         """Return the settings for an image of which so `many` pixels tell as much as one did."""
         return self._replace(price=self.price * many, cube_bonus=self.cube_bonus * many,
                              free_price=self.free_price * many, floating_price=self.floating_price * many,
                              temper=self.temper * many)  # fmt: skip
 
 
-def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
+def greedy(
+    rng: np.random.Generator,
+    image: Image,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    state: State | None = None,
+    tried: int = 5,
+    shake: float = 0.0,
+) -> State:
     """Add the best polished hypothesis again and again while it gains more than its price.
 
     tried : how many of the most promising hypotheses are polished at each step.
@@ -139,12 +149,12 @@ def greedy(rng, image, hypotheses, settings, state=None, tried=5, shake=0.0):
     return state
 
 
-def energy_of(tried):
+def energy_of(tried: tuple[float, np.ndarray, Hypothesis]) -> float:
     """Return the energy of a hypothesis tried out."""
     return tried[0]
 
 
-def promising(gains, kinds, tried):
+def promising(gains: np.ndarray, kinds: list[int], tried: int) -> list[int]:
     """Return the indices of the `tried` greatest gains, and of the next ones of each kind of solid (half as many)."""
     order = np.argsort(-gains)
     chosen = list(order[:tried])
@@ -153,7 +163,16 @@ def promising(gains, kinds, tried):
     return chosen
 
 
-def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0, only=None):
+def sweep(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    settings: Settings,
+    rounds: int,
+    step: float = 0.002,
+    heat: float = 1.0,
+    only: set[int] | None = None,
+) -> State:
     """Polish each solid (or those in `only`) in turn, held to what it stands on; in place."""
     for i in rng.permutation(len(state)):
         if only is not None and i not in only:
@@ -164,7 +183,15 @@ def sweep(rng, image, state, settings, rounds, step=0.002, heat=1.0, only=None):
     return state
 
 
-def try_cube(rng, image, state, index, view, settings, rounds):
+def try_cube(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    index: int,
+    view: tuple[np.ndarray, np.ndarray, np.ndarray, float],
+    settings: Settings,
+    rounds: int,
+) -> Any:
     """Return (row, energy, misfit change) of the best cube in place of a box."""
     row, form, bottom = state.rows[index], state.forms[index], state.bottoms[index]
     best = None
@@ -176,7 +203,14 @@ def try_cube(rng, image, state, index, view, settings, rounds):
     return best
 
 
-def try_cubes(rng, image, state, settings, rounds=200, only=None):
+def try_cubes(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    settings: Settings,
+    rounds: Any = 200,
+    only: set[int] | None = None,
+) -> State:
     """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
     state = state.copy()
     for i in range(len(state)):
@@ -192,7 +226,7 @@ def try_cubes(rng, image, state, settings, rounds=200, only=None):
     return state
 
 
-def spaced(values, least):
+def spaced(values: list[float], least: float) -> list[float]:
     """Return the values without those nearer than `least` to an earlier one."""
     kept = []
     for value in values:
@@ -201,7 +235,7 @@ def spaced(values, least):
     return kept
 
 
-def cube_of(row, side, origin, form):
+def cube_of(row: np.ndarray, side: float, origin: np.ndarray, form: int) -> np.ndarray:
     """Return the cube of this side with the corner nearest the camera (for an upright one, on its bottom) held."""
     new = row.copy()
     rotation = row[1:10].reshape(3, 3)
@@ -213,7 +247,7 @@ def cube_of(row, side, origin, form):
     return new
 
 
-def prune(image, state, settings, only=None):
+def prune(image: Image, state: State, settings: Settings, only: set[int] | None = None) -> State:
     """Remove solids (or some of those in `only`) whose removal costs less than their price, and what is no higher than
     floors are uneven.
 
@@ -237,7 +271,14 @@ def prune(image, state, settings, only=None):
     return state
 
 
-def settle(rng, image, state, settings, rounds=200, only=None):
+def settle(
+    rng: np.random.Generator,
+    image: Any,
+    state: State,
+    settings: Settings,
+    rounds: int = 200,
+    only: set[int] | None = None,
+) -> State:
     """Put every solid on its support, polish, make cubes, and prune; return a new state.
 
     only : the solids that have changed since this was done, None for all.
@@ -250,7 +291,7 @@ def settle(rng, image, state, settings, rounds=200, only=None):
     return assign_supports(image, kept, settings, near if len(kept) == len(state) else None)
 
 
-def complexity(kind, form, cube, settings):
+def complexity(kind: int, form: int, cube: bool, settings: Settings) -> float:
     """Return the price in nats of a solid: more for each number that a simpler solid would not need."""
     price = settings.price
     if kind == BOX and not cube:
@@ -260,7 +301,7 @@ def complexity(kind, form, cube, settings):
     return price
 
 
-def total_energy(image, state, settings):
+def total_energy(image: Any, state: Any, settings: Settings) -> float:
     """Return minus the log posterior density of a state, up to a constant."""
     total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
     for k in range(len(state)):

@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.surface import THINNEST, Hypothesis
-from derender.detection.solids.image import ROW
+from derender.detection.solids.image import ROW, Image
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, TYPICAL_SIZE, UPRIGHT
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -22,7 +22,15 @@ SIZES = 0.5  # log spread of diameters about the typical size
 TALL, ROUND, LYING, BALL = range(4)  # ways: an upright box, an upright cylinder, one that lies, a sphere
 
 
-def guesses(rng, image, points, shapes, bottom, depth, misfit):
+def guesses(
+    rng: np.random.Generator,
+    image: Image,
+    points: np.ndarray,
+    shapes: tuple[str, ...],
+    bottom: float,
+    depth: np.ndarray,
+    misfit: np.ndarray,
+) -> list[Hypothesis]:
     """Return a Hypothesis of each way that the shapes allow: the best of GUESSES.
 
     Parameters

@@ -5,17 +5,19 @@ None where it does not apply. `places` tells where the image is badly explained.
 energy.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.search.bodies import FEWEST, body_hypotheses
-from derender.detection.search.greedy import cube_of, greedy
+from derender.detection.search.greedy import Settings, cube_of, greedy
 from derender.detection.search.guesses import guesses
-from derender.detection.search.places import pick
+from derender.detection.search.places import Places, pick
 from derender.detection.search.shape_moves import appear, lift, put_under, raise_support, shake, stand, stretch, tilt
-from derender.detection.search.surface import THINNEST
-from derender.detection.solids.image import rotation_of
+from derender.detection.search.surface import THINNEST, Hypothesis
+from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
-from derender.detection.solids.state import held_out, run_polish
+from derender.detection.solids.state import State, held_out, run_polish
 from derender.scene.shapes.box import CORNERS
 from derender.scene.solids import BOX, CYLINDER
 
@@ -28,7 +30,14 @@ LEVEL = 0.004  # metres between tops that may be of one solid
 FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
-def explain_anew(rng, image, state, hypotheses, settings, places):
+def explain_anew(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]]:
     """Take out one solid with some of those that share its badly explained pixels, or that show beside it, or with all
     that are as high (another may hide what joins them), and explain what they showed: by the hypotheses, or all of it,
     or what shows beside the first, as one solid, which may be any that is guessed."""
@@ -56,7 +65,7 @@ def explain_anew(rng, image, state, hypotheses, settings, places):
     return new, set(range(kept, len(new)))
 
 
-def as_cube(hypothesis, origin):
+def as_cube(hypothesis: Hypothesis, origin: np.ndarray) -> Hypothesis:
     """Return a hypothesis that is nearly a cube as one: it keeps to its place where others show beside it."""
     row, side = hypothesis.row, hypothesis.row[13:16].mean()
     if int(row[0]) != BOX or np.abs(row[13:16] - side).max() > NEARLY * side:
@@ -64,14 +73,21 @@ def as_cube(hypothesis, origin):
     return hypothesis._replace(row=cube_of(row, side, origin, hypothesis.form), cube=True)
 
 
-def as_high(state, i):
+def as_high(state: State, i: int) -> set[int]:
     """Return the solids near another whose tops are as high."""
     row = state.rows[i]
     near = [j for j in range(len(state)) if np.hypot(*(state.rows[j][10:12] - row[10:12])) < HIDDEN]
     return {j for j in near if j != i and abs(highest(state.rows[j]) - highest(row)) < LEVEL}
 
 
-def split(rng, image, state, hypotheses, settings, places):
+def split(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Cut a box in two across one of its axes, at a badly explained point or anywhere, and polish both pieces."""
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
     if not boxes or len(state) >= settings.max_objects or places.none_left(settings):
@@ -103,12 +119,19 @@ def split(rng, image, state, hypotheses, settings, places):
     return new, {i, last}
 
 
-def corners_of(row):
+def corners_of(row: np.ndarray) -> np.ndarray:
     """Return the eight corners (8, 3) of a solid's oriented box."""
     return row[10:13] + (CORNERS * row[13:16]) @ rotation_of(row).T
 
 
-def merge(rng, image, state, hypotheses, settings, places):
+def merge(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Put one solid in place of two near and aligned ones, spanning both along the axes of one."""
     near = aligned_pairs(state)
     if not near:
@@ -117,13 +140,13 @@ def merge(rng, image, state, hypotheses, settings, places):
     return merge_pair(rng, image, state, settings, i, j, rng.random(3) < 0.3)
 
 
-def aligned_pairs(state):
+def aligned_pairs(state: State) -> list[tuple[int, int]]:
     """Return the ordered pairs of boxes, and of cylinders, whose axes agree and that may be pieces of one."""
     pairs = [(i, j) for i in range(len(state)) for j in range(len(state)) if i != j]
     return [(i, j) for i, j in pairs if may_be_one(state.rows[i], state.rows[j])]
 
 
-def may_be_one(row, other):
+def may_be_one(row: np.ndarray, other: np.ndarray) -> bool:
     """Whether two solids of a kind are aligned, and near or in line with each other."""
     kind = int(row[0])
     if kind != int(other[0]) or kind not in (BOX, CYLINDER) or alignment(row, other) < ALIGNED:
@@ -138,14 +161,22 @@ def may_be_one(row, other):
     return any(flush[k - 1] and flush[k - 2] and gap[k] < HIDDEN for k in along)
 
 
-def extents_along(row, other):
+def extents_along(row: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (low (3,), high (3,)) between which a solid's oriented box lies along the axes, and from the centre, of
     another."""
     local = (corners_of(other) - row[10:13]) @ rotation_of(row)
     return local.min(axis=0), local.max(axis=0)
 
 
-def merge_pair(rng, image, state, settings, i, j, spread):
+def merge_pair(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    settings: Settings,
+    i: int,
+    j: int,
+    spread: tuple[bool, bool, bool] | np.ndarray,
+) -> tuple[State, set[int]]:
     """Return (state, changed) with solid i grown over solid j, which is taken out.
 
     spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
@@ -172,7 +203,14 @@ def merge_pair(rng, image, state, settings, i, j, spread):
     return new, {i}
 
 
-def recut(rng, image, state, hypotheses, settings, places):
+def recut(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Cut the union of two aligned boxes that touch in another way."""
     near = touching_pairs(state)
     if not near:
@@ -181,7 +219,7 @@ def recut(rng, image, state, hypotheses, settings, places):
     return recut_pair(rng, image, state, settings, i, j, 1.0 if rng.random() < 0.5 else rng.random())
 
 
-def touching_pairs(state):
+def touching_pairs(state: State) -> list[tuple[int, int]]:
     """Return the ordered pairs of aligned boxes that touch."""
     return [
         (i, j) for i, j in aligned_pairs(state)
@@ -189,7 +227,9 @@ def touching_pairs(state):
     ]  # fmt: skip
 
 
-def recut_pair(rng, image, state, settings, i, j, share):
+def recut_pair(
+    rng: np.random.Generator, image: Image, state: State, settings: Settings, i: int, j: int, share: float
+) -> tuple[State, set[int]] | None:
     """Return (state, changed) with box j grown into box i, which is cut back, and both polished; None: nothing is left.
 
     share : see cut_anew.
@@ -206,7 +246,7 @@ def recut_pair(rng, image, state, settings, i, j, share):
     return new, {i, j}
 
 
-def cut_anew(row, other, share=1.0):
+def cut_anew(row: np.ndarray, other: np.ndarray, share: float = 1.0) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the two rows when `other`, a box, is turned as the box `row` and grown into it, which is cut back; None:
     nothing is left.
 
@@ -240,14 +280,14 @@ def cut_anew(row, other, share=1.0):
     return row, other
 
 
-def alignment(row, other):
+def alignment(row: np.ndarray, other: np.ndarray) -> float:
     """Return how nearly the axes of two boxes agree up to their order, the least of the best cosines; for cylinders,
     the cosine between their own axes."""
     cosines = np.abs(rotation_of(row).T @ rotation_of(other))
     return float(cosines[2, 2] if int(row[0]) == CYLINDER else cosines.max(axis=0).min())
 
 
-def grown(row, by=0.008):
+def grown(row: np.ndarray, by: float = 0.008) -> np.ndarray:
     """Return the solid grown by this much on all sides."""
     new = row.copy()
     new[13:16] += 2 * by
@@ -258,7 +298,9 @@ MOVES = ((explain_anew, 0.2), (split, 0.14), (merge, 0.08), (recut, 0.08), (put_
          (stand, 0.04), (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
 
 
-def propose(rng, image, state, hypotheses, settings, places):
+def propose(
+    rng: np.random.Generator, image: Any, state: Any, hypotheses: list[Hypothesis], settings: Settings, places: Places
+) -> tuple[str, State, set[int]] | None:
     """Return (move's name, new state, changed indices) of a random move, or None where it does not apply."""
     move = MOVES[rng.choice(len(MOVES), p=[w for _, w in MOVES])][0]
     result = move(rng, image, state, hypotheses, settings, places)

@@ -1,9 +1,10 @@
 """A depth image made ready for the search: reduced, in the floor's axes, its noise known, its background told apart."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.detection.background import joined_to_floor, standing_bodies, walls_behind
 from derender.detection.floor import (
     MOST_NOISE,
@@ -89,7 +90,7 @@ class Observation(NamedTuple):
     agreed: bool = True
 
     @property
-    def scale(self):
+    def scale(self) -> float:
         """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
         good = self.image.weight > 0
         return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
@@ -109,7 +110,8 @@ class Support(NamedTuple):
     others: np.ndarray
 
 
-def observe(depth, camera, widest=160, plane=None, floating=False):
+def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 160,
+            plane: np.ndarray | str | None = None, floating: bool = False) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
@@ -139,7 +141,8 @@ def observe(depth, camera, widest=160, plane=None, floating=False):
     return seen._replace(single=single_pixels(whole, factor))
 
 
-def on_its_floor(depth, camera, factor, floor, rounding, floating, others=None):
+def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, rounding: float,
+                 floating: bool, others: Any = None) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
 
     others : (h, w) bool, pixels that are explained otherwise, and background here; None: none.
@@ -164,7 +167,7 @@ def on_its_floor(depth, camera, factor, floor, rounding, floating, others=None):
     return straight._replace(bend=bend, correlation=seen.correlation)
 
 
-def without_floor(depth, camera, factor, rounding):
+def without_floor(depth: np.ndarray, camera: dict[str, float], factor: int, rounding: float) -> Observation:
     """Return the Observation of an image without a plane that could be the floor: all is background as it is seen."""
     seen = tell_apart(depth, camera, factor, given_floor(depth, camera, "none"), None, rounding)
     off = seen.image.weight > 0
@@ -172,7 +175,8 @@ def without_floor(depth, camera, factor, rounding):
     return seen._replace(mask=np.zeros_like(off), behind=off, background=1.0, no_floor=True, correlation=1.0)
 
 
-def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False, others=None):
+def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, backdrop: Any, rounding: float,
+               floating: bool = False, others: Any = None) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
     backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
@@ -230,27 +234,27 @@ def tell_apart(depth, camera, factor, floor, backdrop, rounding, floating=False,
                        depth, beyond_edge, backdrop is not None)  # fmt: skip
 
 
-def nearest_pixels(count, factor, among, others):
+def nearest_pixels(count: int, factor: int, among: int, others: int) -> np.ndarray:
     """Return (count,) int: of `among` pixels of an image reduced by `others` those nearest to one's by `factor`."""
     place = np.arange(count) * factor + sampled(factor)
     return np.clip(np.rint((place - sampled(others)) / others), 0, among - 1).astype(int)
 
 
-def of_whole_image(mask, seen, shape):
+def of_whole_image(mask: np.ndarray, seen: Observation, shape: tuple[int, int]) -> np.ndarray:
     """Return what is known of each pixel of an Observation's image, (h, w), of the image (H, W) as it came."""
     rows, columns = (nearest_pixels(after, 1, before, seen.factor)
                      for after, before in zip(shape, mask.shape, strict=True))  # fmt: skip
     return mask[rows[:, None], columns]
 
 
-def near(mask, reach):
+def near(mask: np.ndarray, reach: int) -> np.ndarray:
     """Return (H, W) bool: pixels with one of the mask in the square of `reach` pixels about them."""
     sums = np.pad(mask.astype(np.int64), ((reach + 1, reach), (reach + 1, reach))).cumsum(axis=0).cumsum(axis=1)
     side = 2 * reach + 1
     return sums[side:, side:] + sums[:-side, :-side] > sums[:-side, side:] + sums[side:, :-side]
 
 
-def raise_wall(image):
+def raise_wall(image: Image) -> np.ndarray:
     """Where what lies beyond the floor is one depth (the wall of Eq. 6), put it behind the floor, in place.
 
     Returns (H, W) bool: the pixels of the wall.
@@ -270,7 +274,7 @@ def raise_wall(image):
     return beyond
 
 
-def noise_map(depth, floor, camera):
+def noise_map(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> np.ndarray:
     """Return the standard deviation of the noise (H, W), fitted on the floor.
 
     Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
@@ -293,7 +297,7 @@ def noise_map(depth, floor, camera):
     return np.maximum(np.minimum(noise, most), LEAST_SIGMA)
 
 
-def local_noise(depth, camera):
+def local_noise(depth: np.ndarray, camera: dict[str, float]) -> float:
     """Return the standard deviation of the noise about the planes through each pixel's neighbours, metres, the median.
 
     Noise that neighbours share shows in it by a third or so; solids, walls and bent floors do not show.
@@ -309,14 +313,14 @@ def local_noise(depth, camera):
     return float(np.median(np.sqrt(error[fitted]) / np.maximum(slope, GRAZING)))
 
 
-def rounding_of(depth):
+def rounding_of(depth: np.ndarray) -> float:
     """Return the metres to which a depth image (H, W) was rounded: the smallest step between some of its values."""
     seen = depth[depth > 0]
     steps = np.diff(np.sort(seen[:: max(1, len(seen) // 4000)]))
     return float(min(steps[steps > 1e-9], default=0.0))
 
 
-def drawn(depth, floor, camera, rounding):
+def drawn(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: float) -> bool:
     """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
 
     Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
@@ -330,7 +334,7 @@ def drawn(depth, floor, camera, rounding):
     return bool(met.mean() > 0.99)
 
 
-def neighbour_correlation(depth, floor, camera):
+def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> float:
     """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
 
     Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
@@ -349,7 +353,7 @@ def neighbour_correlation(depth, floor, camera):
     return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
 
 
-def main_part(points, inliers, footprint, origin):
+def main_part(points: np.ndarray, inliers: np.ndarray, footprint: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
     slope = np.abs(points[..., 2] - origin[2]) / np.linalg.norm(points - origin, axis=-1)  # of the rays to the floor
     part, count = label_bodies(points, inliers, np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3)))
@@ -357,7 +361,7 @@ def main_part(points, inliers, footprint, origin):
     return inliers & (pixels[part] > MAIN * pixels.max())
 
 
-def beyond_outline(points, inliers, good, origin):
+def beyond_outline(points: np.ndarray, inliers: np.ndarray, good: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Return (H, W) metres by which points lie beyond the hull of the floor's visible part and the camera's foot.
 
     Negative over the hull, and -inf everywhere where there is none.

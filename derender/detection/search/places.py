@@ -1,12 +1,15 @@
 """Where a state explains the image badly: what the moves of the search are aimed at."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.bodies import find_bodies
 from derender.detection.solids.state import held_out
+
+if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
 
 NEAR = 2  # pixels from a bad one to the solids that share it
 
@@ -32,12 +35,12 @@ class Places(NamedTuple):
     shown: np.ndarray
     seen: np.ndarray
 
-    def none_left(self, settings):
+    def none_left(self, settings: "Settings") -> bool:
         """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""
         return self.blame.sum() < settings.clean
 
 
-def find_places(image, state, limit=4.5):
+def find_places(image: Any, state: Any, limit: Any = 4.5) -> Places:
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
     depth, label, misfit, _ = held_out(image, state, -1)
     bad = misfit > limit
@@ -82,7 +85,7 @@ def blame_of(rows, columns, label, count):
     return blame, pairs
 
 
-def neighbours(label, count):
+def neighbours(label: np.ndarray, count: int) -> np.ndarray:
     """Return (count + 1, count + 1): how many pairs of neighbouring pixels show these two solids."""
     beside = np.zeros((count + 1, count + 1))
     for a, b in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
@@ -91,7 +94,7 @@ def neighbours(label, count):
     return beside + beside.T
 
 
-def pick(rng, weight):
+def pick(rng: np.random.Generator, weight: list[int] | np.ndarray) -> int:
     """Return an index drawn with probability proportional to weight (a little for those with none)."""
     weight = np.asarray(weight, float) + 1e-2
     return int(rng.choice(len(weight), p=weight / weight.sum()))

@@ -1,18 +1,20 @@
 """Hypotheses of boxes from one to three orthogonal patches; all hypotheses."""
 
+from collections.abc import Iterator
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 
 from derender.detection.outline import convex_outline
 from derender.detection.search.round_proposals import clusters, cylinders, spheres
-from derender.detection.search.surface import THINNEST, UP, Hypothesis, convex, tangent
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import BOX
 
 
-def snap(normal, level=0.16):
+def snap(normal: np.ndarray, level: Any = 0.16) -> tuple[np.ndarray, str]:
     """Return a patch normal made exactly vertical or horizontal where it is within about nine degrees of it, and which.
 
     Returns (normal (3,), "top", "side" or "tilted").
@@ -25,7 +27,7 @@ def snap(normal, level=0.16):
     return normal, "tilted"
 
 
-def groups_of_faces(surface, orthogonal=0.2, touch=2):
+def groups_of_faces(surface: Surface, orthogonal: Any = 0.2, touch: Any = 2) -> Any:
     """Return the index tuples of one to three patches that can be faces of one box: touching, orthogonal, convex."""
     count = len(surface.pixels)
     pairs = {
@@ -58,7 +60,7 @@ def groups_of_faces(surface, orthogonal=0.2, touch=2):
     return sorted(set(triples) | set(wedges)), sorted(pairs), [(a,) for a in range(count)]
 
 
-def smallest_rectangle(points):
+def smallest_rectangle(points: np.ndarray) -> float:
     """Return the angle of the smallest rectangle about points (N, 2)."""
     outline = convex_outline(points)
     if outline is None:
@@ -70,7 +72,7 @@ def smallest_rectangle(points):
     return angles[np.argmin(np.ptp(x, axis=1) * np.ptp(y, axis=1))]
 
 
-def leans(surface, k):
+def leans(surface: Surface, k: int) -> bool:
     """Whether a patch is off the vertical or the horizontal by more than a degree and the accuracy of its normal."""
     snapped, _ = snap(surface.normal[k])
     points = surface.points[k]
@@ -79,7 +81,7 @@ def leans(surface, k):
     return snapped @ surface.normal[k] < np.cos(max(np.radians(1.0), 4.0 * accuracy))
 
 
-def axes_of(surface, group):
+def axes_of(surface: Any, group: Any) -> Iterator[Any]:
     """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other."""
     level = all(snap(surface.normal[k])[1] != "tilted" for k in group)
     if level:
@@ -121,7 +123,7 @@ def box_axes(surface, group, form):
     return np.column_stack([x, np.cross(z, x), z]), FREE
 
 
-def boxes(surface, group):
+def boxes(surface: Any, group: Any) -> Iterator[Any]:
     """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it.
 
     A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
@@ -131,7 +133,7 @@ def boxes(surface, group):
         yield from boxes_along(surface, group, rotation, form)
 
 
-def boxes_along(surface, group, rotation, form):
+def boxes_along(surface: Any, group: Any, rotation: Any, form: Any) -> Iterator[Any]:
     """Yield the same with these axes."""
     margin = 0.25 * surface.footprint
     ends = []  # (low (3,), high (3,)) of each face's points
@@ -166,7 +168,9 @@ def boxes_along(surface, group, rotation, form):
         yield from box_between(rotation, low, high, form, group)
 
 
-def with_planes(interval, low, high, upright, surface):
+def with_planes(
+    interval: tuple[float, float], low: float, high: float, upright: bool, surface: Surface
+) -> tuple[float, float]:
     """Return the interval with its ends on the faces that are seen, and on the floor where it is near."""
     start, end = interval
     if not np.isnan(low):
@@ -178,7 +182,7 @@ def with_planes(interval, low, high, upright, surface):
     return start, max(end, start + THINNEST)
 
 
-def distinct(intervals, tolerance):
+def distinct(intervals: list[tuple[float, float]], tolerance: float) -> list[tuple[float, float]]:
     """Return the intervals without those whose ends are both within the tolerance of an earlier one's."""
     kept = []
     for interval in intervals:
@@ -187,7 +191,9 @@ def distinct(intervals, tolerance):
     return kept
 
 
-def hidden_intervals(low, high, ends, axis, form):
+def hidden_intervals(
+    low: float, high: float, ends: tuple[np.ndarray, np.ndarray], axis: int, form: int
+) -> list[tuple[float, float]]:
     """Return guesses for the extent behind a single face: as long as its sides, short, down to the floor."""
     guesses = [ends[1][k] - ends[0][k] for k in range(3) if k != axis] + [0.04, 0.08]
     if form == UPRIGHT and axis == 2 and not np.isnan(high):
@@ -197,13 +203,13 @@ def hidden_intervals(low, high, ends, axis, form):
     return [(high - guess, high) for guess in guesses]
 
 
-def box_between(rotation, low, high, form, group):
+def box_between(rotation: Any, low: Any, high: Any, form: Any, group: Any) -> Iterator[Any]:
     """Yield the box between two corners given along its own axes."""
     size = np.maximum(high - low, THINNEST)
     yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False, tuple(group))
 
 
-def all_hypotheses(surface, shapes):
+def all_hypotheses(surface: Surface, shapes: Any) -> list[Hypothesis]:
     """Return every hypothesis that the patches suggest, for the shapes allowed (box, cube, cylinder, sphere)."""
     found = []
     if "box" in shapes or "cube" in shapes:

@@ -1,11 +1,13 @@
 """Hypotheses of spheres and cylinders from clusters of patches."""
 
+from collections.abc import Iterator
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from derender.detection.outline import convex_outline
-from derender.detection.search.surface import THINNEST, UP, Hypothesis, convex, tangent
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import CYLINDER, SPHERE
@@ -13,14 +15,14 @@ from derender.scene.solids import CYLINDER, SPHERE
 MOST_CORNERS = 16  # of an outline, three of which a circle goes through
 
 
-def fit_sphere(points):
+def fit_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (centre, radius) of the least-squares sphere through points (N, 3)."""
     a = np.column_stack([2 * points, np.ones(len(points))])
     solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
     return solution[:3], np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-8))
 
 
-def spheres(surface, group):
+def spheres(surface: Any, group: Any) -> Iterator[Any]:
     """Yield the sphere through a cluster of patches, if it has a sensible size."""
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
@@ -33,7 +35,7 @@ def spheres(surface, group):
         yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False, tuple(group))
 
 
-def cylinder_axes(surface, group, most=3):
+def cylinder_axes(surface: Surface, group: tuple[int, ...], most: Any = 3) -> list[np.ndarray]:
     """Return up to `most` directions for the axis of a cylinder whose side and caps are these patches.
 
     A cap's normal is the axis; two strips of a side have it as their cross product.  A direction counts by the pixels
@@ -64,7 +66,7 @@ def cylinder_axes(surface, group, most=3):
     return axes
 
 
-def cylinders(surface, group):
+def cylinders(surface: Any, group: Any) -> Iterator[Any]:
     """Yield cylinders through a cluster of patches, upright, lying and tilted."""
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
@@ -100,7 +102,7 @@ def cylinders(surface, group):
             yield Hypothesis(row, form, False, tuple(group))
 
 
-def lying_circle(flat, axes):
+def lying_circle(flat: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (centre, radius) of the circle on the floor that is as high as the points (N, 2) along `axes`."""
     up = UP @ axes
     radius = max(0.5 * np.quantile(flat @ up, 0.99), 0.004)
@@ -108,7 +110,7 @@ def lying_circle(flat, axes):
     return radius * up + np.median(flat @ across) * across, radius
 
 
-def rim_circle(flat, footprint):
+def rim_circle(flat: np.ndarray, footprint: float) -> list[tuple[np.ndarray, float]]:
     """Return [(centre, radius)] of the circle on which most of the outline of points (N, 2) lies, or [].
 
     What hides a part of a disc cuts its outline along lines: the mean and the spread of what is left are not the
@@ -134,7 +136,7 @@ def rim_circle(flat, footprint):
     return [(centre[best], radius[best] + 0.25 * footprint)] if near[best] > 0.0 else []
 
 
-def fit_circle(points):
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (centre, radius) of the least-squares circle through points (N, 2)."""
     a = np.column_stack([2 * points, np.ones(len(points))])
     solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)

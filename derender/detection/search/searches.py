@@ -6,16 +6,17 @@ the silhouettes with thin solids.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
-from derender.detection.search.greedy import greedy, prune, settle, sweep, total_energy
+from derender.detection.search.greedy import Settings, greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
 from derender.detection.search.shape_moves import put_under, raise_support, stand
+from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
@@ -27,7 +28,7 @@ FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)  # standard deviations in 
 STEPS = (0.05, 0.025, 0.0125, 0.006, 0.003)  # of the closer look
 
 
-def refocused(image, rows, price):
+def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, float]:
     """Return (image with the blur under which the solids explain it best, how much smaller its misfit is).
 
     price : nats that a blur must gain to be believed of an image that was taken for sharp.
@@ -58,7 +59,14 @@ FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
 
-def search(rng, image, hypotheses, settings, pool=None, start=None):
+def search(
+    rng: np.random.Generator,
+    image: Image,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    pool: list[tuple[State, float]] | None = None,
+    start: State | None = None,
+) -> tuple[State, Image, bool]:
     """Return (best State found, Image with the blur that it shows, whether a second search found the same).
 
     Searches run in pairs, each with random numbers of its own, until two agree about the least energy and how many
@@ -96,7 +104,7 @@ def search(rng, image, hypotheses, settings, pool=None, start=None):
     return found[0].state, found[0].image, agreed
 
 
-def agree(found, settings):
+def agree(found: "list[Found]", settings: Settings) -> bool:
     """Whether the two best of some Found, by energy, are as good as each other and as many solids stand on the floor
     and on others. Of which kinds they are is weighed later.
 
@@ -117,13 +125,15 @@ class Interrupted(KeyboardInterrupt):
         self.state, self.image = state, image
 
 
-def first_search(rng, image, hypotheses, settings):
+def first_search(rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings) -> State:
     """Return the best State of two greedy searches, settled: what is plain to see, in a tenth of a whole search."""
     task = partial(settled_greedy, image=image, hypotheses=hypotheses, settings=settings)
     return min(in_threads(rng, [task] * THREADS), key=lambda found: found[1])[0]
 
 
-def settled_greedy(rng, image, hypotheses, settings):
+def settled_greedy(
+    rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings
+) -> tuple[State, float]:
     """Return (State, energy) of one greedy search, settled."""
     state = settle(rng, image, greedy(rng, image, hypotheses, settings), settings)
     return state, total_energy(image, state, settings)
@@ -138,7 +148,14 @@ class Found(NamedTuple):
     pool: list
 
 
-def one_search(rng, image, hypotheses, settings, early, state=None):
+def one_search(
+    rng: np.random.Generator,
+    image: Image,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    early: list[Found],
+    state: State | None = None,
+) -> Found:
     """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case.
 
     early : list to which it appends the Found of what was settled before the moves.
@@ -202,7 +219,9 @@ def repair(rng, image, state, hypotheses, settings, pool):
     return state
 
 
-def explain_otherwise(rng, image, state, hypotheses, settings, pool):
+def explain_otherwise(
+    rng: np.random.Generator, image: Image, state: State, hypotheses: Any, settings: Settings, pool: Any
+) -> Any:
     """Try to explain by boxes what each badly explained round solid shows, and the other way round, and keep what
     lowers the energy.
 
@@ -225,7 +244,7 @@ def explain_otherwise(rng, image, state, hypotheses, settings, pool):
     return state
 
 
-def support_all(rng, image, state, settings):
+def support_all(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
     """Try to put something under each solid that floats, or to raise what is below it, while that lowers the energy."""
     best = total_energy(image, state, settings)
     places, tries = find_places(image, state), 0
@@ -244,12 +263,12 @@ def support_all(rng, image, state, settings):
     return state
 
 
-def floats(state):
+def floats(state: State) -> bool:
     """Whether nothing bears some solid of the state."""
     return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
 
 
-def unite_few(rng, image, state, settings):
+def unite_few(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
     """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
     lowers the energy: pieces of what shows on both sides of another. Each is well explained, so no move looks at them;
     and so few points do not tell which way the box is turned."""
@@ -282,7 +301,7 @@ def unite_few(rng, image, state, settings):
     return state
 
 
-def groups(members, beside):
+def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
     """Return sorted lists of two members and more: all that hang together by showing beside each other, then pairs."""
     found, pairs = [], []
     left = [int(k) for k in members]
@@ -299,7 +318,7 @@ def groups(members, beside):
     return [group for group in found if len(group) > 1] + pairs
 
 
-def merge_all(rng, image, state, settings):
+def merge_all(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
     """Try to make one solid of each two that may be pieces of it, as long as that lowers the energy."""
     best = total_energy(image, state, settings)
     merged = True

@@ -3,20 +3,30 @@
 A box is put under it, its bottom lifted, another's top raised, all of it. Called as moves.py says.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.detection.search.bodies import body_hypotheses
-from derender.detection.search.greedy import complexity
-from derender.detection.search.places import pick
-from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.search.greedy import Settings, complexity
+from derender.detection.search.places import Places, pick
+from derender.detection.search.surface import Hypothesis
+from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, reach
 from derender.detection.solids.polish import FREE, UPRIGHT, turn
-from derender.detection.solids.state import FLOOR, held_out, run_polish
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 
-def put_under(rng, image, state, hypotheses, settings, places):
+def put_under(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Put a box under a solid that floats, from the floor or the next solid below up to its lowest point."""
     floating = [i for i in range(len(state)) if np.isnan(state.bottoms[i]) and lowest(state.rows[i]) > 0.015]
     if not floating or len(state) >= settings.max_objects:
@@ -37,7 +47,9 @@ def put_under(rng, image, state, hypotheses, settings, places):
     return new, {i, len(new) - 1}
 
 
-def with_box_under(rng, image, state, i, bottom, settings):
+def with_box_under(
+    rng: np.random.Generator, image: Image, state: State, i: int, bottom: float, settings: Settings
+) -> State:
     """Return the state with a polished box, the last, from a height up to the lowest point of solid i."""
     row = state.rows[i]
     ceiling = lowest(row)
@@ -54,7 +66,7 @@ def with_box_under(rng, image, state, i, bottom, settings):
     return state.add(box, UPRIGHT, False, FLOOR, bottom)
 
 
-def stand(rng, image, state, hypotheses, settings, places):
+def stand(rng: np.random.Generator, image: Any, state: Any, hypotheses: Any, settings: Any, places: Any) -> Any:
     """Put an upright box or cylinder, from the floor or a top below it up, in the place of a solid that floats."""
     floating = [i for i in range(len(state)) if np.isnan(state.bottoms[i]) and lowest(state.rows[i]) > 0.015]
     if not floating:
@@ -76,7 +88,14 @@ def stand(rng, image, state, hypotheses, settings, places):
     return new.add(whole, UPRIGHT, False, FLOOR, bottom), {len(new)}
 
 
-def lift(rng, image, state, hypotheses, settings, places):
+def lift(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Let the bottom of a standing box or cylinder go up, and put a box under it where that leaves room."""
     standing = [
         i for i in range(len(state))
@@ -97,7 +116,14 @@ def lift(rng, image, state, hypotheses, settings, places):
     return new, {i, len(new) - 1}
 
 
-def raise_support(rng, image, state, hypotheses, settings, places):
+def raise_support(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Raise the top of a box to the bottom of one that floats above it."""
     pairs = []
     for i in range(len(state)):
@@ -125,7 +151,14 @@ def raise_support(rng, image, state, hypotheses, settings, places):
 BESIDE = 0.01  # metres outside a box's other faces within which a point may belong to it
 
 
-def stretch(rng, image, state, hypotheses, settings, places):
+def stretch(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Let a box reach to a badly explained point that lies beyond one of its faces: it may show behind another."""
     if len(places.points) == 0:
         return None
@@ -147,7 +180,18 @@ def stretch(rng, image, state, hypotheses, settings, places):
     return polished(rng, image, state, i, row, state.forms[i], False, settings)
 
 
-def polished(rng, image, state, i, row, form, cube, settings, step=0.003, heat=2.0):
+def polished(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    i: Any,
+    row: np.ndarray,
+    form: int,
+    cube: bool,
+    settings: Settings,
+    step: float = 0.003,
+    heat: float = 2.0,
+) -> tuple[State, set[int]]:
     """Return (state with another solid i, polished on its own, {i})."""
     new = state.copy()
     new.rows[i], new.forms[i], new.cubes[i] = row, form, cube
@@ -157,7 +201,14 @@ def polished(rng, image, state, i, row, form, cube, settings, step=0.003, heat=2
     return new, {i}
 
 
-def shake(rng, image, state, hypotheses, settings, places):
+def shake(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Turn a solid to any angle about the vertical, make it a little larger or smaller, and polish it from hotter."""
     if len(state) == 0:
         return None
@@ -169,7 +220,14 @@ def shake(rng, image, state, hypotheses, settings, places):
     return polished(rng, image, state, i, row, state.forms[i], state.cubes[i], settings, 0.006, 6.0)
 
 
-def tilt(rng, image, state, hypotheses, settings, places):
+def tilt(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Let an upright solid lean, or put one that leans upright."""
     able = [i for i in range(len(state)) if int(state.rows[i][0]) != SPHERE]
     if not able:

@@ -1,8 +1,11 @@
 """What hypotheses of solids are made from: the points and the planes of patches."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from derender.detection.patches import Patches
 
 UP = np.array([0.0, 0.0, 1.0])
 THINNEST = 0.008
@@ -39,7 +42,7 @@ class Surface(NamedTuple):
     sigma: float
 
 
-def make_surface(points, patches, origin, footprint, sigma):
+def make_surface(points: np.ndarray, patches: "Patches", origin: np.ndarray, footprint: float, sigma: float) -> Surface:
     """Collect the points (H, W, 3) of each patch."""
     flat = patches.label.ravel()
     order = np.argsort(flat, kind="stable")
@@ -50,7 +53,7 @@ def make_surface(points, patches, origin, footprint, sigma):
                    origin, footprint, sigma)  # fmt: skip
 
 
-def convex(surface, a, b):
+def convex(surface: Surface, a: int, b: int) -> bool:
     """Whether two patches meet in a convex edge (or none): each one's middle lies behind the other's plane."""
     slack = 3 * surface.sigma
     return (
@@ -59,7 +62,7 @@ def convex(surface, a, b):
     )
 
 
-def tangent(normal):
+def tangent(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors that make a right-handed frame with the normal."""
     first = np.cross(UP, normal) if abs(normal[2]) < 0.9 else np.cross([1.0, 0, 0], normal)
     first = first / np.linalg.norm(first)

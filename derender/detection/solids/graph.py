@@ -1,8 +1,9 @@
 """From a State to a SceneGraph: names, contact types and faces, slack dropped where contacts hold."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.solids import BOX, SPHERE
 
+if TYPE_CHECKING:
+    from derender.results.posterior import StructurePosterior
+
 FLOOR_NAME = "floor"
 ON_A_FACE = ("face-to-face", "side-on-face", "point-on-face", "edge-on-face", "corner-on-face")
 # Contacts that hold to these are written as holding exactly; others say where the solid is by their slack, exactly.
@@ -24,7 +28,7 @@ FAR_FROM_ANY = 0.06  # metres by which a contact and a pose differ that is not b
 TILTS = ("tilt", "tilt_x", "tilt_y")
 
 
-def pose_of(row):
+def pose_of(row: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4), object to floor frame, of a row."""
     pose = np.eye(4)
     # a sphere may be turned as one likes: so that its contact needs no turn
@@ -33,7 +37,7 @@ def pose_of(row):
     return pose
 
 
-def vertex_of(row, cube, name):
+def vertex_of(row: np.ndarray, cube: bool, name: str) -> Vertex:
     """Return a floating Vertex with the row's shape and pose under the root."""
     kind, size = int(row[0]), [float(s) for s in row[13:16]]
     if kind == BOX:
@@ -141,7 +145,7 @@ class Fit(NamedTuple):
     cost: float
 
 
-def fits(graph, name, parent, row, faces):
+def fits(graph: SceneGraph, name: str, parent: Any, row: Any, faces: Any) -> Iterator[Any]:
     """Yield the Fit of each kind of contact by each of its (parent's face, child's face) that faces(kind) returns."""
     reach = 0.5 * float(np.linalg.norm(row[13:16]))
     for place, kind in enumerate(ON_A_FACE):
@@ -166,7 +170,7 @@ def upright(row: np.ndarray) -> bool:
     return int(row[0]) != SPHERE and row[9] > 1.0 - 1e-12
 
 
-def turns_freely(vertex) -> bool:
+def turns_freely(vertex: Vertex) -> bool:
     """Whether a round face touches what bears an object: then all angles of the contact are as good."""
     face = vertex.contact.child_face
     return face is not None and math.isinf(vertex.body.shape.face_order(face))
@@ -187,14 +191,14 @@ def periods_of(graph, addresses):
     return tuple(found)
 
 
-def without_floor(part):
+def without_floor(part: "StructurePosterior") -> "StructurePosterior":
     """Return a StructurePosterior without the floor that never was: what is left floats under the root."""
     if FLOOR_NAME not in part.graph.names or part.graph.children(FLOOR_NAME):
         return part
     return replace(part, graph=part.graph.remove(FLOOR_NAME))
 
 
-def matched_names(state, reference, names):
+def matched_names(state: State, reference: State, names: list[str]) -> list[str]:
     """Return names for a state's solids: those of the reference solids that they are, new ones for the others.
 
     They are the same if they enter each other by half of what is thinnest, however far a hidden side reaches; the
@@ -220,7 +224,7 @@ def matched_names(state, reference, names):
     return result
 
 
-def structure_key(state, names):
+def structure_key(state: State, names: list[str]) -> tuple[tuple[str, int, bool, int, str], ...]:
     """Return what tells two structures apart: each solid's name, kind, cube or not, form, and its support's name."""
     return tuple(sorted(
         (names[k], int(state.rows[k][0]), state.cubes[k], state.forms[k],

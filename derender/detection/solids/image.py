@@ -5,7 +5,7 @@ Detection and the draws of bare scenes work in the *floor frame*: z up, the floo
 A pixel's ray is origin + depth * direction with depth along the camera's z, so depths need no conversion.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from derender.compilation.cache import njit
 from derender.detection.pyramid import intrinsics
 from derender.render.blur import blur_taps
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 FAR = 1e9
@@ -43,7 +46,13 @@ class Image(NamedTuple):
     taps: np.ndarray
 
 
-def make_image(depth, sigma, camera, floor_pose, blur=0.0):
+def make_image(
+    depth: np.ndarray,
+    sigma: float | np.ndarray,
+    camera: "Camera | dict[str, float]",
+    floor_pose: np.ndarray,
+    blur: float = 0.0,
+) -> Image:
     """Return the Image of an observation.
 
     Parameters
@@ -71,14 +80,14 @@ def make_image(depth, sigma, camera, floor_pose, blur=0.0):
                    for a in (filled, weight, direction, origin, floor, projection, taps_of(blur))))  # fmt: skip
 
 
-def taps_of(blur):
+def taps_of(blur: float) -> np.ndarray:
     """Return the (R + 1,) weights of a blur of this standard deviation in pixels, without the negligible ones."""
     taps = blur_taps(blur)
     taps = taps[taps > LEAST_TAP]
     return taps / (taps[0] + 2.0 * taps[1:].sum())
 
 
-def blank(image):
+def blank(image: Image) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return depth (H, W), label (H, W) and misfit (H, W) arrays to draw into."""
     shape = image.depth.shape
     return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
@@ -198,7 +207,7 @@ def draw_one(image, row, index, depth, label):
                 label[j, i] = index
 
 
-def make_row(kind, rotation, centre, size):
+def make_row(kind: Any, rotation: Any, centre: Any, size: Any) -> np.ndarray:
     """Return a solid's row from its kind, rotation (3, 3), centre (3,) and size (3,)."""
     row = np.empty(ROW)
     row[KIND] = kind
@@ -208,7 +217,7 @@ def make_row(kind, rotation, centre, size):
     return row
 
 
-def rotation_of(row):
+def rotation_of(row: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3), object to floor, of a row."""
     return row[ROTATION:CENTRE].reshape(3, 3)
 
@@ -216,7 +225,9 @@ def rotation_of(row):
 KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 
 
-def render_floor_scene(kinds, poses, sizes, floor_pose, camera):
+def render_floor_scene(
+    kinds: Any, poses: Any, sizes: Any, floor_pose: Any, camera: Any
+) -> tuple[np.ndarray, np.ndarray]:
     """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
 
     poses : (N, 4, 4) object to camera; floor_pose : (4, 4) floor to camera; camera : dict of intrinsics.

@@ -1,5 +1,7 @@
 """Densities of solids' extents as a prior file states them, tabulated so that compiled code needs to know no types."""
 
+from typing import Any
+
 import numpy as np
 
 from derender.compilation.cache import njit
@@ -19,7 +21,7 @@ AXES = {"cube": ("side",) * 3, "box": ("length", "width", "height"), "sphere": (
 ROWS = {"cube": CUBE, "box": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 
 
-def sizes_of(prior):
+def sizes_of(prior: Any) -> np.ndarray:
     """Return the table (4, 3, FIRST + NODES) of a prior over structures.
 
     Several shapes of one type are mixed axis by axis. A type that the prior does not have is left without sizes: the
@@ -37,7 +39,7 @@ def sizes_of(prior):
     return table
 
 
-def tabulated(values, factor):
+def tabulated(values: list[tuple[float, Distribution | float]], factor: float) -> np.ndarray:
     """Return (FIRST + NODES,) the row of `factor` times a mixture of (weight, number or Distribution)."""
     ends = factor * np.array([ends_of(value) for _, value in values])
     low, high = max(ends[:, 0].min(), ENDS[0]), ends[:, 1].max()
@@ -51,7 +53,7 @@ def tabulated(values, factor):
     return np.concatenate([np.log([low, high]), np.log(density / (inside + tails))])
 
 
-def ends_of(value):
+def ends_of(value: Distribution | float) -> tuple[float, float]:
     """Return (low, high) between which a value lies."""
     if not isinstance(value, Distribution):
         return value - EDGE, value + EDGE
@@ -60,7 +62,7 @@ def ends_of(value):
             value.quantile(1.0 - REST) if not np.isfinite(high) else high)  # fmt: skip
 
 
-def log_density_of(value, x):
+def log_density_of(value: Any, x: float) -> float:
     """Return the log density of a number or Distribution at x: a number's is even between its ends."""
     if isinstance(value, Distribution):
         return value.log_density(x)

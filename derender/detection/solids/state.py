@@ -1,13 +1,17 @@
 """The state of the search over structures: which solids there are and what each one stands on."""
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.detection.solids.image import ROW, blank, draw
+from derender.detection.solids.image import ROW, Image, blank, draw
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
 from derender.detection.solids.polish import contact_energy, polish, size_energy
+
+if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
 
 FLOOR = -1
 NOTHING = np.empty(0)
@@ -38,14 +42,14 @@ class State:
     def copy(self) -> "State":
         return State(self.rows.copy(), list(self.forms), list(self.cubes), list(self.parents), list(self.bottoms))
 
-    def add(self, row, form, cube, parent=FLOOR, bottom=np.nan) -> "State":
+    def add(self, row: np.ndarray, form: int, cube: bool, parent: int = FLOOR, bottom: float = np.nan) -> "State":
         """Return the state with one more solid."""
         return State(
             np.vstack([self.rows, row[None]]), [*self.forms, form], [*self.cubes, cube],
             [*self.parents, parent], [*self.bottoms, bottom],
         )  # fmt: skip
 
-    def without(self, index) -> "State":
+    def without(self, index: int) -> "State":
         """Return the state without one solid; what stood on it stands on what it stood on."""
         keep = [k for k in range(len(self)) if k != index]
         heir = self.parents[index]
@@ -81,7 +85,7 @@ class State:
         )  # fmt: skip
 
 
-def carried_by(state, index):
+def carried_by(state: State, index: int) -> np.ndarray:
     """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
     if index == FLOOR:  # of a solid that is not there yet: nothing, and not what stands on the floor
         return NOTHING
@@ -89,7 +93,7 @@ def carried_by(state, index):
     return np.array([lowest(state.rows[k]) for k in held])
 
 
-def held_out(image, state, index):
+def held_out(image: Image, state: State, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return depth, label, misfit and total misfit of the scene without solid `index` (-1: all of it)."""
     depth, label, misfit = blank(image)
     draw(image, state.rows, index, depth, label)
@@ -97,12 +101,12 @@ def held_out(image, state, index):
     return depth, label, misfit, total
 
 
-def in_the_way(rows, settings):
+def in_the_way(rows: np.ndarray, settings: "Settings") -> np.ndarray:
     """Return the solids (N, ROW) that others must not enter: none where interpenetration is allowed."""
     return rows[:0] if settings.may_overlap else rows
 
 
-def energy(image, state, slack, temper, in_the_way):
+def energy(image: Image, state: State, slack: float, temper: float, in_the_way: np.ndarray) -> float:
     """Return misfit + prior + contact energies of a state: minus its log posterior density up to a constant.
 
     in_the_way : (N, ROW) the solids that must not be entered: those of the state, or none.
@@ -115,7 +119,21 @@ def energy(image, state, slack, temper, in_the_way):
     return total
 
 
-def run_polish(rng, image, state, index, row, form, cube, view, bottom, settings, rounds, step=0.003, heat=2.0):
+def run_polish(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    index: int,
+    row: np.ndarray,
+    form: int,
+    cube: bool,
+    view: tuple[np.ndarray, np.ndarray, np.ndarray, float],
+    bottom: float,
+    settings: "Settings",
+    rounds: int,
+    step: float = 0.003,
+    heat: float = 2.0,
+) -> tuple[np.ndarray, float, float]:
     """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
     depth, _, misfit, _ = view
     return polish(

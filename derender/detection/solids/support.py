@@ -8,15 +8,20 @@ slightly soft contact would share the load.
 Whether what stands would fall off its supports, did no friction hold it, is a term of every structure's density.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
-from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.image import bounding_rectangle, rotation_of
+from derender.detection.solids.beliefs import Rules, bare_image
+from derender.detection.solids.image import Image, bounding_rectangle, rotation_of
 from derender.detection.solids.interpenetration import clamp_direction, highest, lowest, overlap_along, penetration
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
-from derender.detection.solids.state import FLOOR, NOTHING, held_out, in_the_way
+from derender.detection.solids.state import FLOOR, NOTHING, State, held_out, in_the_way
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+
+if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
 
 FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8
 MOST_POINTS = 24  # of each pair
@@ -25,7 +30,7 @@ RIDGE = 1e-2
 UNBALANCED = 0.2  # of the weight that no force holds: then the contacts that were seen do not explain why it rests
 
 
-def edge_points(row):
+def edge_points(row: np.ndarray) -> np.ndarray:
     """Return (K, 3) points on the edges of a solid: where it can touch another one there is one of either's near."""
     if int(row[0]) == SPHERE:
         return np.empty((0, 3))
@@ -43,7 +48,7 @@ def edge_points(row):
     return row[10:13] + local @ rotation_of(row).T
 
 
-def surface_distance(row, points):
+def surface_distance(row: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the distances (K,) of points to a solid's surface, negative inside."""
     half = 0.5 * row[13:16]
     local = np.abs((points - row[10:13]) @ rotation_of(row))
@@ -56,7 +61,7 @@ def surface_distance(row, points):
     return np.where(beyond.max(axis=1) > 0, outside, beyond.max(axis=1))
 
 
-def push_on(row, other):
+def push_on(row: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the unit vector (3,) along which a solid that touches another is pushed by it: their shadows on it
     overlap least (the separating axis)."""
     first, second, between = rotation_of(row).T, rotation_of(other).T, row[10:13] - other[10:13]
@@ -69,7 +74,7 @@ def push_on(row, other):
     return best if best @ between > 0 else -best
 
 
-def touching_points(row, other, reach):
+def touching_points(row: np.ndarray, other: np.ndarray | None, reach: float) -> np.ndarray:
     """Return the points (K, 3) where a solid touches another (None: the floor)."""
     if other is None:
         own = edge_points(row) if int(row[0]) != SPHERE else row[None, 10:13] - [0.0, 0.0, 0.5 * row[13]]
@@ -91,7 +96,9 @@ def touching_points(row, other, reach):
     return points
 
 
-def shares_of_load(rows, k, reach, friction=FRICTION):
+def shares_of_load(
+    rows: list[np.ndarray] | np.ndarray, k: int, reach: float, friction: float = FRICTION
+) -> dict[int, float]:
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
     Parameters
@@ -138,14 +145,14 @@ LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
 BESIDE = 2  # pixels between the rectangles of solids that may hide parts of each other
 
 
-def shadows_overlap(row, other, margin=0.002):
+def shadows_overlap(row: np.ndarray, other: np.ndarray, margin: Any = 0.002) -> bool:
     """Whether two solids overlap when seen from above, by more than the margin."""
     lifted = row.copy()
     lifted[12] = other[12]
     return penetration(lifted, other) > margin
 
 
-def flat_top(row):
+def flat_top(row: np.ndarray) -> bool:
     """Whether the solid ends in a level face on which others can stand."""
     kind = int(row[0])
     if kind == BOX:
@@ -153,7 +160,7 @@ def flat_top(row):
     return kind == CYLINDER and abs(row[9]) >= LEVEL
 
 
-def with_bottom(row, height):
+def with_bottom(row: np.ndarray, height: float) -> np.ndarray:
     """Return the upright solid with its bottom moved to a height, its top held still."""
     new = row.copy()
     top = row[12] + 0.5 * row[15]
@@ -162,14 +169,14 @@ def with_bottom(row, height):
     return new
 
 
-def touches(row, other, reach=NEAR):
+def touches(row: np.ndarray, other: np.ndarray, reach: float = NEAR) -> bool:
     """Whether `row` stands on or leans against `other`: lowered by `reach` it would sink into it."""
     lowered = row.copy()
     lowered[12] -= reach
     return penetration(lowered, other) > 0.5 * reach * 0.2
 
 
-def concerned(image, state, changed):
+def concerned(image: Image, state: State, changed: set[int]) -> set[int]:
     """Return the solids to which it may matter that some have changed: those, what stands on them or on what is gone,
     and what shows beside them."""
     rectangles = np.array([bounding_rectangle(row, image.projection, *image.depth.shape) for row in state.rows])
@@ -185,7 +192,7 @@ def concerned(image, state, changed):
     return found
 
 
-def assign_supports(image, state, settings, only=None):
+def assign_supports(image: Image, state: State, settings: "Settings", only: set[int] | None = None) -> State:
     """Choose each solid's support (or that of those in `only`), and for upright boxes and cylinders move the bottom
     onto it. Returns a new state.
 
@@ -227,7 +234,7 @@ def assign_supports(image, state, settings, only=None):
     return state
 
 
-def standing_on(state, i, reach=0.012):
+def standing_on(state: State, i: int, reach: float = 0.012) -> tuple[int, float]:
     """Return (parent, height) of what a solid that is not upright stands on; height NaN where it only leans."""
     row = state.rows[i]
     low = lowest(row)
@@ -245,7 +252,7 @@ def standing_on(state, i, reach=0.012):
     return (min(leaning)[1] if leaning else FLOOR), np.nan
 
 
-def final_parents(state):
+def final_parents(state: State) -> list[int]:
     """Return the parent of each solid by contact: of several supports, the one that bears the most of its weight."""
     parents = []
     for i in range(len(state)):
@@ -265,7 +272,7 @@ def final_parents(state):
     return parents
 
 
-def log_standing(state, rules):
+def log_standing(state: State, rules: Rules) -> float:
     """Return the log of what the prior gives a state less for what would tip; 0 where solids may float."""
     if rules.floating:
         return 0.0
@@ -273,13 +280,13 @@ def log_standing(state, rules):
     return float(np.log(beliefs.loose.tipping)) * unheld(state)
 
 
-def unheld(state):
+def unheld(state: State) -> int:
     """Return how many upright solids would tip off what is level with their bottoms, did no friction hold them."""
     upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT and not balanced(state, k)]
     return sum(not shares_of_load(state.rows, k, TOUCHING, friction=0.0) for k in upright)
 
 
-def balanced(state, k):
+def balanced(state: State, k: int) -> bool:
     """Whether a solid is surely held: it stands on the floor, or its centre lies over the top of its parent."""
     parent = state.parents[k]
     if parent == FLOOR or np.isnan(state.bottoms[k]):

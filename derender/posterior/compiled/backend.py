@@ -2,6 +2,7 @@
 
 from collections import deque
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +27,10 @@ from derender.posterior.kernels.base import Part, Tuning
 class LoadedTarget:
     """A SceneTarget whose densities are those of a backend's engine, a tenth of the cost of the target's own."""
 
-    def __init__(self, backend) -> None:
+    def __init__(self, backend: "CompiledBackend") -> None:
         self._backend, self._target = backend, backend.target
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._target, name)
 
     def log_prior(self, values: np.ndarray) -> float:
@@ -55,7 +56,7 @@ class CompiledBackend:
     NotCompiled : something of the model has no compiled form.
     """
 
-    def __init__(self, target, parts: list[Part], cycle: bool = False) -> None:
+    def __init__(self, target: Any, parts: list[Part], cycle: bool = False) -> None:
         self.target, self.parts, self.cycle = target, parts, cycle
         self.model = model_of(target)
         counts = [int(part.options["count"]) for part in parts if "count" in part.options]
@@ -97,7 +98,7 @@ class CompiledBackend:
         load(self.model, self.chain, self.evaluator.for_steps(), np.ascontiguousarray(values, np.float64))
         self._loaded = np.array(values)
 
-    def evaluate(self, values):
+    def evaluate(self, values: np.ndarray) -> tuple[float, float]:
         """Return log prior and log likelihood; -inf and -inf outside the prior's support."""
         if self.target.space.log_prior(values) == -np.inf:
             return -np.inf, -np.inf
@@ -128,7 +129,9 @@ class CompiledBackend:
         self._programs.append((tuning, program, places))
         return program
 
-    def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
         program, size = self.program(tuning), len(values)
         kept, counts = np.empty((draws, size + 3)), np.zeros((len(self.parts), 2), np.int64)
@@ -150,6 +153,6 @@ class CompiledBackend:
         return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
 
 
-def _only(rng, table, numbers, flags) -> int:
+def _only(rng: np.random.Generator, table: Any, numbers: Any, flags: Any) -> int:
     """Return the number of a mixture's only kernel: which one takes the step has been drawn already."""
     return 0

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from derender.compilation.cache import call_for_nothing, njit
 from derender.posterior.compiled.layout import (
     CHILD_FACE,
@@ -28,10 +30,12 @@ from derender.posterior.compiled.layout import (
     SOLID,
     TABLE,
     VERTEX,
+    Chain,
+    Model,
 )
 from derender.posterior.compiled.prior import log_prior, log_terms
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
-from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA
+from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA, EngineState
 from derender.scene.contacts.compiled import SIX_DOF, compose
 
 FREE_ROOT, FIXED_ROOT, LOOKED_AT = SIX_DOF, 100, 101  # codes of the root
@@ -197,7 +201,7 @@ def _log_prior_of_all(model, chain):
     return log_prior(model.unknowns, model.laws, chain.values[NEXT]) + log_terms(model, chain)
 
 
-def load(model, chain, engine, start):
+def load(model: Model, chain: Chain, engine: EngineState, start: np.ndarray) -> None:
     """Make `start` (P,) the current values, in full; they must lie in the prior's support.
 
     Not compiled itself: that would compile the engine's full evaluation a second time, for eight seconds.

@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.compilation.cache import interpreted
+from derender.compilation.cache import Kernel, interpreted
 from derender.posterior.compiled import steps
 from derender.posterior.compiled.layout import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.compiled.model import Calls, kernels_of, laws_of
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
 from derender.posterior.kernels.relocate import mixture_of
+from derender.posterior.space import Block
 
 NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
 
@@ -70,11 +71,15 @@ class InterpretedBackend:
                                              lambda objects: np.zeros((len(objects), 4), np.int64))  # fmt: skip
         return self._tuned[1]
 
-    def sweep(self, rng, values, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
         """Take draws * thin steps from `values`; keep every `thin`-th state."""
         return self.walked(rng, np.array([*values, *self.evaluate(values), 0.0]), tuning, draws, thin, taken)
 
-    def walked(self, rng, state: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0) -> Stretch:
+    def walked(
+        self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
         """Return what `sweep` does, from (P + 3,) values with their log prior, log likelihood and a spare."""
         size = len(state) - 3
         self._chain.values[:] = state
@@ -84,10 +89,10 @@ class InterpretedBackend:
                     tuning.temperature, kept, counts)  # fmt: skip
         return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
 
-    def _call(self, number: int, *arguments):
+    def _call(self, number: int, *arguments: Any) -> float:
         return self._called[number](*arguments)
 
-    def _number_of(self, kernel, *types) -> int:
+    def _number_of(self, kernel: Kernel, *types: Any) -> int:
         """Return the number by which the sweep calls a kernel, interpreted."""
         return self._numbered(interpreted(kernel, call_for_number=self._call, **self.replaced))
 
@@ -106,7 +111,7 @@ class InterpretedBackend:
             return Calls(propose, keep=self._numbered(lambda *_: self._keep(part.block)), vertex=0)
         return Calls(propose)
 
-    def _keep(self, block) -> float:
+    def _keep(self, block: Block) -> float:
         """Give the children of what a block moved the contacts that keep them; return the log Jacobian."""
         target: Any = self.target
         now, moved = self._chain.values[:, :-3].copy()
@@ -116,8 +121,23 @@ class InterpretedBackend:
         self._chain.values[NEXT, :-3] = kept[0]
         return kept[1]
 
-    def _put_down(self, objects, rng, vertices, laws, numbers, pose, relative, there, put, base, face, thetas, places,
-                  propose_at) -> float:  # fmt: skip
+    def _put_down(
+        self,
+        objects: tuple[str, ...],
+        rng: np.random.Generator,
+        vertices: Any,
+        laws: np.ndarray,
+        numbers: Any,
+        pose: np.ndarray | None,
+        relative: Any,
+        there: Any,
+        put: np.ndarray,
+        base: int,
+        face: int,
+        thetas: np.ndarray,
+        places: np.ndarray,
+        propose_at: int,
+    ) -> float:
         """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts."""
         target: Any = self.target
         now, periods = self._chain.values[NOW, :-3].copy(), [target.placement_periods(name) for name in objects]
@@ -138,7 +158,7 @@ def _places(part: Part) -> bool:
     return kernels[part.type].form == PLACING
 
 
-def _evaluate(model, chain, engine) -> None:
+def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:
     """Write log prior and log likelihood of the proposed values beside them."""
     proposed, target = chain.values[NEXT], engine.target
     values = proposed[:-3].copy()
@@ -147,7 +167,7 @@ def _evaluate(model, chain, engine) -> None:
         proposed[DENSITY] = target.log_likelihood(values)
 
 
-def _settle(model, chain, engine, accepted) -> None:
+def _settle(model: Model, chain: Chain, engine: _Engine, accepted: bool) -> None:
     """Make the proposed values the current ones, or forget them."""
     source = NEXT if accepted else NOW
     chain.values[1 - source] = chain.values[source]

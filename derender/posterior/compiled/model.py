@@ -1,7 +1,7 @@
 """To the flat arrays of `layout.py`: from a scene's target Model and Chain, from a mixture of kernels its Kernels."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,9 @@ from derender.scene.shapes import shapes
 from derender.scene.shapes.box import box_feature
 from derender.scene.solids import MESH
 
+if TYPE_CHECKING:
+    from derender.posterior.target import SceneTarget
+
 MOST_NUMBERS = 3  # of a shape that may be unknown: there is room for so many
 PROBE = np.array([0.31, 0.57, 0.83])  # numbers at which a shape's extents are checked to be affine
 
@@ -49,7 +52,7 @@ class NotCompiled(Exception):
 Address = Callable[..., int]  # from a kernel and arguments of the types that it will get to the number that calls it
 
 
-def model_of(target, address: Address = address_of) -> Model:
+def model_of(target: "SceneTarget", address: Address = address_of) -> Model:
     """Return the model's arrays of a SceneTarget. Raises NotCompiled, saying of what there is no compiled form.
 
     address : compiles a kernel for some arguments and returns where it lies.
@@ -146,7 +149,7 @@ def _kind(shape: str) -> int:
     return FRAME if kind is None else int(kind)
 
 
-def extents_of(vertex) -> np.ndarray:
+def extents_of(vertex: Vertex) -> np.ndarray:
     """Return (4, 3): the extents at numbers 0, and what each of the first three numbers adds to them for each metre."""
     shape, others = shapes[vertex.shape], vertex.psi[MOST_NUMBERS:]
     if not shape.bounded and shape.drawn(vertex.psi, vertex.options)[0] != shape.solid_kind:
@@ -181,7 +184,7 @@ def check_faces(graph: SceneGraph, vertex: Vertex) -> None:
             raise NotCompiled(f"the face {name} of a {body.shape.name}, which is not that of its box")
 
 
-def root_code(target) -> int:
+def root_code(target: "SceneTarget") -> int:
     """Return how the root's numbers give its pose."""
     if not any(unknown.address.startswith("root.") for unknown in target.space.unknowns):
         return FIXED_ROOT
@@ -199,7 +202,7 @@ ROOT_SLOTS = {
 }
 
 
-def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int]:
+def place_of(target: Any, names: dict[str, int], address: str) -> tuple[int, int, int]:
     """Return (table, vertex, slot) of a value."""
     name, _, rest = address.partition(".")
     if name == "likelihood":
@@ -217,7 +220,7 @@ def place_of(target, names: dict[str, int], address: str) -> tuple[int, int, int
     return SHAPE, names[name], slot
 
 
-def held(target) -> dict[str, int]:
+def held(target: "SceneTarget") -> dict[str, int]:
     """Return which likelihood numbers compiled steps cannot change, and where their values are."""
     names = dict.fromkeys(target.template.names, 0)
     return {
@@ -227,7 +230,7 @@ def held(target) -> dict[str, int]:
     }
 
 
-def chain_of(target, model: Model, window: int, cycle: bool) -> Chain:
+def chain_of(target: Any, model: Model, window: int, cycle: bool) -> Chain:
     """Return the arrays of a chain that stands at the template, not loaded yet.
 
     Parameters
@@ -306,7 +309,7 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
     )
 
 
-def calls_of(target, parts: list[Part], model: Model, chain: Chain) -> list[Calls]:
+def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chain) -> list[Calls]:
     """Compile what a mixture's steps call and return where it lies."""
     rng, index, flat, members = np.random.default_rng(), np.int64(0), np.zeros(1), np.zeros(1, np.int64)
     calls = []
@@ -328,7 +331,7 @@ def calls_of(target, parts: list[Part], model: Model, chain: Chain) -> list[Call
     return calls
 
 
-def objects_below(target, objects: Sequence[str]) -> np.ndarray:
+def objects_below(target: "SceneTarget", objects: Sequence[str]) -> np.ndarray:
     """Return (B, 4) int64, of each relocated object: its vertex, the vertex and face that it is put on, its theta."""
     names, addresses = target.template.names, [unknown.address for unknown in target.space.unknowns]
     rows = []
@@ -339,7 +342,9 @@ def objects_below(target, objects: Sequence[str]) -> np.ndarray:
     return np.array(rows, np.int64)
 
 
-def places_seen(target, parts: list[Part], model: Model, chain: Chain, archive: np.ndarray) -> dict[int, np.ndarray]:
+def places_seen(
+    target: "SceneTarget", parts: list[Part], model: Model, chain: Chain, archive: np.ndarray
+) -> dict[int, np.ndarray]:
     """Return the flat mixtures over the places that objects have in (K, P) values, by the numbers of their kernels.
 
     chain : any of the model's; it is left at the last values.
@@ -360,7 +365,7 @@ def rescaled(space: Space, parts: list[Part], tuning: Tuning, program: Kernels) 
     return program._replace(numbers=changed)
 
 
-def taken_elsewhere(target, parts: list[Part]) -> frozenset[int]:
+def taken_elsewhere(target: "SceneTarget", parts: list[Part]) -> frozenset[int]:
     """Return the numbers of the kernels that move a number which compiled steps cannot change."""
     kept = set(held(target).values())
     moved = [{target.space.offsets[i] for i in part.block.unknowns} for part in parts]

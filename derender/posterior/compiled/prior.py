@@ -6,10 +6,11 @@ and only compiled for models with constraints.
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 
-from derender.compilation.cache import call_for_number, njit
+from derender.compilation.cache import Kernel, call_for_number, njit
 from derender.posterior import space
 from derender.posterior.compiled.layout import (
     CODE,
@@ -24,6 +25,7 @@ from derender.posterior.compiled.layout import (
     SIZES,
 )
 from derender.scene.distributions import DistributionType, distributions
+from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import AtMost, DoesNotTouch, NoFloating, NoOverlap, RestsOn
 from derender.scene.separation import penetration_of, rest_residual, separation_of
 
@@ -35,7 +37,7 @@ _draw_rotation = njit(distributions["uniform-rotation"].draw)
 
 
 @functools.cache
-def density_and_draw(kind: DistributionType):
+def density_and_draw(kind: DistributionType) -> tuple[Kernel, Kernel]:
     """Return the kernels density(x, row) -> float64 and draw(rng, row) -> float64 of a type that can be compiled.
 
     They are called by address, so a model compiles those that occur in it.
@@ -133,7 +135,7 @@ TERM, FIRST, SECOND, LENGTH, SCALE, PARENT, AXIS = range(7)  # columns of a term
 COLUMNS = AXIS + 3
 
 
-def table_of(constraints, graph) -> np.ndarray:
+def table_of(constraints: tuple[Any, ...], graph: SceneGraph) -> np.ndarray:
     """Return (T, COLUMNS) float64, one row for each pair of solids that a term is of.
 
     Vertices are numbered as in the graph. A hard term has the scale 0.

@@ -1,11 +1,14 @@
 """Local steps: drift of a block or of all unknowns, choice from a row of places; both also under what stands on top."""
 
+from typing import Any
+
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.layout import DIRECTION, NEXT, NOW
 from derender.posterior.compiled.prior import directions, move, shaped
 from derender.posterior.kernels.base import ROW, KernelType, kernels
+from derender.posterior.space import Block, Space
 
 
 @njit(cache=True, nogil=True)
@@ -31,7 +34,7 @@ def factor_of(covariance: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.linalg.cholesky(np.linalg.inv(precision[np.ix_(directions, directions)]))
 
 
-def directions_of(space, block) -> np.ndarray:
+def directions_of(space: Space, block: Block) -> np.ndarray:
     """Return the indices of a block's directions in the tangents of the whole space."""
     return np.concatenate([np.arange(space.directions[i], space.directions[i + 1]) for i in block.unknowns])
 
@@ -43,10 +46,10 @@ class DriftType(KernelType):
     adapts = True
     proposal = drifted
 
-    def factor(self, space, part, tuning):
+    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
         return factor_of(tuning.covariance, directions_of(space, part.block))
 
-    def scale(self, space, part, tuning):
+    def scale(self, space: Any, part: Any, tuning: Any) -> float:
         # 2.4 / sqrt(D): best for a normal posterior (Roberts, Gelman, Gilks 1997)
         return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(space.size(part.block))
 
@@ -79,10 +82,10 @@ class SlideType(DriftType):
 
     keeps_children = True
 
-    def applies(self, space, block):
+    def applies(self, space: Any, block: Any) -> bool:
         return block.name in space.slides
 
-    def factor(self, space, part, tuning):
+    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
         """Return the factor of the spread of the block's directions, whatever the others do: here they give way."""
         directions = directions_of(space, part.block)
         return np.linalg.cholesky(tuning.covariance[np.ix_(directions, directions)])
@@ -144,5 +147,5 @@ class SlideWindowType(WindowType):
 
     keeps_children = True
 
-    def applies(self, space, block):
+    def applies(self, space: Any, block: Any) -> bool:
         return block.name in space.slides

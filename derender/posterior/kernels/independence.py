@@ -5,6 +5,8 @@ its angle jumps by half a period, it does so alone or with length and width exch
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from derender.compilation.cache import njit
 from derender.posterior.compiled.layout import CODE, NEXT, NOW, OFFSET, PERIOD, ROTATION
 from derender.posterior.compiled.prior import difference, directions, log_prior, move, resample, shaped, wrap
 from derender.posterior.kernels.base import KernelType, kernels
+from derender.posterior.space import Space
 
 DEGREES = 5  # of freedom of the t distribution: heavier tails than any posterior that it has to cover
 
@@ -80,7 +83,7 @@ class IndependenceType(KernelType):
     per_block = False
     proposal = independent
 
-    def factor(self, space, part, tuning):
+    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
         return part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
 
 
@@ -127,13 +130,13 @@ class JumpType(KernelType):
 
     proposal = jumped
 
-    def applies(self, space, block):
+    def applies(self, space: Any, block: Any) -> bool:
         return bool(self.members(space, block))
 
-    def moves(self, space, block):
+    def moves(self, space: Any, block: Any) -> Sequence[int]:
         return ()  # half periods alone reach two places
 
-    def members(self, space, block):
+    def members(self, space: Any, block: Any) -> Sequence[int]:
         return [i for i in block.unknowns if space.unknowns[i].period is not None]
 
 
@@ -152,7 +155,7 @@ def flipped(rng, unknowns, laws, values, tangents, members, factor, scale, sprea
     return 0.0
 
 
-def flips_of(space) -> list[tuple[int, int, int]]:
+def flips_of(space: Space) -> list[tuple[int, int, int]]:
     """Return (theta, length, width), as unknowns, of every box of which all three are unknown."""
     index = {unknown.address: i for i, unknown in enumerate(space.unknowns)}
     found = []
@@ -172,11 +175,11 @@ class FlipType(KernelType):
     per_block = False
     proposal = flipped
 
-    def applies(self, space, block):
+    def applies(self, space: Any, block: Any) -> bool:
         return bool(flips_of(space))
 
-    def moves(self, space, block):
+    def moves(self, space: Any, block: Any) -> Sequence[int]:
         return ()
 
-    def members(self, space, block):
+    def members(self, space: Any, block: Any) -> Sequence[int]:
         return [unknown for triple in flips_of(space) for unknown in triple]

@@ -6,8 +6,8 @@ narrow.
 
 import functools
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from derender.compilation.cache import njit
 from derender.posterior.compiled.prior import wrap
 from derender.posterior.kernels.base import PLACING, KernelType, kernels
 from derender.posterior.space import Block
+
+if TYPE_CHECKING:
+    from derender.posterior.target import SceneTarget
 
 DEGREES = 5  # of freedom of each component: heavier tails than an image's posterior
 NEIGHBOURS = 16  # among the other places; a mode that holds as many has components of its own shape
@@ -178,7 +181,7 @@ def seen_place(rng, places, periods, old, new):
     return math.log(mixture_density(places, periods, old)) - math.log(mixture_density(places, periods, new))
 
 
-def mixture_of(target, objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
+def mixture_of(target: "SceneTarget", objects: tuple[str, ...], places: Mapping[str, np.ndarray]) -> PlaceMixture:
     """Return the mixture over the places of one or several objects, given (K, d) places of each by name."""
     periods = [period for name in objects for period in target.placement_periods(name)]
     return fitted(np.concatenate([places[name] for name in objects], axis=1), tuple(periods))
@@ -190,7 +193,7 @@ class PlacingType(KernelType):
     keeps_children = True
     form = PLACING
 
-    def applies(self, space, block):
+    def applies(self, space: Any, block: Block) -> bool:
         return block.name in space.relocations
 
 
@@ -211,7 +214,7 @@ class RelocateStackType(RelocateType):
 
     options = {"objects": 2}
 
-    def blocks(self, space, options):
+    def blocks(self, space: Any, options: Mapping[str, float]) -> Sequence[Block]:
         contacts = {block.objects[0]: block for block in space.blocks if block.name in space.relocations}
         found = []
         for name in contacts:

@@ -84,11 +84,15 @@ class Likelihood:
         """Return how many pixels of an image have a density."""
         raise NotImplementedError
 
-    def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None):
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         """Return the log density of each pixel, (H, W) float64; 0 where it says nothing: the readable reference."""
         raise NotImplementedError
 
-    def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None):
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         """Draw an observed image: (H, W) float64, NaN where nothing returns."""
         raise NotImplementedError
 

@@ -6,7 +6,7 @@ Society B, 1988; Datta, Banerjee, Finley and Gelfand, Journal of the American St
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,14 +88,14 @@ class Correlated(Likelihood):
     )
     code = 2
 
-    def check(self, values):
+    def check(self, values: Mapping[str, float]) -> None:
         if not values["near"] < values["far"]:
             raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
-    def counted_pixels(self, observed):
+    def counted_pixels(self, observed: np.ndarray) -> int:
         return int((np.isfinite(observed) & (observed != 0.0)).sum())
 
-    def row(self, values, pixels):
+    def row(self, values: Mapping[str, float], pixels: int) -> np.ndarray:
         weights, deviations = prediction(values)
         numbers = [values[name] for name in ("sigma_growth", "outlier", "near", "far", "tail")]
         numbers = [values["sigma"], values["background"], 1.0, 0.0, *numbers, values["jump"], most(values)]
@@ -113,7 +113,9 @@ class Correlated(Likelihood):
         mean, deviation = tells.predict(np.pad(residual, 2), np.pad(telling, 2), *np.indices(depth.shape))
         return Factors(residual, mean, deviation, inverse, seen)
 
-    def per_pixel(self, observed, depth, values=None):
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         found = self.factors(observed, depth, values)
         z = (found.residual - found.mean) / found.deviation
@@ -126,7 +128,7 @@ class Correlated(Likelihood):
         density = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
         return np.where(found.seen, np.log(density), 0.0)
 
-    def whitened(self, observed, depth, values=None) -> np.ndarray:
+    def whitened(self, observed: Any, depth: np.ndarray, values: Any = None) -> np.ndarray:
         """Return an image's noise (H, W) without what earlier neighbours tell of it, NaN where nothing returned.
 
         Each pixel's quantile among those that it might have had given these, as the quantile of a normal number: under
@@ -143,7 +145,9 @@ class Correlated(Likelihood):
         below = (1.0 - values["outlier"]) * below + values["outlier"] * nearer
         return np.where(found.seen, ndtri(np.clip(below, 1e-15, 1.0 - 1e-15)), np.nan)
 
-    def sample(self, rng, depth, values=None):
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         model = blurred_depth(depth, values)
         deviation = values["sigma"] + values["sigma_growth"] * model**2
@@ -201,7 +205,7 @@ class Links(NamedTuple):
     deviations: np.ndarray
     limit: float
 
-    def predict(self, residual, telling, rows, columns):
+    def predict(self, residual: Any, telling: Any, rows: Any, columns: Any) -> Any:
         """Return the mean and the deviation of unit noise at pixels (any shape), given what earlier ones hold.
 
         residual : (H + 4, W + 4), telling : bool, whether each tells at all; two pixels wider than the image all round.

@@ -1,6 +1,7 @@
 """Independent normals around the blurred depth image: Eq. 6."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,13 +25,15 @@ class Gaussian(Likelihood):
     parameters = (SIGMA, BLUR, BACKGROUND, EFFECTIVE_PIXELS)
     code = 0
 
-    def counted_pixels(self, observed):
+    def counted_pixels(self, observed: np.ndarray) -> int:
         return int(has_return(observed).sum())
 
-    def row(self, values, pixels):
+    def row(self, values: Mapping[str, float], pixels: int) -> np.ndarray:
         return np.array([values["sigma"], values["background"], temper(values, pixels), 0.0])
 
-    def per_pixel(self, observed, depth, values=None):
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         seen = has_return(observed)
         spread = values["sigma"] / math.sqrt(temper(values, self.counted_pixels(observed)))
@@ -38,7 +41,9 @@ class Gaussian(Likelihood):
         density = -0.5 * (residual / spread) ** 2 - math.log(spread) - 0.5 * math.log(2.0 * math.pi)
         return np.where(seen, density, 0.0)
 
-    def sample(self, rng, depth, values=None):
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         spread = values["sigma"] / math.sqrt(temper(values, depth.size))
         return blurred_depth(depth, values) + rng.normal(scale=spread, size=depth.shape)

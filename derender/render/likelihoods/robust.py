@@ -2,6 +2,8 @@
 
 import functools
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +33,9 @@ def _quadrature() -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.lru_cache(maxsize=KEPT)
-def _normaliser(sigma, growth, outlier, near, far, background, exponent, missing) -> np.ndarray:
+def _normaliser(
+    sigma: Any, growth: Any, outlier: Any, near: Any, far: Any, background: Any, exponent: Any, missing: Any
+) -> np.ndarray:
     """Return what `Robust.normaliser` does, through its values at Chebyshev's points between 0 and the background."""
     shares = 0.5 + 0.5 * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
     spread = sigma + growth * np.square(background * shares)
@@ -84,14 +88,14 @@ class Robust(Likelihood):
     )
     code = 1
 
-    def check(self, values):
+    def check(self, values: Mapping[str, float]) -> None:
         if not values["near"] < values["far"]:
             raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
-    def counted_pixels(self, observed):
+    def counted_pixels(self, observed: np.ndarray) -> int:
         return int(np.size(observed))
 
-    def row(self, values, pixels):
+    def row(self, values: Mapping[str, float], pixels: int) -> np.ndarray:
         exponent = temper(values, pixels)
         numbers = [
             values["sigma"],
@@ -110,7 +114,7 @@ class Robust(Likelihood):
             [numbers, *(self.normaliser(values, exponent, q) for q in (values["missing"], values["missing_edge"]))]
         )
 
-    def normaliser(self, values, exponent: float, missing: float) -> np.ndarray:
+    def normaliser(self, values: Any, exponent: float, missing: float) -> np.ndarray:
         """Return the polynomial in m, (DEGREE + 1,) from the constant on, of a tempered pixel's log normaliser.
 
         log of missing^t + integral ((1 - missing) f)^t, f the density of a return; exact where sigma does not grow.
@@ -120,7 +124,7 @@ class Robust(Likelihood):
         names = ("sigma", "sigma_growth", "outlier", "near", "far", "background")
         return _normaliser(*(values[name] for name in names), exponent, missing)
 
-    def missing_rate(self, depth, values) -> np.ndarray:
+    def missing_rate(self, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
         """Return the probability of no return, (H, W)."""
         padded = np.pad(with_wall(depth, values["background"]), 1, mode="edge")
         middle = 2.0 * padded[1:-1, 1:-1]
@@ -129,7 +133,9 @@ class Robust(Likelihood):
         edge = np.maximum(along, down) > values["edge_step"]
         return np.where(edge, values["missing_edge"], values["missing"])
 
-    def per_pixel(self, observed, depth, values=None):
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         exponent = temper(values, self.counted_pixels(observed))
         value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
@@ -147,7 +153,9 @@ class Robust(Likelihood):
         normalisers = [np.polynomial.polynomial.polyval(model, self.normaliser(values, exponent, q)) for q in rates]
         return exponent * density - np.where(missing == rates[1], normalisers[1], normalisers[0])
 
-    def sample(self, rng, depth, values=None):
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         values = self.complete(values)
         exponent = temper(values, depth.size)
         model, missing = blurred_depth(depth, values), self.missing_rate(depth, values)

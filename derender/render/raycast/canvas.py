@@ -5,7 +5,7 @@ faces the camera is one more flat face. Where the mesh is closed, its other tria
 edges between the two kinds; edges between two that are seen matter as creases only.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from derender.compilation.cache import njit
 from derender.render.raycast.convex import PREPARED, prepare_solid
 from derender.render.raycast.outline import LINE, LINES, add_line, draw_outline
 from derender.scene.solids import MESH, PLANE, Solids
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 NEAR = 1e-4  # metres: a triangle that comes nearer to the camera's plane is left out
 FLAT, CREASE, OUTLINE = range(3)  # a side between triangles that are seen and nearly in line, at an angle, or not so
@@ -60,7 +63,7 @@ def _neighbours(triangles: np.ndarray) -> np.ndarray:
     return np.array([number.get((end, start), -1) for start, end in sides.tolist()], np.int64).reshape(-1, 3)
 
 
-def new_facets(camera, count: int, solids=None) -> Facets:
+def new_facets(camera: "Camera", count: int, solids: Solids | None = None) -> Facets:
     """Allocate Facets for a Camera and scenes with the meshes of these Solids; without meshes almost nothing."""
     first, vertex = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
     winding = np.zeros(count, np.int64)
@@ -241,7 +244,7 @@ class Canvas(NamedTuple):
     pieces: Pieces
 
 
-def new_canvas(camera, solids: int, scene: Solids | None = None) -> Canvas:
+def new_canvas(camera: "Camera", solids: int, scene: Solids | None = None) -> Canvas:
     """Allocate a Canvas for a Camera and this many solids; where there are meshes, a scene with them must be given."""
     height, width = camera.height, camera.width
     pixels = height * width

@@ -1,5 +1,7 @@
 """Depth and label images in float64: the plain ray caster, and the reference for the engine's fast rows."""
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from derender.compilation.cache import address_of, call_for_nothing, njit
@@ -7,11 +9,15 @@ from derender.render.raycast.convex import PREPARED, inverse_depth, prepare_soli
 from derender.render.raycast.mesh import draw_mesh
 from derender.scene.solids import MESH, Solids
 
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
+    from derender.render.raycast.state import EngineState
+
 
 class FlatMeshes:
     """The meshes of Solids in arrays that compiled code can take: vertices, triangles, and where each mesh starts."""
 
-    def __init__(self, meshes) -> None:
+    def __init__(self, meshes: tuple[tuple[np.ndarray, np.ndarray], ...]) -> None:
         sizes = [(len(vertices), len(triangles)) for vertices, triangles in meshes]
         self.starts = np.zeros((len(sizes) + 1, 2), np.int64)
         if sizes:
@@ -80,7 +86,7 @@ def bound_address() -> int:
     return address_of(prepare_solid, index, pose, size, bounds, index, index, bounds, rectangle)
 
 
-def rasterise_address(meshes, buffer: np.ndarray) -> int:
+def rasterise_address(meshes: "FlatMeshes | EngineState", buffer: np.ndarray) -> int:
     """Return the address of `draw_mesh` for an image of inverse depths; 0 where there is no mesh.
 
     meshes : FlatMeshes, or what else has its arrays.
@@ -92,12 +98,14 @@ def rasterise_address(meshes, buffer: np.ndarray) -> int:
                       starts, points)  # fmt: skip
 
 
-def camera_array(camera) -> np.ndarray:
+def camera_array(camera: "Camera") -> np.ndarray:
     """Return fx, fy, cx, cy as (4,) float64."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
 
 
-def render_depth(solids: Solids, camera, antialias: int = 1, background: float = np.nan):
+def render_depth(
+    solids: Solids, camera: Any, antialias: int = 1, background: float = np.nan
+) -> tuple[np.ndarray, np.ndarray]:
     """Render the depth image of posed solids by casting a ray through every pixel centre.
 
     Parameters

@@ -15,6 +15,7 @@ in either way, so an incremental value equals the full one but for the order of 
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -54,11 +55,15 @@ from derender.render.raycast.state import (
     STALE,
     TEMPER,
     WIDTH,
+    EngineState,
     new_state,
     set_reach,
     taps_of,
 )
-from derender.scene.solids import MESH
+from derender.scene.solids import MESH, Solids
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 SCORES = {GAUSSIAN: score_gaussian, ROBUST: score_robust, CORRELATED: score_correlated}
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
@@ -261,7 +266,9 @@ def settle_state(state, source):
             total[CURRENT] = fresh
 
 
-def new_engine(camera, observed, solids, kind, parameters, blur):
+def new_engine(
+    camera: "Camera", observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
+) -> EngineState:
     """Return the state of one chain, see `state.new_state`, with the addresses of what its kernels call.
 
     So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
@@ -285,12 +292,12 @@ def new_engine(camera, observed, solids, kind, parameters, blur):
     return state
 
 
-def _blur_address(state) -> int:
+def _blur_address(state: EngineState) -> int:
     kernel, image, index = blur_for(int(state.settings[RADIUS])), state.images[0], CURRENT
     return address_of(kernel, image, image, state.strip, state.taps, *5 * [index])
 
 
-def with_blur(state, blur: float):
+def with_blur(state: EngineState, blur: float) -> EngineState:
     """Return the state with another blur, which shares all else with it; score or load the scene again after it."""
     taps = taps_of(blur)
     if len(taps) == len(state.taps):
@@ -302,7 +309,7 @@ def with_blur(state, blur: float):
     return state
 
 
-def for_steps(state):
+def for_steps(state: EngineState) -> EngineState:
     """Let other kernels call a state's by `propose_in` and `settle_in`, in this process; return it."""
     if not state.settings[PROPOSE]:
         index = np.int64(0)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,11 @@ class DepthEvaluator:
     """
 
     def __init__(
-        self, camera, observed: np.ndarray, likelihood: str = "gaussian", values: Mapping[str, float] | None = None
+        self,
+        camera: Camera,
+        observed: np.ndarray,
+        likelihood: str = "gaussian",
+        values: Mapping[str, float] | None = None,
     ) -> None:
         observed = np.asarray(observed, np.float64)
         if observed.shape != (camera.height, camera.width):
@@ -132,7 +137,7 @@ class DepthEvaluator:
             return load_state(state, state.pose[CURRENT].copy(), state.size[CURRENT].copy())
         return rescore_state(state)
 
-    def propose(self, indices, poses, sizes) -> float:
+    def propose(self, indices: Any, poses: Any, sizes: Any) -> float:
         """Return the log likelihood with solids `indices` at `poses` (n, 4, 4) and `sizes` (n, 3); settle it after."""
         indices = np.ascontiguousarray(indices, np.int64)
         return propose_state(

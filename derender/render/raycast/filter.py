@@ -9,7 +9,7 @@ There is one kernel for each usual radius, its taps unrolled, and a plain one fo
     left, right (a multiple of LANES apart), top, bottom : what to write of `result`. height : of the image.
 """
 
-from derender.compilation.cache import njit
+from derender.compilation.cache import Kernel, njit
 from derender.render.raycast.lane_names import (
     LANES,
     add,
@@ -25,7 +25,7 @@ from derender.render.raycast.lane_names import (
 )
 
 
-def _make_blur(radius: int):
+def _make_blur(radius: int) -> Kernel:
     """Compile the blur of one radius."""
 
     @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -75,6 +75,6 @@ def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
             store(result, row, column, value)
 
 
-def blur_for(radius: int):
+def blur_for(radius: int) -> Kernel:
     """Return the kernel for a blur that reaches so many pixels."""
     return _UNROLLED.get(radius, _blur_wide) if radius else _blur_nothing

@@ -7,6 +7,8 @@ and the full evaluation agree to the last bit. Arrays are C-contiguous float32; 
 may be read. Functions of a number are in `lane_functions`, the blur's in `lane_blur`.
 """
 
+from typing import Any
+
 from llvmlite import binding, ir
 from numba.core import cgutils, config, types
 from numba.core.datamodel import models
@@ -36,16 +38,16 @@ def machine_has(feature: str) -> bool:
 
 @register_model(_LanesType)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager, numba_type):
+    def __init__(self, manager: Any, numba_type: Any) -> None:
         super().__init__(manager, numba_type, _MODELS[numba_type.name])
 
 
-def _check(array):
+def _check(array: Any) -> Any:
     return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == types.float32 and array.layout == "C"
 
 
 @intrinsic
-def load(typing, array, row, column):
+def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
     if not _check(array):
         return None
@@ -57,7 +59,7 @@ def load(typing, array, row, column):
 
 
 @intrinsic
-def store(typing, array, row, column, value):
+def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     """Write sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
     if not _check(array):
         return None
@@ -70,7 +72,7 @@ def store(typing, array, row, column, value):
 
 
 @intrinsic
-def splat(typing, value):
+def splat(typing: Any, value: Any) -> Any:
     """Sixteen copies of a number."""
 
     def generate(context, builder, signature, arguments):
@@ -80,7 +82,7 @@ def splat(typing, value):
 
 
 @intrinsic
-def steps_from(typing, start):
+def steps_from(typing: Any, start: Any) -> Any:
     """start, start + 1, ..., start + 15 (exact up to 2^24)."""
 
     def generate(context, builder, signature, arguments):
@@ -90,7 +92,7 @@ def steps_from(typing, start):
     return float_lanes(types.int64), generate
 
 
-def _binary(name, emit, doc):
+def _binary(name: Any, emit: Any, doc: Any) -> Any:
     """Make an intrinsic of two lanes."""
 
     def typed(typing, a, b):
@@ -103,11 +105,11 @@ def _binary(name, emit, doc):
     return intrinsic(typed)
 
 
-def greater_of(builder, a, b):
+def greater_of(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-def less_of(builder, a, b):
+def less_of(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
@@ -120,7 +122,7 @@ minimum = _binary("minimum", less_of, "The lesser of a and b; b where a is NaN."
 
 
 @intrinsic
-def multiply_add(typing, a, b, c):
+def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once where the machine can."""
 
     def generate(context, builder, signature, arguments):
@@ -130,7 +132,7 @@ def multiply_add(typing, a, b, c):
 
 
 @intrinsic
-def where_at_least(typing, a, b, yes, no):
+def where_at_least(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
     """`yes` where a >= b, else `no` (also where a or b is NaN)."""
 
     def generate(context, builder, signature, arguments):
@@ -141,7 +143,7 @@ def where_at_least(typing, a, b, yes, no):
 
 
 @intrinsic
-def all_at_least(typing, a, b):
+def all_at_least(typing: Any, a: Any, b: Any) -> Any:
     """Whether all sixteen a >= b."""
 
     def generate(context, builder, signature, arguments):
@@ -152,7 +154,7 @@ def all_at_least(typing, a, b):
 
 
 @intrinsic
-def zero_sum(typing):
+def zero_sum(typing: Any) -> Any:
     """Sixteen float64 zeros: the start of a sum."""
 
     def generate(context, builder, signature, arguments):
@@ -162,7 +164,7 @@ def zero_sum(typing):
 
 
 @intrinsic
-def accumulate(typing, total, value):
+def accumulate(typing: Any, total: Any, value: Any) -> Any:
     """Sixteen float64 running sums plus sixteen float32."""
 
     def generate(context, builder, signature, arguments):
@@ -172,7 +174,7 @@ def accumulate(typing, total, value):
 
 
 @intrinsic
-def sum_lanes(typing, total):
+def sum_lanes(typing: Any, total: Any) -> Any:
     """The sum of sixteen float64, in a fixed order."""
 
     def generate(context, builder, signature, arguments):
@@ -187,7 +189,7 @@ def sum_lanes(typing, total):
 
 
 @intrinsic
-def load_table(typing, array, first):
+def load_table(typing: Any, array: Any, first: Any) -> Any:
     """Eight elements of a 1-D float64 array from `first` on, rounded to float32: a table for `look_up`."""
 
     def generate(context, builder, signature, arguments):
@@ -200,7 +202,7 @@ def load_table(typing, array, first):
 
 
 @intrinsic
-def look_up(typing, table, place):
+def look_up(typing: Any, table: Any, place: Any) -> Any:
     """The entries of a table at sixteen places, each 0, 1, ..., or 7."""
 
     def generate(context, builder, signature, arguments):

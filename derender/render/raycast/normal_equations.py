@@ -10,7 +10,7 @@ density.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,10 @@ from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import Canvas, new_canvas
 from derender.render.raycast.sensitivity import MOTION, Records, new_records, record, spread
+from derender.scene.solids import Solids
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 # places in `numbers` and in `calls`
 BACKGROUND, LIMIT = range(2)
@@ -61,7 +65,17 @@ class Misfit(NamedTuple):
     calls: np.ndarray
 
 
-def new_misfit(camera, observed, sigma, kinds, parameters, taps, background, limit=math.inf, scene=None) -> Misfit:
+def new_misfit(
+    camera: "Camera",
+    observed: np.ndarray,
+    sigma: float | np.ndarray,
+    kinds: np.ndarray,
+    parameters: int,
+    taps: np.ndarray,
+    background: float,
+    limit: float = math.inf,
+    scene: Solids | None = None,
+) -> Misfit:
     """Allocate a Misfit. observed : (H, W), NaN or 0 where missing; sigma : metres, a number or (H, W); scene : Solids,
     needed where there are meshes."""
     height, width = camera.height, camera.width

@@ -13,7 +13,7 @@ a linear form on motions (a covector): `Records` list pixel, solid and form.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from derender.render.raycast.integral import TWO
 from derender.render.raycast.outline import DEPTH, LINES, NORMAL
 from derender.render.raycast.pieces import curved_inverse_depth
 from derender.scene.solids import CYLINDER, MESH
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 MOTION = 9  # twist (v, w) and the rates of the three extents
 
@@ -45,7 +48,7 @@ class Records(NamedTuple):
     filled: np.ndarray
 
 
-def new_records(camera, solids: int) -> Records:
+def new_records(camera: "Camera", solids: int) -> Records:
     """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
     size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
     return Records(

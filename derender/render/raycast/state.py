@@ -4,7 +4,7 @@ Wherever the first axis is CURRENT / CANDIDATE, the current half is the accepted
 outside the regions of a pending proposal.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from derender.render.raycast.convex import PREPARED
 from derender.render.raycast.depth import FlatMeshes, camera_array
 from derender.render.raycast.lane_names import LANES
 from derender.scene.solids import MESH, Solids
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 # numpy integers, not literals: numba would compile every function once for each literal
 CURRENT, CANDIDATE = np.int64(0), np.int64(1)
@@ -97,7 +100,7 @@ def set_reach(settings: np.ndarray, radius: int) -> None:
 
 
 def new_state(
-    camera, observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
+    camera: "Camera", observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
 ) -> EngineState:
     """Allocate the state of one chain for an image and for scenes with as many solids of the same kinds as `solids`.
 

@@ -10,6 +10,8 @@ import functools
 import os
 import sys
 import types
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +77,7 @@ def load_pyrender() -> types.ModuleType:
     return pyrender
 
 
-def _single_sample(storage):
+def _single_sample(storage: Any) -> Callable[..., Any]:
     def allocate(target, samples, form, width, height):
         storage(target, form, width, height)
 

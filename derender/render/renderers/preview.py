@@ -4,6 +4,7 @@ It needs no OpenGL, and shows how things touch: a shadow map from the sun is one
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,14 @@ def _normals(points: np.ndarray, label: np.ndarray) -> np.ndarray:
     return normals
 
 
-def _lit(render_depth, solids: Solids, points, normals, label: np.ndarray, sun: np.ndarray) -> np.ndarray:
+def _lit(
+    render_depth: Callable[..., Any],
+    solids: Solids,
+    points: np.ndarray,
+    normals: np.ndarray,
+    label: np.ndarray,
+    sun: np.ndarray,
+) -> np.ndarray:
     """Return (height, width) in [0, 1]: the share of sunlight that reaches each point."""
     things = np.flatnonzero(solids.kind != PLANE)
     if not len(things):

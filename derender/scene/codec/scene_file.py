@@ -81,7 +81,15 @@ class Algorithm1(Structure):
 class Grammar(Structure):
     """`{type: grammar, offspring: {floor: {poisson: 2}, box: {geometric: 0.2}}}`: how many grow on each."""
 
-    def read(self, section, root, objects, shapes, contacts, constraints):
+    def read(
+        self,
+        section: Section,
+        root: RootPrior,
+        objects: tuple[TreeObject, ...],
+        shapes: Mapping[str, ShapePrior],
+        contacts: ContactPrior,
+        constraints: tuple[Term, ...],
+    ) -> Prior:
         section.allow("type", "offspring")
         offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
         return GrammarPrior(root, objects, shapes, contacts, offspring, constraints)
@@ -91,7 +99,15 @@ class Grammar(Structure):
 class BareImage(Structure):
     """`{type: bare-image, offspring: {...}, slack: 1.5 mm, tipping: 0.01}`: a grammar, and what is loose about it."""
 
-    def read(self, section, root, objects, shapes, contacts, constraints):
+    def read(
+        self,
+        section: Section,
+        root: RootPrior,
+        objects: tuple[TreeObject, ...],
+        shapes: Mapping[str, ShapePrior],
+        contacts: ContactPrior,
+        constraints: tuple[Term, ...],
+    ) -> Prior:
         loose = read_loose(section)
         offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
         terms = (*constraints, MayTip(loose.tipping))

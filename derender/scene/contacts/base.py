@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -147,7 +147,7 @@ class SurfaceContact(ContactType):
 
     child_features: ClassVar[str] = "face_names"
 
-    def choices(self, parent, child):
+    def choices(self, parent: Shape, child: Shape) -> list[tuple[str | None, str | None]]:
         if not parent.bounded and not child.bounded:
             return []
         return [(a, b) for a in parent.face_names for b in getattr(child, self.child_features)]
@@ -164,7 +164,7 @@ class SurfaceContact(ContactType):
         """Return (theta, first, second), angles within their ranges, of the (3, 3) rotation Rz(theta) . turn."""
         raise NotImplementedError
 
-    def parameters(self, parent, child, parent_face, child_face):
+    def parameters(self, parent: Any, child: Any, parent_face: Any, child_face: Any) -> tuple[Parameter, ...]:
         # A plane under a cube is as symmetric as the cube: the bounded one of the two decides (Eq. 3).
         order = child.face_order(child_face) if child.bounded else parent.face_order(parent_face)
         free = math.isfinite(order)
@@ -194,7 +194,7 @@ class SurfaceContact(ContactType):
             @ inverse(by.frame)
         )
 
-    def invert(self, relative, parent, child, parent_face, child_face):
+    def invert(self, relative: np.ndarray, parent: Any, child: Any, parent_face: Any, child_face: Any) -> Inverse:
         on, by = parent.face(parent_face), child.face(child_face)
         meeting = inverse(on.frame) @ relative @ by.frame @ FLIP
         theta, first, second = self.untwist(meeting[:3, :3], child_face)

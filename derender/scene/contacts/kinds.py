@@ -4,6 +4,8 @@ On a face another face is flush with it, a sphere's point, a cylinder's side, a 
 """
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -36,21 +38,45 @@ class SixDof(ContactType):
     compiled_code = 0
     degrees_of_freedom = 6
 
-    def choices(self, parent, child):
+    def choices(self, parent: Any, child: Any) -> list[tuple[str | None, str | None]]:
         return [(None, None)] if "frame" in (parent.name, child.name) else []
 
-    def parameters(self, parent=None, child=None, parent_face=None, child_face=None):
+    def parameters(
+        self, parent: Any = None, child: Any = None, parent_face: str | None = None, child_face: str | None = None
+    ) -> tuple[Parameter, ...]:
         return POSITION + ROTATION
 
-    def relative_pose(self, values, parent=None, child=None, parent_face=None, child_face=None):
+    def relative_pose(
+        self,
+        values: Mapping[str, float],
+        parent: Any = None,
+        child: Any = None,
+        parent_face: str | None = None,
+        child_face: str | None = None,
+    ) -> np.ndarray:
         position = [values.get(p.name, p.default) for p in POSITION]
         return from_quaternion([values.get(p.name, p.default) for p in ROTATION], position)
 
-    def invert(self, relative, parent=None, child=None, parent_face=None, child_face=None):
+    def invert(
+        self,
+        relative: np.ndarray,
+        parent: Any = None,
+        child: Any = None,
+        parent_face: str | None = None,
+        child_face: str | None = None,
+    ) -> Inverse:
         numbers = np.concatenate([relative[:3, 3], quaternion(relative)])
         return Inverse({p.name: float(n) for p, n in zip(POSITION + ROTATION, numbers, strict=True)}, {}, 0.0, 0.0)
 
-    def check(self, values, parent, child, parent_face=None, child_face=None, where=None):
+    def check(
+        self,
+        values: Any,
+        parent: Any,
+        child: Any,
+        parent_face: str | None = None,
+        child_face: str | None = None,
+        where: Any = None,
+    ) -> None:
         super().check(values, parent, child, parent_face, child_face, where)
         if not math.hypot(*(values.get(p.name, p.default) for p in ROTATION)) > 0.0:
             raise DerenderError("the quaternion of the 6dof contact is zero", where, "give it a length above zero")
@@ -66,13 +92,13 @@ class Tilted(SurfaceContact):
     unique. So a pose is always reproduced, and to a pose that is nearly flush belongs the theta that one would measure.
     """
 
-    def angles(self):
+    def angles(self) -> Any:
         return TILTS
 
-    def turn(self, first, second, child_face):
+    def turn(self, first: Any, second: Any, child_face: Any) -> np.ndarray:
         return from_rotation_vector((first, second, 0.0))
 
-    def untwist(self, rotation, child_face):
+    def untwist(self, rotation: np.ndarray, child_face: Any) -> tuple[float, float, float]:
         w, _, _, z = quaternion(rotation)
         theta = 2.0 * math.atan2(z, w)
         tilt = rotation_vector(rotation_z(-theta)[:3, :3] @ rotation)
@@ -108,10 +134,10 @@ class Line(SurfaceContact):
     Rz(theta) . Ry(tilt) . Rx(-second) are the Euler angles of a rotation, unique but where the line stands upright.
     """
 
-    def turn(self, first, second, child_face):
+    def turn(self, first: Any, second: Any, child_face: Any) -> np.ndarray:
         return rotation_y(first) @ rotation_x(-second)
 
-    def untwist(self, rotation, child_face):
+    def untwist(self, rotation: np.ndarray, child_face: Any) -> tuple[float, float, float]:
         theta = math.atan2(rotation[1, 0], rotation[0, 0])
         tilt = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
         second = -math.atan2(rotation[2, 1], rotation[2, 2])
@@ -129,7 +155,7 @@ class SideOnFace(Line):
     compiled_code = 3
     child_features = "side_names"
 
-    def angles(self):
+    def angles(self) -> tuple[Parameter, Parameter]:
         return TILT, ROLL
 
 
@@ -147,7 +173,7 @@ class EdgeOnFace(Line):
     compiled_code = 4
     child_features = "edge_names"
 
-    def angles(self):
+    def angles(self) -> tuple[Parameter, Parameter]:
         return TILT, LEAN
 
 
@@ -167,14 +193,14 @@ class CornerOnFace(SurfaceContact):
     compiled_code = 5
     child_features = "corner_names"
 
-    def angles(self):
+    def angles(self) -> tuple[Parameter, Parameter]:
         return AZIMUTH, ELEVATION
 
-    def turn(self, first, second, child_face):
+    def turn(self, first: Any, second: Any, child_face: Any) -> np.ndarray:
         x, y, z = signs_of(child_face)
         return rotation_y(math.pi / 2 - z * second) @ rotation_z(math.atan2(y * math.sin(first), x * math.cos(first)))
 
-    def untwist(self, rotation, child_face):
+    def untwist(self, rotation: np.ndarray, child_face: Any) -> tuple[float, float, float]:
         x, y, z = signs_of(child_face)
         beta = math.atan2(math.hypot(rotation[0, 2], rotation[1, 2]), rotation[2, 2])
         alpha = math.atan2(rotation[2, 1], -rotation[2, 0])

@@ -1,6 +1,10 @@
 """Distributions over directions: von Mises on a circle, and the uniform one over rotations."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from derender.scene.distributions.base import DistributionType, bisected, distributions
 
@@ -17,14 +21,14 @@ class VonMises(DistributionType):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         """Row: mean, concentration, period, log of the normalising constant with exp(concentration) taken out."""
         if x < 0.0 or x > row[2]:
             return -math.inf
         return row[1] * (math.cos(TWO_PI * (x - row[0]) / row[2]) - 1.0) - row[3]
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         """Best and Fisher (1979): a wrapped Cauchy envelope."""
         concentration = row[1]
         if concentration < 1e-6:
@@ -48,22 +52,22 @@ class VonMises(DistributionType):
         x = (row[0] + angle * row[2] / TWO_PI) % row[2]
         return x
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         _, concentration, period = parameters
         if period <= 0:
             return f"period {period:g} is not positive"
         return None if 0 <= concentration <= 1e8 else f"concentration {concentration:g} is not in [0, 1e8]"
 
-    def row(self, parameters):
+    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
         from scipy.special import i0e
 
         mean, concentration, period = parameters
         return mean, concentration, period, math.log(period) + math.log(float(i0e(concentration)))
 
-    def support(self, parameters):
+    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
         return 0.0, parameters[2]
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         """Sum the Fourier series of the density; its terms fall off as exp(-j^2 / (2 concentration))."""
         import numpy as np
         from scipy.special import ive
@@ -75,10 +79,10 @@ class VonMises(DistributionType):
         begin, end = -TWO_PI * mean / period, TWO_PI * (x - mean) / period
         return float(x / period + weights @ (np.sin(j * end) - np.sin(j * begin)))
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         return bisected(lambda x: self.cdf(x, parameters), probability, 0.0, parameters[2])
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0] % parameters[2]
 
 
@@ -103,5 +107,5 @@ class UniformRotation(DistributionType):
             norm = -norm
         return w / norm, x / norm, y / norm, z / norm
 
-    def support(self, parameters):
+    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
         return -1.0, 1.0

@@ -160,7 +160,7 @@ class Distribution:
     def __hash__(self) -> int:
         return hash((self.name, self.parameters))
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, tuple[float, ...]]]:
         return _restore, (self.name, self.parameters)
 
     def __repr__(self) -> str:

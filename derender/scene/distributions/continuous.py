@@ -6,7 +6,11 @@ precision.
 """
 
 import math
+from collections.abc import Sequence
 from statistics import NormalDist
+from typing import Any
+
+import numpy as np
 
 from derender.scene.distributions.base import DistributionType, bisected, distributions
 
@@ -21,25 +25,25 @@ class Normal(DistributionType):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         z = (x - row[0]) / row[1]
         return -0.5 * z * z - math.log(row[1]) - HALF_LOG_TWO_PI
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] + row[1] * rng.standard_normal()
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         return None if parameters[1] > 0 else f"sd {parameters[1]:g} is not positive"
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         mean, sd = parameters
         return 0.5 * math.erfc((mean - x) / (sd * math.sqrt(2.0)))
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         return NormalDist(*parameters).inv_cdf(probability)
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0]
 
 
@@ -53,7 +57,7 @@ class LogNormal(DistributionType):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         """Row: median, sd of the logarithm, log median."""
         if x <= 0.0:
             return -math.inf
@@ -62,27 +66,27 @@ class LogNormal(DistributionType):
         return -0.5 * z * z - math.log(row[1]) - HALF_LOG_TWO_PI - log_x
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return math.exp(row[2] + row[1] * rng.standard_normal())
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         median, log_sd = parameters
         if median <= 0:
             return f"median {median:g} is not positive"
         return None if 0 < log_sd <= 20 else f"log_sd {log_sd:g} is not in (0, 20]"
 
-    def row(self, parameters):
+    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
         return parameters[0], parameters[1], math.log(parameters[0]), 0.0
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         if x <= 0.0:
             return 0.0
         return 0.5 * math.erfc((math.log(parameters[0]) - math.log(x)) / (parameters[1] * math.sqrt(2.0)))
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         return math.exp(NormalDist(math.log(parameters[0]), parameters[1]).inv_cdf(probability))
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0] * math.exp(0.5 * parameters[1] ** 2)
 
 
@@ -95,23 +99,23 @@ class Exponential(DistributionType):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         return -x / row[0] - math.log(row[0]) if x >= 0.0 else -math.inf
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] * rng.standard_exponential()
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         return None if parameters[0] > 0 else f"mean {parameters[0]:g} is not positive"
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         return -math.expm1(-x / parameters[0]) if x > 0 else 0.0
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         return -parameters[0] * math.log1p(-probability)
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0]
 
 
@@ -125,35 +129,35 @@ class Gamma(DistributionType):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         """Row: shape, scale, log of the normalising constant."""
         if x <= 0.0:
             return -math.inf
         return (row[0] - 1.0) * math.log(x) - x / row[1] - row[2]
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[1] * rng.standard_gamma(row[0])
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         shape, scale = parameters
         return None if shape > 0 and scale > 0 else "shape and scale have to be positive"
 
-    def row(self, parameters):
+    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
         shape, scale = parameters
         return shape, scale, math.lgamma(shape) + shape * math.log(scale), 0.0
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         from scipy.special import gammainc
 
         return float(gammainc(parameters[0], max(x, 0.0) / parameters[1]))
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         from scipy.special import gammaincinv
 
         return float(gammaincinv(parameters[0], probability) * parameters[1])
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0] * parameters[1]
 
 
@@ -163,14 +167,14 @@ ROOT_HALF = math.sqrt(0.5)
 class Interval(DistributionType):
     """Between its last two parameters. The quantile is found by bisection where a type has no formula for it."""
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         lower, upper = parameters[-2:]
         return None if lower < upper else f"lower {lower:g} is not below upper {upper:g}"
 
-    def support(self, parameters):
+    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
         return parameters[-2], parameters[-1]
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         return bisected(lambda x: self.cdf(x, parameters), probability, *self.support(parameters))
 
 
@@ -182,22 +186,22 @@ class Uniform(Interval):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         return -math.log(row[1] - row[0]) if row[0] <= x <= row[1] else -math.inf
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] + (row[1] - row[0]) * rng.random()
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return min(max((x - lower) / (upper - lower), 0.0), 1.0)
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return lower + (upper - lower) * probability
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return 0.5 * (parameters[0] + parameters[1])
 
 
@@ -209,33 +213,33 @@ class LogUniform(Interval):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         """Row: lower, upper, log lower, log log(upper / lower)."""
         return -math.log(x) - row[3] if row[0] <= x <= row[1] else -math.inf
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         x = math.exp(row[2] + math.exp(row[3]) * rng.random())
         return min(max(x, row[0]), row[1])  # rounding must not leave the support
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         if not parameters[0] > 0:
             return f"lower {parameters[0]:g} is not above 0"
         return super().fault(parameters)
 
-    def row(self, parameters):
+    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
         lower, upper = parameters
         return lower, upper, math.log(lower), math.log(math.log(upper / lower))
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return math.log(min(max(x, lower), upper) / lower) / math.log(upper / lower)
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return lower * (upper / lower) ** probability
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return (upper - lower) / math.log(upper / lower)
 
@@ -250,7 +254,7 @@ class Beta(Interval):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         a, b, lower, upper = row[0], row[1], row[2], row[3]
         t = (x - lower) / (upper - lower)
         if t <= 0.0 or t >= 1.0:  # the ends have no mass; a density there may be infinite
@@ -259,29 +263,29 @@ class Beta(Interval):
         return constant + (a - 1.0) * math.log(t) + (b - 1.0) * math.log1p(-t)
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         first = rng.standard_gamma(row[0])
         second = rng.standard_gamma(row[1])
         return row[2] + (row[3] - row[2]) * first / (first + second)
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         if min(parameters[:2]) < 0.01:
             return "a and b have to be at least 0.01"
         return super().fault(parameters)
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         from scipy.special import betainc
 
         a, b, lower, upper = parameters
         return float(betainc(a, b, min(max((x - lower) / (upper - lower), 0.0), 1.0)))
 
-    def quantile(self, probability, parameters):
+    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
         from scipy.special import betaincinv
 
         a, b, lower, upper = parameters
         return float(lower + (upper - lower) * betaincinv(a, b, probability))
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         a, b, lower, upper = parameters
         return lower + (upper - lower) * a / (a + b)
 
@@ -294,7 +298,7 @@ class TruncatedNormal(Interval):
     compiled = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         mean, sd = row[0], row[1]
         if x < row[2] or x > row[3]:
             return -math.inf
@@ -306,7 +310,7 @@ class TruncatedNormal(Interval):
         return -0.5 * z * z - math.log(sd) - HALF_LOG_TWO_PI - math.log(mass)
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         """Reject: from the normal where the interval keeps much of it, else from the uniform (both bounds finite)."""
         mean, sd, lower, upper = row[0], row[1], row[2], row[3]
         if lower - 0.5 * sd <= mean <= upper + 0.5 * sd and upper - lower > 2.0 * sd:
@@ -327,7 +331,7 @@ class TruncatedNormal(Interval):
             if rng.random() <= math.exp(0.5 * (offset * offset - z * z)):
                 return x
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         mean, sd, lower, upper = parameters
         if sd <= 0:
             return f"sd {sd:g} is not positive"
@@ -335,7 +339,7 @@ class TruncatedNormal(Interval):
             return "the interval is more than 30 standard deviations from the mean"
         return super().fault(parameters)
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         mean, sd, lower, upper = parameters
         a, b = (lower - mean) / sd, (upper - mean) / sd
         z = (min(max(x, lower), upper) - mean) / sd
@@ -345,7 +349,7 @@ class TruncatedNormal(Interval):
         below = math.erfc(a * ROOT_HALF) - math.erfc(z * ROOT_HALF)
         return below / (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         mean, sd, lower, upper = parameters
         row = self.row(parameters)
         return mean + sd * sd * (math.exp(self.density(lower, row)) - math.exp(self.density(upper, row)))

@@ -1,8 +1,10 @@
 """Distributions over finitely many names or whole numbers: categorical ones; uniform, Poisson and geometric counts."""
 
 import math
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from derender.errors import DerenderError
 from derender.scene.distributions.base import DistributionType, distributions
@@ -41,7 +43,7 @@ class Categorical:
             sums.append(running)
         self._cumulative = tuple(sums)
 
-    def sample(self, rng) -> Any:
+    def sample(self, rng: np.random.Generator) -> Any:
         """Return one choice."""
         threshold = rng.random() * self._cumulative[-1]
         for choice, reached in zip(self._choices, self._cumulative, strict=True):
@@ -76,7 +78,7 @@ class Categorical:
     def __hash__(self) -> int:
         return hash(self.parameters)
 
-    def __reduce__(self):
+    def __reduce__(self) -> Any:
         return type(self), (self.probabilities,)
 
     def __repr__(self) -> str:
@@ -89,13 +91,13 @@ class CategoricalType(DistributionType):
 
     discrete = True
 
-    def __call__(self, weights):  # type: ignore[override]
+    def __call__(self, weights: Any) -> Categorical:  # type: ignore[override]
         """Return a `Categorical` from {choice: weight} or a list of equally likely choices."""
         if not isinstance(weights, Mapping):
             weights = dict.fromkeys(weights, 1.0)
         return Categorical(weights)
 
-    def describe(self):
+    def describe(self) -> str:
         return "categorical: {choice: weight, ...}"
 
 
@@ -107,29 +109,29 @@ class UniformInteger(DistributionType):
     discrete = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         if x < row[0] or x > row[1] or x != math.floor(x):
             return -math.inf
         return -math.log(row[1] - row[0] + 1.0)
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(row[0]) + int((row[1] - row[0] + 1.0) * rng.random())
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         lower, upper = parameters
         if lower != math.floor(lower) or upper != math.floor(upper):
             return "lower and upper have to be whole numbers"
         return None if lower <= upper <= lower + 1e6 else f"it is not true that {lower:g} <= upper <= lower + 1e6"
 
-    def support(self, parameters):
+    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
         return parameters[0], parameters[1]
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         lower, upper = parameters
         return min(max((math.floor(x) - lower + 1.0) / (upper - lower + 1.0), 0.0), 1.0)
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return 0.5 * (parameters[0] + parameters[1])
 
 
@@ -142,24 +144,24 @@ class Poisson(DistributionType):
     discrete = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         if x < 0 or x != math.floor(x):
             return -math.inf
         return x * math.log(row[0]) - row[0] - math.lgamma(x + 1.0)
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(rng.poisson(row[0]))
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         return None if 0 < parameters[0] <= 1e4 else f"mean {parameters[0]:g} is not in (0, 1e4]"
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         from scipy.special import pdtr
 
         return float(pdtr(math.floor(x), parameters[0])) if x >= 0 else 0.0
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0]
 
 
@@ -172,20 +174,20 @@ class Geometric(DistributionType):
     discrete = True
 
     @staticmethod
-    def density(x, row):
+    def density(x: Any, row: Any) -> Any:
         if x < 0 or x != math.floor(x):
             return -math.inf
         return x * math.log(row[0]) + math.log1p(-row[0])
 
     @staticmethod
-    def draw(rng, row):
+    def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(rng.geometric(1.0 - row[0])) - 1
 
-    def fault(self, parameters):
+    def fault(self, parameters: Sequence[float]) -> str | None:
         return None if 0 < parameters[0] < 1 else f"more {parameters[0]:g} is not between 0 and 1"
 
-    def cdf(self, x, parameters):
+    def cdf(self, x: float, parameters: Sequence[float]) -> float:
         return 1.0 - parameters[0] ** (math.floor(x) + 1.0) if x >= 0 else 0.0
 
-    def mean(self, parameters):
+    def mean(self, parameters: Sequence[float]) -> float:
         return parameters[0] / (1.0 - parameters[0])

@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, top_face
@@ -57,10 +59,10 @@ class Algorithm1Prior(Prior):
         """Log of the total mass of Eq. 4."""
         return math.log1p(math.exp(-self.mean_parents) * math.expm1(-self.mean_children))
 
-    def sample(self, rng) -> SceneGraph:
+    def sample(self, rng: np.random.Generator) -> SceneGraph:
         return sample_until_allowed(rng, self._sample, self.constraints)
 
-    def _sample(self, rng) -> SceneGraph:
+    def _sample(self, rng: np.random.Generator) -> SceneGraph:
         while True:
             parents, children = self._parents.sample(rng), self._children.sample(rng)
             if parents or not children:
@@ -73,7 +75,9 @@ class Algorithm1Prior(Prior):
             self._add(rng, vertices, f"child_{j + 1}", entries, f"parent_{1 + int(parents * rng.random())}")
         return SceneGraph(root_pose=self.root.sample(rng), vertices=tuple(vertices.values()))
 
-    def _add(self, rng, vertices: dict[str, Vertex], name: str, entries: list[ShapePrior], parent: str) -> None:
+    def _add(
+        self, rng: np.random.Generator, vertices: dict[str, Vertex], name: str, entries: list[ShapePrior], parent: str
+    ) -> None:
         entry = entries[int(len(entries) * rng.random())]
         vertices[name] = draw_vertex(rng, name, entry, self.contacts, parent, *seat(vertices, parent))
 

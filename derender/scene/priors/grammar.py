@@ -126,10 +126,10 @@ class GrammarPrior(Prior):
                 )
         return row
 
-    def sample(self, rng) -> SceneGraph:
+    def sample(self, rng: np.random.Generator) -> SceneGraph:
         return sample_until_allowed(rng, self._sample, self.constraints)
 
-    def _sample(self, rng) -> SceneGraph:
+    def _sample(self, rng: np.random.Generator) -> SceneGraph:
         root_pose = self.root.sample(rng)
         vertices = self.tree.sample_vertices(rng)
         numbers: Counter = Counter()

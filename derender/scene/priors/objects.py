@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from derender.scene.codec.yaml_tree import Node
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
@@ -59,7 +61,7 @@ class ShapePrior:
         object.__setattr__(self, "_table", tuple(table))
         object.__setattr__(self, "_identity", identity(self.options))
 
-    def sample(self, rng) -> dict[str, float]:
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """Return a draw of psi by name."""
         return {name: draw(value, rng) for name, value in self._table}
 
@@ -82,7 +84,15 @@ class ShapePrior:
         return {name: value for name, value in self._table if isinstance(value, Distribution)}
 
 
-def draw_vertex(rng, name: str, prior: ShapePrior, contacts, parent: str, shape: str, top: str | None) -> Vertex:
+def draw_vertex(
+    rng: np.random.Generator,
+    name: str,
+    prior: ShapePrior,
+    contacts: "ContactPrior",
+    parent: str,
+    shape: str,
+    top: str | None,
+) -> Vertex:
     """Return a new object, its numbers and its contact drawn.
 
     contacts : the ContactPrior; shape, top : type and upper face of what it hangs on, see `tree.seat`.
@@ -232,7 +242,7 @@ class ContactPrior:
             return False
         return not any(isinstance(value, Distribution) for _, value in found[1][found[0].choices[0]])
 
-    def sample(self, rng, parent: str, child: str, top: str | None = None) -> Contact:
+    def sample(self, rng: np.random.Generator, parent: str, child: str, top: str | None = None) -> Contact:
         """Return a contact drawn for a child of shape type `child` on a parent of shape type `parent`."""
         found = self.choices(parent, child, top)
         if found is None:

@@ -45,19 +45,19 @@ class FixedRoot:
     def __init__(self, pose: np.ndarray) -> None:
         self._pose = np.array(pose, dtype=float)
 
-    def sample(self, rng):
+    def sample(self, rng: np.random.Generator) -> np.ndarray:
         return self._pose.copy()
 
-    def log_density(self, pose):
+    def log_density(self, pose: np.ndarray) -> float:
         return 0.0 if np.abs(pose - self._pose).max() <= SAME else -math.inf
 
-    def free_addresses(self):
+    def free_addresses(self) -> dict[str, Distribution]:
         return {}
 
-    def values(self, pose):
+    def values(self, pose: np.ndarray) -> dict[str, Any]:
         return {}
 
-    def pose(self, values):
+    def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         return self._pose.copy()
 
 
@@ -74,19 +74,19 @@ class FreeRoot:
         self._position = position
         self._rotation = rotation
 
-    def sample(self, rng):
+    def sample(self, rng: np.random.Generator) -> np.ndarray:
         position = [draw(value, rng) for value in self._position]
         rotation = self._rotation if isinstance(self._rotation, tuple) else self._rotation.sample(rng)
         return written(from_quaternion(rotation, position))
 
-    def log_density(self, pose):
+    def log_density(self, pose: np.ndarray) -> float:
         total = sum(log_density(value, x) for value, x in zip(self._position, pose[:3, 3].tolist(), strict=True))
         if isinstance(self._rotation, tuple):
             if np.abs(pose[:3, :3] - from_quaternion(self._rotation)[:3, :3]).max() > SAME:
                 return -math.inf
         return total
 
-    def free_addresses(self):
+    def free_addresses(self) -> dict[str, Distribution]:
         free = {f"root.{k}": v for k, v in zip("xyz", self._position, strict=True) if isinstance(v, Distribution)}
         if isinstance(self._rotation, Distribution):
             free[f"root.{QUATERNION}"] = self._rotation
@@ -97,7 +97,7 @@ class FreeRoot:
         values[f"root.{QUATERNION}"] = tuple(quaternion(pose).tolist())
         return values
 
-    def pose(self, values):
+    def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         position = [values.get(f"root.{k}", v) for k, v in zip("xyz", self._position, strict=True)]
         return from_quaternion(values.get(f"root.{QUATERNION}", self._rotation), position)
 
@@ -118,11 +118,11 @@ class LookedAtRoot:
     def __init__(self, distance: Value, elevation: Value, azimuth: Value = 0.0, roll: Value = 0.0) -> None:
         self._parts: tuple[Value, ...] = (distance, elevation, azimuth, roll)
 
-    def sample(self, rng):
+    def sample(self, rng: np.random.Generator | None) -> np.ndarray:
         parts = {f"root.{key}": draw(value, rng) for key, value in zip(self.KEYS, self._parts, strict=True)}
         return written(self.pose(parts))
 
-    def log_density(self, pose):
+    def log_density(self, pose: np.ndarray) -> float:
         if abs(pose[0, 3]) > SAME or abs(pose[1, 3]) > SAME or pose[2, 3] <= 0:
             return -math.inf
         coordinates = self._coordinates(pose)
@@ -131,22 +131,22 @@ class LookedAtRoot:
             total += log_density(value, x if key in ("distance", "elevation") else _turned(x, value))
         return total
 
-    def _coordinates(self, pose):
+    def _coordinates(self, pose: np.ndarray) -> tuple[float, float, float, float]:
         """Return distance, elevation in [-pi/2, pi/2], azimuth and roll: a z-x-z Euler triple of the rotation."""
         elevation = math.asin(min(max(-pose[2, 2], -1.0), 1.0))
         roll = math.atan2(pose[0, 2], -pose[1, 2])
         azimuth = math.atan2(pose[2, 0], pose[2, 1])
         return pose[2, 3], elevation, azimuth, roll
 
-    def free_addresses(self):
+    def free_addresses(self) -> dict[str, Distribution]:
         pairs = zip(self.KEYS, self._parts, strict=True)
         return {f"root.{key}": value for key, value in pairs if isinstance(value, Distribution)}
 
-    def values(self, pose):
+    def values(self, pose: np.ndarray) -> dict[str, Any]:
         pairs = zip(self.KEYS, self._coordinates(pose), self._parts, strict=True)
         return {f"root.{k}": x if k in ("distance", "elevation") else _turned(x, v) for k, x, v in pairs}
 
-    def pose(self, values):
+    def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         pairs = zip(self.KEYS, self._parts, strict=True)
         distance, elevation, azimuth, roll = (values.get(f"root.{key}", value) for key, value in pairs)
         return (

@@ -69,7 +69,7 @@ def bound_by(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph | None:
     return with_relations(terms, graph) if total_log_density(terms, graph) > -math.inf else None
 
 
-def sample_until_allowed(rng, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
+def sample_until_allowed(rng: np.random.Generator, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
     """Draw whole scenes until one is accepted with the probability that its terms give: exact rejection sampling."""
     if not terms:
         return sample(rng)
@@ -98,7 +98,7 @@ class NoOverlap:
         self.depth = depth
         self.scale = scale
 
-    def log_density(self, graph):
+    def log_density(self, graph: SceneGraph) -> float:
         from derender.scene.separation import overlaps
 
         excess = overlaps(graph.solids()) - self.depth
@@ -127,7 +127,7 @@ class DoesNotTouch:
         """Metres that two objects which rest on each other never are apart, and those that keep the margin are."""
         return max(self.relation.margin, ROUNDING)
 
-    def log_density(self, graph):
+    def log_density(self, graph: SceneGraph) -> float:
         from derender.scene.separation import separation
 
         names = graph.solid_names
@@ -163,7 +163,7 @@ class RestsOn:
             raise DerenderError(what, remedy="give it a parent and a contact such as face-to-face")
         return vertex.parent, graph.body(vertex.parent).face(face).frame[:3, 2]
 
-    def log_density(self, graph):
+    def log_density(self, graph: SceneGraph) -> float:
         from derender.scene.separation import rest_residual
 
         parent, axis = self.bearing(graph)
@@ -188,7 +188,7 @@ class AtMost:
     def __init__(self, count: int) -> None:
         self.count = count
 
-    def log_density(self, graph):
+    def log_density(self, graph: SceneGraph) -> float:
         bounded = sum(shapes[vertex.shape].bounded for vertex in graph.vertices)
         return 0.0 if bounded <= self.count else -math.inf
 
@@ -198,7 +198,7 @@ class NoFloating:
 
     name = "no-floating"
 
-    def log_density(self, graph):
+    def log_density(self, graph: SceneGraph) -> float:
         free = any(vertex.contact.type == "6dof" and shapes[vertex.shape].bounded for vertex in graph.vertices)
         return -math.inf if free else 0.0
 
@@ -207,7 +207,7 @@ class NoFloating:
 class AtMostType(TermType):
     """No more than so many objects, floors and frames not counted: `at-most: 4`."""
 
-    def read(self, node, names):
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is None:
             raise DerenderError("at-most says no number", remedy="write at-most: 4")
         return AtMost(node.integer(lower=0))
@@ -217,7 +217,7 @@ class AtMostType(TermType):
 class NoOverlapType(TermType):
     """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`."""
 
-    def read(self, node, names):
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is None:
             return NoOverlap()
         section = node.section().allow("depth", "scale")
@@ -230,7 +230,7 @@ class NoOverlapType(TermType):
 class NoFloatingType(TermType):
     """No solid hangs in the air, placed freely (`6dof`): `no-floating`."""
 
-    def read(self, node, names):
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is not None:
             raise node.fault("no-floating takes no value", "write no-floating alone")
         return NoFloating()
@@ -243,7 +243,7 @@ class RestsOnType(TermType):
     `supports: [pier]` in an object's entry says the same, with a slack of 1 mm.
     """
 
-    def read(self, node, names):
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is None:
             raise DerenderError("rests-on names no objects", remedy="write rests-on: [deck, pier]")
         slack = 0.001
@@ -262,7 +262,7 @@ class RestsOnType(TermType):
 class DoesNotTouchType(TermType):
     """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
 
-    def read(self, node, names):
+    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is None:
             raise DerenderError("does-not-touch names no objects", remedy="write does-not-touch: [a, b]")
         pair, margin = node, 0.0

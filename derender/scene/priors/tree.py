@@ -162,16 +162,16 @@ class TreePrior(Prior):
         )
         return graph_free and not self.root.free_addresses()
 
-    def sample(self, rng) -> SceneGraph:
+    def sample(self, rng: np.random.Generator) -> SceneGraph:
         return sample_until_allowed(rng, self.sample_unconstrained, self.constraints)
 
-    def sample_unconstrained(self, rng) -> SceneGraph:
+    def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
         """Draw a scene by what its objects say alone, whatever the terms say of it."""
         root_pose = self.root.sample(rng)
         vertices = tuple(self.sample_vertices(rng).values())
         return SceneGraph(root_pose=root_pose, vertices=vertices, gravity=self.gravity)
 
-    def sample_vertices(self, rng) -> dict[str, Vertex]:
+    def sample_vertices(self, rng: np.random.Generator) -> dict[str, Vertex]:
         """Return the objects' vertices by name, drawn in order."""
         vertices: dict[str, Vertex] = {}
         for item in self.objects:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from derender.errors import DerenderError
 from derender.scene.codec.yaml_tree import Node
@@ -26,7 +27,7 @@ def log_density(value: Value, x: float) -> float:
     return value.log_density(x)  # type: ignore[union-attr]
 
 
-def draw(value: Value, rng) -> float:
+def draw(value: Value, rng: Any) -> float:
     """Return the number, or a draw where it is a distribution."""
     return value if type(value) is float else value.sample(rng)  # type: ignore[union-attr]
 

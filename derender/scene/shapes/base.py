@@ -83,25 +83,25 @@ class Shape:
     corner_names: ClassVar[tuple[str, ...]] = ()
     bounded: ClassVar[bool] = True
 
-    def size(self, psi, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
         """Return the (3,) full extents in metres along the object axes, or None without extent."""
         raise NotImplementedError
 
-    def drawn(self, psi, options: Mapping[str, Any] = {}) -> tuple[int | None, Any, np.ndarray | None]:  # noqa: B006
+    def drawn(self, psi: np.ndarray, options: Mapping[str, Any] = {}) -> tuple[int | None, Any, np.ndarray | None]:  # noqa: B006
         """Return (kind, full extents, pose) of what `Solids` have of it: one of its kinds, (3,) metres, and the (4, 4)
         pose in object axes, None where these are its own."""
         extents = self.size(psi, options)
         return self.solid_kind, np.zeros(3) if extents is None else extents, None
 
-    def psi_from_size(self, size, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
         raise NotImplementedError
 
-    def face(self, name: str, psi, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
+    def face(self, name: str, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
         """Return the feature called `name`; DerenderError if the shape has none such."""
         raise self.no_such_face(name)
 
-    def faces(self, psi, options: Mapping[str, Any] = {}) -> dict[str, Face]:  # noqa: B006
+    def faces(self, psi: tuple[float, ...], options: Mapping[str, Any] = {}) -> dict[str, Face]:  # noqa: B006
         """Return the flat faces by name."""
         return {name: self.face(name, psi, options) for name in self.face_names}
 
@@ -109,22 +109,24 @@ class Shape:
         """Return how many rotations about the face's normal leave the solid as it is; inf for any angle."""
         return 1
 
-    def mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
+    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         """Return the solid as a trimesh.Trimesh in object axes."""
         raise NotImplementedError
 
-    def convex_parts(self, psi, options: Mapping[str, Any] = {}) -> tuple[np.ndarray, ...]:  # noqa: B006
+    def convex_parts(
+        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
+    ) -> tuple[np.ndarray, ...]:  # noqa: B006
         """Return the corners (V, 3) in object axes of the convex solids it is made of; () where it is convex itself."""
         return ()
 
-    def drawn_mesh(self, psi, options: Mapping[str, Any] = {}):  # noqa: B006
+    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         """Return (key, (vertices (V, 3), triangles (T, 3) int32)) for `Solids`; equal keys mean the same mesh."""
         mesh = self.mesh(psi, options)
         vertices = np.ascontiguousarray(mesh.vertices, dtype=float)
         key = (self.name, tuple(float(value) for value in psi), tuple(sorted(map(str, options.items()))))
         return key, (vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
 
-    def symmetry(self, psi=(), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
+    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
         """Return the rotations that leave the solid as it is."""
         return Symmetry(np.eye(3)[None])
 
@@ -132,7 +134,7 @@ class Shape:
         """Return the names of all features that a contact can use."""
         return self.face_names + self.side_names + self.point_names + self.edge_names + self.corner_names
 
-    def check(self, psi, options: Mapping[str, Any] = {}, where: object = None) -> None:  # noqa: B006
+    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: object = None) -> None:  # noqa: B006
         """Raise DerenderError unless the parameters are finite and within their ranges."""
         for parameter, value in zip(self.parameters, psi, strict=True):
             if not (parameter.lower < value < parameter.upper):
@@ -172,7 +174,7 @@ class Body(NamedTuple):
         return self.shape.drawn(self.psi, self.options)
 
 
-def box_face(name: str, size) -> Face:
+def box_face(name: str, size: Any) -> Face:
     """Return a face of the box with extents `size` (3,): x and y of its frame along the next two axes, cyclic.
 
     On the faces -x, -y, -z the frame's y is flipped to stay right-handed (README, Conventions).

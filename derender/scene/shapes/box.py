@@ -1,6 +1,8 @@
 """The box and the cube, with their faces, edges and corners; and the open box: a tote, a bin, a carton without lid."""
 
+from collections.abc import Mapping
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +21,7 @@ CORNERS.flags.writeable = False
 SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # counter-clockwise
 
 
-def box_mesh(size) -> tuple[np.ndarray, np.ndarray]:
+def box_mesh(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (8, 3) and triangles (12, 3) of a box about the origin, counter-clockwise from outside."""
     triangles = [(a, b, c) for a, b, c, _ in SIDES] + [(a, c, d) for a, _, c, d in SIDES]
     return CORNERS * size, np.array(triangles, dtype=np.int32)
@@ -33,7 +35,7 @@ def signs_of(name: str) -> np.ndarray:
     return signs
 
 
-def box_edge(name: str, size) -> Face:
+def box_edge(name: str, size: np.ndarray) -> Face:
     """Return an edge of the box: x along it, z the normal of the second of its cyclic faces.
 
     With the edge along axis k and i = k + 1, j = k + 2 (cyclic): z = s_i e_i, x = s_i s_j e_k, so that turning the
@@ -51,14 +53,14 @@ def box_edge(name: str, size) -> Face:
     return Face(frame, Outline(float(size[k]), 0.0))
 
 
-def box_corner(name: str, size) -> Face:
+def box_corner(name: str, size: np.ndarray) -> Face:
     """Return a corner of the box: the origin of its frame is there, its axes are the object's."""
     frame = np.eye(4)
     frame[:3, 3] = 0.5 * signs_of(name) * size
     return Face(frame, POINT)
 
 
-def box_feature(name: str, size) -> Face:
+def box_feature(name: str, size: Any) -> Face:
     """Return the face, edge or corner called `name` of the box with extents `size` (3,)."""
     if name in FACE_NAMES:
         return box_face(name, size)
@@ -95,12 +97,12 @@ class Rectangular(Shape):
     edge_names = EDGE_NAMES
     corner_names = CORNER_NAMES
 
-    def face(self, name, psi, options={}):  # noqa: B006 - never changed
+    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006 - never changed
         if name not in self.feature_names():
             raise self.no_such_face(name)
         return box_feature(name, self.size(psi))
 
-    def mesh(self, psi, options={}):  # noqa: B006
+    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         import trimesh
 
         return trimesh.creation.box(extents=self.size(psi, options))
@@ -112,16 +114,16 @@ class Box(Rectangular):
 
     parameters = (_length("length"), _length("width"), _length("height"))
 
-    def size(self, psi, options={}):  # noqa: B006
+    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006
         return np.array(psi, dtype=float)
 
-    def psi_from_size(self, size, options={}):  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         return np.array(size, dtype=float)
 
-    def face_order(self, name):
+    def face_order(self, name: Any) -> float:
         return 2
 
-    def symmetry(self, psi=(), options={}):  # noqa: B006
+    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
         return Symmetry(HALF_TURNS)
 
 
@@ -131,16 +133,16 @@ class Cube(Rectangular):
 
     parameters = (_length("side"),)
 
-    def size(self, psi, options={}):  # noqa: B006
+    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006
         return np.full(3, float(psi[0]))
 
-    def psi_from_size(self, size, options={}):  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         return np.array([float(np.mean(size))])
 
-    def face_order(self, name):
+    def face_order(self, name: Any) -> float:
         return 4
 
-    def symmetry(self, psi=(), options={}):  # noqa: B006
+    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
         return Symmetry(ROTATIONS)
 
 
@@ -161,13 +163,13 @@ class OpenBox(Shape):
     form_parameters = ("length", "width", "height", "wall")
     face_names = FACE_NAMES
 
-    def size(self, psi, options={}):  # noqa: B006 - never changed
+    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
         return np.array(psi[:3], dtype=float)
 
-    def psi_from_size(self, size, options={}):  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         return np.array([*size, WALL], dtype=float)
 
-    def face(self, name, psi, options={}):  # noqa: B006
+    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
         if name not in self.face_names:
             raise self.no_such_face(name)
         length, width, height, wall = (float(value) for value in psi)
@@ -176,10 +178,10 @@ class OpenBox(Shape):
         inside = Outline(length - 2.0 * wall, width - 2.0 * wall)
         return Face(box_face(name, (length, width, 2.0 * wall - height)).frame, inside)
 
-    def face_order(self, name):
+    def face_order(self, name: Any) -> float:
         return 2 if name in ("+z", "-z") else 1
 
-    def mesh(self, psi, options={}):  # noqa: B006
+    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         import trimesh
 
         *size, wall = (float(value) for value in psi)
@@ -195,7 +197,9 @@ class OpenBox(Shape):
                 triangles += [(a, b, b + 4), (a, b + 4, a + 4)]
         return trimesh.Trimesh(vertices, np.array(triangles), process=False)
 
-    def convex_parts(self, psi, options={}):  # noqa: B006
+    def convex_parts(
+        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
+    ) -> tuple[np.ndarray, ...]:  # noqa: B006
         length, width, height, wall = (float(value) for value in psi)
         half, middle = 0.5 * np.array([length, width, height]), 0.5 * (height - wall)
         parts = [((length, width, wall), (0.0, 0.0, -middle))]
@@ -204,10 +208,10 @@ class OpenBox(Shape):
             parts.append(((length - 2 * wall, wall, height - wall), (0.0, sign * (half[1] - 0.5 * wall), 0.5 * wall)))
         return tuple(CORNERS * size + place for size, place in parts)
 
-    def symmetry(self, psi=(), options={}):  # noqa: B006
+    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
         return Symmetry(np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])]))
 
-    def check(self, psi, options={}, where=None):  # noqa: B006
+    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
         super().check(psi, options, where)
         length, width, height, wall = psi
         if not wall < min(0.5 * length, 0.5 * width, height):

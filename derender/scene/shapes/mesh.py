@@ -16,7 +16,7 @@ from derender.errors import DerenderError
 from derender.registry import suggest
 from derender.scene.parameter import Parameter
 from derender.scene.pose import from_quaternion
-from derender.scene.shapes.base import FACE_NAMES, Shape, box_face, shapes
+from derender.scene.shapes.base import FACE_NAMES, Face, Shape, box_face, shapes
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
@@ -76,7 +76,7 @@ def _load(path: str, hull: bool, stamp: int) -> LoadedMesh:
     return fit_box(mesh, hull, path)
 
 
-def fit_box(mesh, hull: bool, where: object) -> LoadedMesh:
+def fit_box(mesh: Any, hull: bool, where: object) -> LoadedMesh:
     """Return a trimesh.Trimesh in the axes of its smallest oriented box; `where` names it in errors and warnings."""
     import trimesh
 
@@ -133,18 +133,18 @@ class Scaled(Shape):
         """Return its form at scale 1; DerenderError where its options are at fault."""
         raise NotImplementedError
 
-    def size(self, psi, options={}):  # noqa: B006 - never changed
+    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
         return float(psi[0]) * self.load(options).extents
 
-    def psi_from_size(self, size, options={}):  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
         return np.array([float(np.cbrt(np.prod(np.asarray(size) / self.load(options).extents)))])
 
-    def face(self, name, psi, options={}):  # noqa: B006
+    def face(self, name: Any, psi: Any, options: Any = {}) -> Face:  # noqa: B006
         if name not in self.face_names:
             raise self.no_such_face(name)
         return box_face(name, self.size(psi, options))
 
-    def mesh(self, psi, options={}):  # noqa: B006
+    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         import trimesh
 
         loaded = self.load(options)
@@ -160,17 +160,17 @@ class Mesh(Scaled):
 
     options = ("file", "hull")
 
-    def load(self, options) -> LoadedMesh:
+    def load(self, options: Mapping[str, Any]) -> LoadedMesh:
         """Return the file's mesh at scale 1."""
         if not options.get("file"):
             raise DerenderError("a mesh needs its file", remedy="give file: PATH")
         return load_mesh(options["file"], options.get("hull", True))
 
-    def drawn_mesh(self, psi, options={}):  # noqa: B006
+    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         loaded = self.load(options)
         return id(loaded), (loaded.vertices, loaded.triangles)
 
-    def check(self, psi, options={}, where=None):  # noqa: B006
+    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
         super().check(psi, options, where)
         self.load(options)
 
@@ -194,7 +194,7 @@ class Assembly(NamedTuple):
     corners: tuple[np.ndarray, ...]
 
 
-def part_mesh(part: Any):
+def part_mesh(part: Any) -> Any:
     """Return a part as a trimesh.Trimesh in the compound's own axes, metres; DerenderError where it is at fault."""
     if not isinstance(part, Mapping) or "type" not in part:
         raise DerenderError("a part is {type: box, length: 0.1, ..., position: [x, y, z]}")
@@ -250,7 +250,7 @@ class Compound(Scaled):
 
     options = ("parts",)
 
-    def load(self, options) -> Assembly:
+    def load(self, options: Mapping[str, Any]) -> Assembly:
         """Return its parts put together; DerenderError where one is at fault."""
         parts = options.get("parts")
         if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MOST_PARTS:
@@ -259,13 +259,15 @@ class Compound(Scaled):
             )
         return _assemble(json.dumps(parts, default=str))
 
-    def convex_parts(self, psi, options={}):  # noqa: B006
+    def convex_parts(
+        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
+    ) -> tuple[np.ndarray, ...]:  # noqa: B006
         return tuple(float(psi[0]) * corners for corners in self.load(options).corners)
 
-    def drawn_mesh(self, psi, options={}):  # noqa: B006
+    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
         assembly = self.load(options)
         return json.dumps(options["parts"], default=str), (assembly.vertices, assembly.triangles)
 
-    def check(self, psi, options={}, where=None):  # noqa: B006
+    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
         super().check(psi, options, where)
         self.load(options)

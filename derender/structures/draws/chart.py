@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.beliefs import IMPOSSIBLE, MOST, bare_image
+from derender.detection.solids.beliefs import IMPOSSIBLE, MOST, Beliefs, Rules, bare_image
 from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at
-from derender.detection.solids.state import FLOOR
+from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 KIND, VERTICAL, PARENT, HELD, EQUAL = range(5)  # columns of Chart.flags
@@ -61,12 +61,12 @@ class Chart(NamedTuple):
     structural: float
 
 
-def upright_within(row, angle):
+def upright_within(row: np.ndarray, angle: float) -> bool:
     """Return whether a solid's own z axis is the floor's up or down to an angle in radians."""
     return abs(row[9]) >= np.cos(angle)
 
 
-def levelled(rotation):
+def levelled(rotation: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) nearest to one, to first order, whose z axis is exactly up or down."""
     up = np.array([0.0, 0.0, np.copysign(1.0, rotation[2, 2])])
     along = rotation[:, 0] - rotation[2, 0] * np.array([0.0, 0.0, 1.0])
@@ -74,7 +74,7 @@ def levelled(rotation):
     return np.column_stack([along, np.cross(up, along), up])
 
 
-def make_chart(state, floor_pose, rules):
+def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Chart, np.ndarray]:
     """Return (Chart, coordinates (D,)) of a State. rules : Rules."""
     from derender.detection.solids.graph import order_of
 
@@ -127,7 +127,7 @@ def make_chart(state, floor_pose, rules):
     return chart, np.array([*values, 0.0, 0.0, 0.0])
 
 
-def structure_log_prior(flags, beliefs):
+def structure_log_prior(flags: np.ndarray, beliefs: Beliefs) -> float:
     """Return the log prior of a structure, all but the densities of its numbers: with those it is comparable between
     structures of different numbers of solids.
 
@@ -147,7 +147,7 @@ def structure_log_prior(flags, beliefs):
     return float(total)
 
 
-def support_of(state, k, parent):
+def support_of(state: State, k: int, parent: int) -> int | None:
     """Return what solid k is level with the top of: its parent or the floor; None for neither."""
     low = lowest(state.rows[k])
     if np.isnan(state.bottoms[k]):

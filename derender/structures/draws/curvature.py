@@ -9,6 +9,7 @@ This is for steps to be made from: what a walk meets corrects it, and nothing th
 """
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,18 +21,22 @@ from derender.render.blur import blur
 from derender.render.raycast.engine import propose_in, settle_in
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
-from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH
-from derender.render.raycast.views import engine_of_view
+from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH, EngineState
+from derender.render.raycast.views import Views, engine_of_view
 from derender.structures.draws.chart import (
     FLOOR_WAYS,
     HELD,
     PARENT,
     SIZE,
     TURN,
+    Chart,
     camera_poses,
     place_rows,
 )
 from derender.structures.draws.steps import touched_by_each
+
+if TYPE_CHECKING:
+    from derender.structures.draws.sensor import Sensor
 
 SHARP = 100.0  # a pixel at an edge tells where that is to a tenth of a pixel
 APART = 0.5  # pixels from the mode to either side
@@ -49,12 +54,12 @@ class Curvature:
     values : (D,) coordinates of a mode.
     """
 
-    def __init__(self, views, chart, sensor, values) -> None:
+    def __init__(self, views: Views, chart: Chart, sensor: "Sensor", values: np.ndarray) -> None:
         self.chart, self.values = chart, values
         self.images = [ImageCurvature(engine_of_view(views, number), chart, view, values)
                        for number, view in enumerate(sensor.views)]  # fmt: skip
 
-    def precision(self, members):
+    def precision(self, members: list[int]) -> np.ndarray:
         """Return the (n, n) precision of the coordinates `members`, those others held."""
         total = np.zeros((len(members), len(members)))
         for image in self.images:
@@ -69,7 +74,7 @@ class Curvature:
 class ImageCurvature:
     """What small moves do to one image. engine : EngineState of its view; sensor : Sensor of it alone."""
 
-    def __init__(self, engine, chart, sensor, values) -> None:
+    def __init__(self, engine: EngineState, chart: Chart, sensor: "Sensor", values: np.ndarray) -> None:
         self.engine, self.chart, self.values, self.into = engine, chart, values, sensor.into
         height, width = sensor.observed.shape
         pixels = slice(PAD, PAD + width)
@@ -86,7 +91,7 @@ class ImageCurvature:
             turns = slot[TURN:SIZE]
             self.apart[turns[turns >= 0]] = far / (0.5 * np.linalg.norm(row[13:15]))
 
-    def derivatives(self, members):
+    def derivatives(self, members: Any) -> np.ndarray:
         """Return (n, K) float32, the image's derivatives by the coordinates `members` in deviations of the noise, of
         all pixels at which one is not 0."""
         members = np.asarray(members, np.int64)
@@ -179,7 +184,7 @@ def limit_at_border(change, weight, height, width):
             column = last if inner and column == PAD else column + 1
 
 
-def weights(sensor, base):
+def weights(sensor: "Sensor", base: np.ndarray) -> np.ndarray:
     """Return (H, W) the precision of each pixel's residual, given the model's depth (H, W); 0 where none returned."""
     growth = sensor.values.get("sigma_growth", 0.0)
     return precision_of_pixels(sensor.observed, base, sensor.values["sigma"], growth, sensor.worth)
@@ -203,7 +208,7 @@ def precision_of_pixels(observed, base, sigma, growth, worth):
     return found
 
 
-def contact_precision(chart, values, members):
+def contact_precision(chart: Chart, values: np.ndarray, members: list[int]) -> np.ndarray:
     """Return the (n, n) precision that comes from solids which are not held but stand on something all the same."""
     total = np.zeros((len(members), len(members)))
     if chart.floating or chart.flags[:, HELD].all():

@@ -11,14 +11,19 @@ and on that of what is behind it, so that where nothing returned the silhouette 
 far as it returns, and reaches beyond by a share of that band, any share as likely.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
 from derender.detection.solids.image import CENTRE
 from derender.detection.solids.image import SIZE as EXTENT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.draws.chart import EQUAL, HELD, KIND, LEAST_EXTENT, PARENT, SIZE, X, Z
+from derender.structures.draws.chart import EQUAL, HELD, KIND, LEAST_EXTENT, PARENT, SIZE, Chart, X, Z
 from derender.structures.draws.sensor import model_image
+
+if TYPE_CHECKING:
+    from derender.structures.draws.refined import Refined
 
 # Metres of a band without returns along a silhouette that may be the solid's, at most: a wider one is a shadow of the
 # projector's, or nothing is there to return; and of a step in depth that makes a silhouette.
@@ -27,7 +32,7 @@ FEWEST = 8  # pixels of a silhouette that tell the band
 SLANTED = 0.5  # sine of a face's normal with the line of sight below which the silhouette hardly tells the face
 
 
-def lost_at_edges(refined):
+def lost_at_edges(refined: "Refined") -> np.ndarray:
     """Return (N, 3, 2) metres by which each solid's faces at + and - may lie beyond where a silhouette shows them.
 
     Of boxes under sensors whose faces are off (`chart.faces`): round solids tell their size by how they curve, too.
@@ -54,7 +59,7 @@ def lost_at_edges(refined):
     return lost
 
 
-def empty_band(depth, mask, empty, footprint):
+def empty_band(depth: np.ndarray, mask: np.ndarray, empty: Any, footprint: Any) -> Any:
     """Return the mean width in metres of what returned nothing beyond the silhouettes of a solid, MOST_LOST at most.
 
     depth : (H, W) metres as the scene has it. mask : (H, W) bool, pixels that show the solid. empty : (H, W) bool,
@@ -78,7 +83,9 @@ def empty_band(depth, mask, empty, footprint):
     return float(every.mean()) if len(every) >= FEWEST else 0.0
 
 
-def true_faces(rng, chart, values, lost=None):
+def true_faces(
+    rng: np.random.Generator | None, chart: Chart, values: np.ndarray, lost: np.ndarray | None = None
+) -> np.ndarray:
     """Return coordinates (n, D) with the faces where they are, of some (n, D) with the faces where they appear.
 
     What is held to its support stays on it. rng : of the offsets; None: the most probable ones. lost : see

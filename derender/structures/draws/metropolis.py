@@ -14,7 +14,7 @@ Scales, factors and centers are learnt in the warm-up and fixed afterwards.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,19 +23,21 @@ from derender.compilation.threads import in_threads
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import new_engine, rescore_state, with_blur
 from derender.render.raycast.state import CANDIDATE, CURRENT
-from derender.render.raycast.views import engine_of_view, make_views, propose_views, settle_views
+from derender.render.raycast.views import Views, engine_of_view, make_views, propose_views, settle_views
 from derender.sampling.diagnostics import agree, far_apart
-from derender.sampling.evidence import evidence
+from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
-from derender.structures.draws.chart import FLOOR_WAYS, camera_poses, log_prior, log_prior_about, place_rows
+from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, log_prior, log_prior_about, place_rows
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.sensor import blurs_about, log_prior_of, model_depth
+from derender.structures.draws.sensor import Sensor, blurs_about, log_prior_of, model_depth
 from derender.structures.draws.steps import (
     FACTOR,
     FIRST,
     PULL,
     RANK,
+    Proposals,
+    Step,
     block_steps,
     make_proposals,
     single_steps,
@@ -167,7 +169,7 @@ def evaluate(views, chart, batch, touched, densities):
             settle_views(views, CURRENT)
 
 
-def load(views, chart, values):
+def load(views: Views, chart: Chart, values: np.ndarray) -> tuple[float, float]:
     """Bring Views to a chart's coordinates; return log prior and log likelihood there."""
     count = len(chart.flags)
     rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
@@ -178,7 +180,7 @@ def load(views, chart, values):
     return float(log_prior(chart, rows)), float(likelihood)
 
 
-def engine_of(chart, sensor):
+def engine_of(chart: Chart, sensor: Sensor) -> Views:
     """Return the Views of a chart's solids under a Sensor (sensor.py), none of them drawn yet.
 
     The floor counts as seen in all of the image, so the first proposal draws and scores every pixel, and `load_state`,
@@ -205,7 +207,8 @@ class Draws(NamedTuple):
     accepted: float
 
 
-def run(rng, engine, chart, values, proposals, temperature, gain, count, thin):
+def run(rng: np.random.Generator, engine: Views, chart: Chart, values: np.ndarray, proposals: Proposals,
+        temperature: float, gain: float, count: int, thin: int) -> Draws:  # fmt: skip
     """Return the Draws of a walk of count * thin steps; `values` and, with a gain, the scales change in place."""
     kept, densities = np.empty((count, len(values))), np.empty((count, 2))
     prior, likelihood = load(engine, chart, values)
@@ -214,7 +217,9 @@ def run(rng, engine, chart, values, proposals, temperature, gain, count, thin):
     return Draws(kept, densities, accepted / max(count * thin, 1))
 
 
-def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
+def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor, values: np.ndarray,
+           only: list[int] | None, temperatures: tuple[float, ...],
+           steps: int) -> tuple[np.ndarray, float, float]:  # fmt: skip
     """Return the best place (D,) found from `values`, which is changed, and its log prior and log likelihood.
 
     The likelihood is let in by and by, then weighs more and more, so that the walk comes to rest at the mode: there
@@ -241,7 +246,8 @@ def ascend(rng, engine, chart, sensor, values, only, temperatures, steps):
     return max(found, key=lambda each: each[1] + each[2])
 
 
-def sample(rng, chart, sensor, values, chains, count, thin, only=None, open_blur=False):
+def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, chains: int, count: int,
+           thin: int, only: list[int] | None = None, open_blur: bool = False) -> list[Draws]:  # fmt: skip
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
@@ -289,7 +295,7 @@ def sample(rng, chart, sensor, values, chains, count, thin, only=None, open_blur
     return drawn
 
 
-def final_draws(rng, walkers, steps, count, thin, sensor, blurs):
+def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, sensor: Any, blurs: Any) -> Any:
     """Return the Draws of walkers (engine, chart, values), `thin` steps apart, their steps as they are.
 
     blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
@@ -301,10 +307,13 @@ def final_draws(rng, walkers, steps, count, thin, sensor, blurs):
     joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
               for chain in zip(*pieces, strict=True)]  # fmt: skip
     accepted = np.mean([[each.accepted for each in piece] for piece in pieces], axis=0)
-    return [Draws(*arrays, float(share)) for arrays, share in zip(joined, accepted, strict=True)]
+    return [Draws(values, densities, float(share))
+            for (values, densities), share in zip(joined, accepted, strict=True)]  # fmt: skip
 
 
-def with_blurs_drawn(rng, views, sensor, blurs):
+def with_blurs_drawn(
+    rng: np.random.Generator, views: Views, sensor: Sensor, blurs: list[tuple[Any, ...] | np.ndarray]
+) -> Views:
     """Return the Views with each view's blur drawn from some, given the scene that they hold and the prior."""
     states = []
     for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
@@ -318,20 +327,21 @@ def with_blurs_drawn(rng, views, sensor, blurs):
     return make_views(states, views.into) if any(map(len, blurs)) else views
 
 
-def every_other(first, second):
+def every_other(first: Draws, second: Draws) -> Draws:
     """Return every other one of two Draws of a chain, one after the other."""
     values, densities = (np.concatenate(pair)[1::2] for pair in zip(first[:2], second[:2], strict=True))
     return Draws(values, densities, 0.5 * (first.accepted + second.accepted))
 
 
-def spread_of(met, factor):
+def spread_of(met: np.ndarray, factor: np.ndarray) -> np.ndarray:
     """Return the covariance (n, n) that places met (K, n) suggest to whoever believed in factor factor' before."""
     seen = np.linalg.solve(factor, (met - met.mean(axis=0)).T)
     share = len(met) / (len(met) + TRUSTED * len(factor))
     return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
 
 
-def stretch(rng, walkers, steps, temperature, gain, count, thin):
+def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], steps: list[Step],
+            temperature: float, gain: float, count: int, thin: int) -> tuple[list[Step], list[Draws]]:  # fmt: skip
     """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
 
     The scales are the geometric means of those to which each walker's adapted.
@@ -345,7 +355,9 @@ def stretch(rng, walkers, steps, temperature, gain, count, thin):
     return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
 
 
-def log_evidence(rng, chart, sensor, values, drawn, members):
+def log_evidence(
+    rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, drawn: list[Draws], members: list[int]
+) -> Evidence:
     """Return the Evidence of the density over coordinates `members`, from the Draws of chains: see sampling.evidence.
 
     values : (D,) where the other coordinates are held.

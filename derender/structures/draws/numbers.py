@@ -1,6 +1,7 @@
 """From draws of coordinates (chart.py) to a graph's numbers by address."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -9,11 +10,11 @@ from derender.detection.solids.image import ROW, SIZE
 from derender.detection.solids.state import FLOOR
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, SLOTS, invert
-from derender.scene.graph import ROOT
+from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
 from derender.scene.solids import PLANE
-from derender.structures.draws.chart import KIND, camera_poses, place_rows
+from derender.structures.draws.chart import KIND, Chart, camera_poses, place_rows
 
 # How much of a full extent each shape's numbers are, and of which axis.
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
@@ -21,13 +22,13 @@ EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere":
 NO_PARENT = -2  # hangs on the root: 6dof in the floor's axes
 
 
-def parameters_of(row, shape):
+def parameters_of(row: Any, shape: Any) -> Any:
     """Return psi by name of a row's solid as this shape."""
     return {parameter.name: share * float(row[SIZE + axis])
             for parameter, (axis, share) in zip(shapes[shape].parameters, EXTENTS[shape], strict=True)}  # fmt: skip
 
 
-def numbers_at(graph, floor_pose, places):
+def numbers_at(graph: SceneGraph, floor_pose: np.ndarray, places: Any) -> dict[str, float]:
     """Return the graph's numbers by address when its solids are elsewhere and of other sizes, contacts kept.
 
     floor_pose : (4, 4), floor frame to camera. places : by name, a pose (4, 4) in the floor frame and psi by name, or
@@ -52,7 +53,9 @@ def numbers_at(graph, floor_pose, places):
     return numbers
 
 
-def contact_numbers(chart, draws, parents, codes):
+def contact_numbers(
+    chart: Chart, draws: np.ndarray, parents: np.ndarray, codes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return what each draw (D,) of (n, D) means as contacts.
 
     Only the inverse itself is compiled: the loop around it would cost seconds to compile and saves milliseconds.

@@ -12,12 +12,13 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.image import ROW
 from derender.detection.solids.misfit import AS_SEEN
+from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
-from derender.sampling.evidence import draw_t, evidence_of, fit, log_t
+from derender.sampling.evidence import Evidence, draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import lost_at_edges, true_faces
@@ -74,7 +75,9 @@ class Refined(NamedTuple):
     log_likelihood: float
 
 
-def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, temperatures=TEMPERATURES):
+def at_mode(rng: np.random.Generator, state: State, floor_pose: np.ndarray, sensor: Sensor, rules: Rules,
+            steps: int = ANNEALING, only: list[int] | None = None,
+            temperatures: tuple[float, ...] = TEMPERATURES) -> Refined:  # fmt: skip
     """Return the Refined of a state, annealed under a sensor model.
 
     only : indices of the solids that may move (and the coordinates given by their own), None for all.
@@ -86,21 +89,26 @@ def at_mode(rng, state, floor_pose, sensor, rules, steps=ANNEALING, only=None, t
                  temperatures)  # fmt: skip
 
 
-def climb(rng, state, chart, values, sensor, steps, members=None, temperatures=TEMPERATURES):
+def climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarray, sensor: Sensor, steps: int,
+          members: list[int] | None = None, temperatures: tuple[float, ...] = TEMPERATURES) -> Refined:  # fmt: skip
     """Return the Refined after an annealed walk of these coordinates (None: all) from `values`, which is changed."""
     count = max(len(state) if members is None else 1, 1)
     found = ascend(rng, engine_of(chart, sensor), chart, sensor, values, members, temperatures, steps * count)
     return refined_at(state, chart, found[0], sensor, *found[1:])
 
 
-def best_climb(rng, state, chart, values, sensor, tries=THREADS, **options):
+def best_climb(
+    rng: Any, state: State, chart: Chart, values: Any, sensor: Sensor, tries: Any = THREADS, **options: Any
+) -> Refined:
     """As `climb`, the best of some walks: one alone may end beside the mode."""
     task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING, **options)
     tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(tries)])
     return max(tries, key=lambda each: each.log_prior + each.log_likelihood)
 
 
-def refined_at(state, chart, values, sensor, log_prior, log_likelihood):
+def refined_at(
+    state: State, chart: Chart, values: np.ndarray, sensor: Sensor, log_prior: float, log_likelihood: float
+) -> Refined:
     """Return the Refined whose state's rows are those of the coordinates."""
     rows = np.empty((len(state), ROW))
     place_rows(chart, values, rows)
@@ -118,7 +126,7 @@ class View(NamedTuple):
     effective_pixels: float = np.inf
 
 
-def view_of(seen, temper=1.0):
+def view_of(seen: Any, temper: float = 1.0) -> View:
     """Return the View of an Observation of which so many pixels tell as much as one independent one.
 
     Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
@@ -135,14 +143,15 @@ def view_of(seen, temper=1.0):
     return View(camera, observed, effective_pixels=np.inf if temper <= 1.0 else observed.size / temper)
 
 
-def background_share(seen):
+def background_share(seen: Any) -> float:
     """Return the share of the pixels that show background which the sensor model does not leave out as too far."""
     good = seen.image.weight > 0
     far = too_far(np.where(good, seen.image.depth, np.nan))
     return float((seen.behind & good & ~far).sum() / max(good.sum(), 1))
 
 
-def refine(rng, views, floor_pose, state, rules, tries=THREADS):
+def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, state: State, rules: Rules,
+           tries: int = THREADS) -> Refined:  # fmt: skip
     """Return the Refined of the search's best state, the sensor fitted on the way.
 
     views : of the images, one or more. floor_pose : (4, 4), floor frame to the first camera. tries : see
@@ -167,7 +176,7 @@ def refine(rng, views, floor_pose, state, rules, tries=THREADS):
     return settled(rng, best_climb(rng, kept, chart, values, refined.sensor, tries), tries)
 
 
-def with_lost_back(rng, start, refined):
+def with_lost_back(rng: np.random.Generator, start: Refined, refined: Refined) -> Refined:
     """Return the Refined with the solids that its walk lost from sight where they were at first, if that is likelier.
 
     Of a sensor whose pixels tell little each, a hot walk leads small solids behind others, from where none leads back.
@@ -181,7 +190,7 @@ def with_lost_back(rng, start, refined):
     return max(refined, with_sensor_refitted(rng, back), key=height)
 
 
-def without_unseen(state, refined):
+def without_unseen(state: State, refined: Refined) -> State:
     """Return the state less the solids of which no used pixel sees anything and that carry nothing.
 
     The search explains far pixels too, which the sensor model leaves out; nothing would hold such solids in place.
@@ -193,7 +202,7 @@ def without_unseen(state, refined):
     return state
 
 
-def pixels_of(refined):
+def pixels_of(refined: Refined) -> np.ndarray:
     """Return (N,) in how many used pixels of all views each solid of a Refined shows."""
     count = len(refined.state)
     pixels = np.zeros(count, np.int64)
@@ -204,7 +213,7 @@ def pixels_of(refined):
     return pixels
 
 
-def settled(rng, refined, tries=THREADS):
+def settled(rng: Any, refined: Any, tries: Any = THREADS) -> Refined:
     """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
 
     Not where the noise grows with depth: such sensors have outliers at edges of their own.
@@ -222,12 +231,12 @@ def settled(rng, refined, tries=THREADS):
     return max([best, *tries], key=lambda each: each.log_likelihood - robust_offset(each.sensor))
 
 
-def has_outliers(view):
+def has_outliers(view: Sensor) -> bool:
     """Whether a Sensor of one view has outliers that a better state may not have."""
     return view.likelihood.name == "robust" and view.values["sigma_growth"] == 0.0
 
 
-def robust_offset(sensor):
+def robust_offset(sensor: Sensor) -> float:
     """Return what a robust log likelihood has more than a gaussian one of the same images: whether pixels return."""
     total = 0.0
     for view in sensor.views:
@@ -237,19 +246,19 @@ def robust_offset(sensor):
     return total
 
 
-def with_sensor_refitted(rng, refined):
+def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     """Return the Refined at its mode under the sensor model that its present state suggests."""
     sensor = final_sensor(refined.sensor, refined.chart, refined.values)
     return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
 
 
-def chains_of(rng, refined, chains, draws, only=None):
+def chains_of(rng: np.random.Generator, refined: Refined, chains: int, draws: int, only: Any = None) -> list[Draws]:
     """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends."""
     steps = min(STEPS * len(refined.values), MOST_STEPS)
     return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, only, open_blur=True)
 
 
-def floor_pose_of(refined):
+def floor_pose_of(refined: Refined) -> np.ndarray:
     """Return the (4, 4) pose, floor frame to camera, of a Refined."""
     count = len(refined.state)
     rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
@@ -258,7 +267,9 @@ def floor_pose_of(refined):
     return poses[0].copy()
 
 
-def structure_posterior(rng, refined, names, weight, chains: list[Draws]):
+def structure_posterior(
+    rng: np.random.Generator, refined: Refined, names: list[str], weight: float, chains: list[Draws]
+) -> StructurePosterior:
     """Return the StructurePosterior of a Refined and its chains' draws.
 
     The Refined takes the place of the first draw where none is better: a climb may end beside the mode. Numbers are of
@@ -293,17 +304,17 @@ def structure_posterior(rng, refined, names, weight, chains: list[Draws]):
     )  # fmt: skip
 
 
-def only_draw(refined):
+def only_draw(refined: Refined) -> Draws:
     """Return Draws that hold the mode alone."""
     return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
 
 
-def members_of(chart, solids):
+def members_of(chart: Chart, solids: Any) -> list[int]:
     """Return the indices of the coordinates of some solids, in order."""
     return sorted({m for k in solids for m in own_members(chart, k)})
 
 
-def refitted(refined):
+def refitted(refined: Refined) -> Refined:
     """Return the Refined with the sensor's numbers that explain it best, of the same likelihood, nothing moved."""
     sensor = same_sensor_refitted(refined.sensor, refined.chart, refined.values)
     _, log_likelihood = load(engine_of(refined.chart, sensor), refined.chart, refined.values)
@@ -311,12 +322,12 @@ def refitted(refined):
     return found if height(found) > height(refined) else refined
 
 
-def height(refined):
+def height(refined: Refined) -> float:
     """Return the log density of a Refined, its sensor's numbers counted: what modes are compared by."""
     return refined.log_prior + refined.log_likelihood + refined.sensor.log_prior()
 
 
-def over_blur(rng, refined, solids):
+def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...]) -> Evidence:
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
     over these coordinates alone: what an integral under one blur misses, of blurs that are not known.
 
@@ -357,7 +368,7 @@ def over_blur(rng, refined, solids):
     return evidence_of(log, float(np.std(apart) / np.sqrt(len(groups))))
 
 
-def near_evidence(refined, solids=None):
+def near_evidence(refined: Refined, solids: tuple[int, ...] | None = None) -> float:
     """Return about what the integral over these coordinates is, at a tenth of its cost; of all where `solids` is None.
 
     The normal stands for the density that has its height at the mode and the image's curvature there: right to two

@@ -1,5 +1,6 @@
 """What the image says about the sensor: noise, its growth with depth, blur, outliers, given a first explanation."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ from derender.camera.intrinsics import Camera
 from derender.detection.calibration import likeliest
 from derender.detection.noise import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.detection.solids.image import ROW
+from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.base import temper
@@ -16,7 +18,7 @@ from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
-from derender.structures.draws.chart import camera_poses, place_rows
+from derender.structures.draws.chart import Chart, camera_poses, place_rows
 
 SHARED, ROUNDS = ("reach", "reach_down", "white", "tail"), 150  # what neighbours share; rounds in which it is sought
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
@@ -59,35 +61,35 @@ class Sensor(NamedTuple):
     share: float = 1.0
 
     @property
-    def returned(self):
+    def returned(self) -> np.ndarray:
         """The image (H, W) in metres where it shows the scene, else NaN."""
         return shown(self.observed)
 
     @property
-    def worth(self):
+    def worth(self) -> float:
         """How many independent pixels one of the first view tells as much as: at most 1."""
         if self.likelihood.name == "correlated":
             return self.share
         return temper(self.values, self.likelihood.counted_pixels(self.observed))
 
     @property
-    def views(self):
+    def views(self) -> "tuple[Sensor, ...]":
         """The Sensors of all views, each of one."""
         return (self._replace(others=()), *self.others)
 
-    def each(self, change):
+    def each(self, change: Callable[..., Any]) -> "Sensor":
         """Return the sensor with every view as a function makes it from a Sensor of one."""
         first, *others = map(change, self.views)
         return first._replace(others=tuple(others))
 
-    def changed(self, name=None, **values):
+    def changed(self, name: str | None = None, **values: Any) -> "Sensor":
         """Return the sensor with another likelihood or other numbers of the first view."""
         likelihood = self.likelihood if name is None else likelihoods[name]
         known = {p.name for p in likelihood.parameters}
         kept = {k: v for k, v in {**self.values, **values}.items() if k in known}
         return self._replace(likelihood=likelihood, values=likelihood.complete(kept))
 
-    def log_prior(self, without=()):
+    def log_prior(self, without: tuple[str, ...] = ()) -> float:
         """Return the log density of those of its numbers that are unknown; 0 for one that the prior does not know.
 
         without : names of those that do not count.
@@ -95,12 +97,14 @@ class Sensor(NamedTuple):
         return sum(log_prior_of(view.prior, {k: v for k, v in view.values.items() if k not in without})
                    for view in self.views)  # fmt: skip
 
-    def to_data(self):
+    def to_data(self) -> dict[str, float | str]:
         """Return the first view's likelihood and its finite numbers, as `likelihood:` in a scene file has them."""
         return {"type": self.likelihood.name, **{k: v for k, v in self.values.items() if np.isfinite(v)}}
 
 
-def model_image(chart, values, camera, into=None):
+def model_image(
+    chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the clean depth (H, W) of a chart's solids, with the wall behind, and label (H, W): 1 + k for solid k.
 
     into : (4, 4), the scene's axes to this camera's; None: they are the same.
@@ -116,12 +120,12 @@ def model_image(chart, values, camera, into=None):
     return np.minimum(depth, BACKGROUND), label
 
 
-def model_depth(chart, values, camera, into=None):
+def model_depth(chart: Chart, values: np.ndarray, camera: Camera, into: np.ndarray | None = None) -> np.ndarray:
     """Return the clean depth (H, W) of a chart's solids, with the wall behind; into : see `model_image`."""
     return model_image(chart, values, camera, into)[0]
 
 
-def floor_depth(floor, camera):
+def floor_depth(floor: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the depth (H, W) of a floor alone, inf where it is not met."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(columns.shape)], axis=-1)
@@ -131,17 +135,17 @@ def floor_depth(floor, camera):
     return np.where(depth > 0.0, depth, np.inf)
 
 
-def too_far(observed):
+def too_far(observed: np.ndarray) -> np.ndarray:
     """Return (H, W) bool: pixels so far behind most others that inference leaves them out."""
     return observed > FAR_AWAY * np.nanmedian(np.abs(observed))
 
 
-def shown(observed):
+def shown(observed: np.ndarray) -> np.ndarray:
     """Return an image (H, W) where it shows the scene, NaN where it shows something else or nothing."""
     return np.where(observed > 0.0, observed, np.nan)
 
 
-def log_prior_of(prior, numbers):
+def log_prior_of(prior: LikelihoodPrior | None, numbers: dict[str, float]) -> float:
     """Return the log density of a sensor's numbers under a LikelihoodPrior; never minus infinity."""
     if prior is None:
         return 0.0
@@ -149,7 +153,15 @@ def log_prior_of(prior, numbers):
     return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
-def first_sensor(camera, observed, chart, values, prior=None, into=None, effective_pixels=np.inf):
+def first_sensor(
+    camera: Camera,
+    observed: np.ndarray,
+    chart: Chart,
+    values: np.ndarray,
+    prior: LikelihoodPrior | None = None,
+    into: np.ndarray | None = None,
+    effective_pixels: float = np.inf,
+) -> Sensor:
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor."""
     observed = np.where(too_far(observed), np.nan, observed)
     into = np.eye(4) if into is None else into
@@ -162,17 +174,17 @@ def first_sensor(camera, observed, chart, values, prior=None, into=None, effecti
     return under_shared_noise(sensor._replace(share=share), clean, ROUNDS)
 
 
-def density_of(fit):
+def density_of(fit: tuple[float, str, dict[str, float]]) -> float:
     """Return the log density of a fit."""
     return fit[0]
 
 
-def shares_noise(prior):
+def shares_noise(prior: Any) -> bool:
     """Return whether what is believed of a sensor (LikelihoodPrior or None) is that neighbouring pixels share noise."""
     return prior is not None and prior.type == "correlated"
 
 
-def under_shared_noise(sensor, clean, rounds):
+def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
     """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
 
     What its prior gives as a number holds. The noise and its growth are those by which residuals scatter, the slow bias
@@ -207,7 +219,9 @@ def under_shared_noise(sensor, clean, rounds):
     return sensor.changed("correlated", **best)
 
 
-def robust_fit(observed, clean, blurred, outliers, every=1):
+def robust_fit(
+    observed: np.ndarray, clean: np.ndarray, blurred: float, outliers: float, every: int = 1
+) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a robust likelihood with a blur of so many pixels, the noise fitted.
 
     The density is that of the depths where something returned; whether it did says nothing here: pixels are lost at
@@ -227,14 +241,16 @@ def robust_fit(observed, clean, blurred, outliers, every=1):
     return float(density), "robust", numbers
 
 
-def outlier_range(observed):
+def outlier_range(observed: np.ndarray) -> dict[str, float]:
     """Return `near` and `far` of a robust likelihood: the default ones, or wider where the image has such depths."""
     seen = np.abs(observed[np.isfinite(observed)])
     low, high = (seen.min(), seen.max()) if len(seen) else (NEAR, FAR)
     return {"near": float(min(NEAR, 0.9 * low)), "far": float(max(FAR, 1.1 * high))}
 
 
-def gaussian_fit(observed, clean, blurred, every=1):
+def gaussian_fit(
+    observed: np.ndarray, clean: np.ndarray, blurred: float, every: int = 1
+) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a normal likelihood with a blur of so many pixels, the noise fitted."""
     residual = (observed - blur(clean, blurred))[::every, ::every]
     square = float(np.nanmean(residual**2)) if np.isfinite(residual).any() else 0.0
@@ -244,7 +260,14 @@ def gaussian_fit(observed, clean, blurred, every=1):
     return density, "gaussian", {"sigma": sigma, "blur": float(blurred), "background": BACKGROUND}
 
 
-def best_fit(observed, clean, blurs, rates, steps, every=1):
+def best_fit(
+    observed: np.ndarray,
+    clean: np.ndarray,
+    blurs: set[float] | tuple[float, ...],
+    rates: tuple[float, ...],
+    steps: tuple[float, ...],
+    every: int = 1,
+) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers): the blur near the best of `blurs`, gaussian where that suffices.
 
     rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
@@ -263,7 +286,7 @@ def best_fit(observed, clean, blurs, rates, steps, every=1):
     return plain if density_of(plain) > density_of(robust) else robust
 
 
-def final_sensor(sensor, chart, values):
+def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     """Return the sensor refitted given a good state: the blur to a hundredth of a pixel; gaussian where it suffices."""
 
     def refitted(view):
@@ -277,12 +300,12 @@ def final_sensor(sensor, chart, values):
     return sensor.each(refitted)
 
 
-def same_sensor_refitted(sensor, chart, values):
+def same_sensor_refitted(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     """Return the sensor with the numbers that explain a state best, each view's likelihood of the same type."""
     return sensor.each(lambda view: _same_refitted(view, model_depth(chart, values, view.camera, view.into)))
 
 
-def _same_refitted(sensor, clean):
+def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
     if shares_noise(sensor.prior):
         return under_shared_noise(sensor, clean, 0)
@@ -308,7 +331,7 @@ def _same_refitted(sensor, clean):
     return sensor.changed(best[1], **best[2])
 
 
-def blurs_about(sensor, clean):
+def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
     """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open."""
     at = sensor.values["blur"]
     every = max(1, sensor.camera.width // LOOKED_AT) if sensor.worth < 1.0 else 1  # of rows and of columns
@@ -331,7 +354,9 @@ def blurs_about(sensor, clean):
     return np.linspace(*ends, NODES)
 
 
-def image_likelihood(camera, observed, solids, effective_pixels=np.inf, prior=None):
+def image_likelihood(
+    camera: Camera, observed: np.ndarray, solids: Solids, effective_pixels: float = np.inf, prior: Any = None
+) -> tuple[str, dict[str, float]]:
     """Return (name, numbers) of the likelihood that a whole image suggests, given a scene.
 
     What inference looked at may be reduced, and cut where it is far away; this is of the image as it came.

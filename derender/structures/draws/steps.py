@@ -6,17 +6,20 @@ floor, each given the coordinates that stay. In a stack an image tells where eac
 moves one top leaves those above where they are (`tops_of`).
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.scene.solids import SPHERE
-from derender.structures.draws.chart import FLOOR_WAYS, HELD, KIND, PARENT, SIZE, TURN, VERTICAL, X, Z
+from derender.structures.draws.chart import FLOOR_WAYS, HELD, KIND, PARENT, SIZE, TURN, VERTICAL, Chart, X, Z
+
+if TYPE_CHECKING:
+    from derender.structures.draws.sensor import Sensor
 
 PIVOTS = np.array([(0, 0, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)])  # half sides from the centre
 
 
-def directions(chart, count, solids=None):
+def directions(chart: Chart, count: int, solids: list[int] | None = None) -> np.ndarray:
     """Return (M, D) steps in which a depth image is informative, for a vector of `count` coordinates, in metres.
 
     Those of some solids only, or of all (None).
@@ -101,12 +104,12 @@ class Proposals(NamedTuple):
     wanted: np.ndarray
 
 
-def size_of(chart):
+def size_of(chart: Chart) -> int:
     """Return how many coordinates a chart has."""
     return 1 + int(chart.slots.max(initial=-1)) + FLOOR_WAYS
 
 
-def touched_by(chart, members, matrix=None):
+def touched_by(chart: Chart, members: list[int], matrix: Any = None) -> Any:
     """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do.
 
     matrix : (len(members), R), how they move together; None: each by itself.
@@ -117,7 +120,7 @@ def touched_by(chart, members, matrix=None):
     return touched_by_each(chart, moves).any(axis=0)
 
 
-def touched_by_each(chart, moves):
+def touched_by_each(chart: Chart, moves: np.ndarray) -> np.ndarray:
     """Return (V, 1 + N) bool: which of the floor and the solids move with each column of moves (D, V)."""
     rounding = ROUNDING * np.abs(moves).max(axis=0, initial=0.0)
     moves = np.where(np.abs(moves) < rounding, 0.0, moves)
@@ -133,12 +136,12 @@ def touched_by_each(chart, moves):
     return touched.T
 
 
-def own_members(chart, k):
+def own_members(chart: Chart, k: int) -> list[int]:
     """Return the sorted coordinates of a solid."""
     return sorted({int(s) for s in chart.slots[k] if s >= 0})
 
 
-def blocks_of(chart):
+def blocks_of(chart: Chart) -> list[list[int]]:
     """Return lists of coordinates that move together: each solid, each support with what stands on it, the floor."""
     own = [own_members(chart, k) for k in range(len(chart.flags))]
     blocks = list(own)
@@ -150,7 +153,7 @@ def blocks_of(chart):
     return [*blocks, list(range(size - FLOOR_WAYS, size))]
 
 
-def tops_of(chart):
+def tops_of(chart: Chart) -> np.ndarray:
     """Return the (D, D) matrix that makes of coordinates those with heights of tops in place of heights of solids.
 
     Of solids whose height is a number of its own and that are held to their support; where that is none itself, its
@@ -182,7 +185,7 @@ class Step(NamedTuple):
     center: np.ndarray | None = None
 
 
-def single_steps(chart, only=None):
+def single_steps(chart: Chart, only: list[int] | None = None) -> list[Step]:
     """Return the Steps along one direction each, of LATTICE metres; only : coordinates that may move, None for all."""
     size = size_of(chart)
     free = np.isin(np.arange(size), list(range(size) if only is None else only))
@@ -195,18 +198,18 @@ def single_steps(chart, only=None):
     return weighted(steps, 1.0)
 
 
-def weight_of(chart, members):
+def weight_of(chart: Chart, members: np.ndarray) -> float:
     """Return the weight of a step of these coordinates beside others of its kind."""
     return FLOOR_SHARE if members[0] >= size_of(chart) - FLOOR_WAYS else 1.0
 
 
-def weighted(steps, total):
+def weighted(steps: list[Step], total: float) -> list[Step]:
     """Return the Steps with weights of this sum in the same proportions."""
     total /= sum(step.weight for step in steps)
     return [step._replace(weight=total * step.weight) for step in steps]
 
 
-def unseen_steps(chart, sensor, only=None):
+def unseen_steps(chart: Chart, sensor: "Sensor", only: list[int] | None = None) -> list[Step]:
     """Return the Steps that move one side of a box or cylinder which all cameras are behind, the opposite one held."""
     size, floors = size_of(chart), [view.into @ chart.floor for view in sensor.views]
     eyes = [-floor[:3, :3].T @ floor[:3, 3] for floor in floors]
@@ -274,7 +277,7 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     return weighted(steps, 2.0)
 
 
-def floor_step(covariance, count, center):
+def floor_step(covariance: np.ndarray, count: int, center: Any) -> Step:
     """Return the Step that moves the floor, and with it all else as a covariance (D, D) lets expect.
 
     The floor's coordinates f, of covariance L L', move by L z and the others by C(others, f) C(f, f)^-1 L z: what these

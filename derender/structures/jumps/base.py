@@ -19,7 +19,7 @@ one continuous number for each object that can be born: two objects are never th
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.objects import ShapePrior
 from derender.scene.priors.tree import seat
+
+if TYPE_CHECKING:
+    from derender.structures.jumps.proposal import HypothesisProposal
 
 Choice = tuple[str, str | None, str | None]  # contact type, parent's face, child's face
 Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack that is ideal left out
@@ -52,7 +55,7 @@ class Vocabulary:
     shapes : ShapePrior of each kind of object that can be born.
     """
 
-    def __init__(self, prior: Algorithm1Prior | GrammarPrior, proposal=None) -> None:
+    def __init__(self, prior: Algorithm1Prior | GrammarPrior, proposal: "HypothesisProposal | None" = None) -> None:
         if not isinstance(prior, Algorithm1Prior | GrammarPrior):
             raise DerenderError("the prior names its objects", remedy="give one with structure:")
         from derender.structures.jumps.proposal import PriorProposal
@@ -115,7 +118,9 @@ class Vocabulary:
         kind = name if name in self.base else self.kind_of(vertex)
         return self._free(kind, name in self.base, *self.seat(graph, vertex.parent), choice)
 
-    def _free_numbers(self, kind: str, base: bool, parent: str, top: str | None, choice: Choice):
+    def _free_numbers(
+        self, kind: str, base: bool, parent: str, top: str | None, choice: Choice
+    ) -> dict[tuple[str, str], Distribution]:
         if base:
             item = cast(GrammarPrior, self.prior).tree.by_name[kind]
             shape = item.shape.free()
@@ -203,7 +208,7 @@ class Target:
     temperature : exponent on the likelihood.
     """
 
-    def __init__(self, prior, image: Any = None, temperature: float = 1.0) -> None:
+    def __init__(self, prior: GrammarPrior, image: Any = None, temperature: float = 1.0) -> None:
         self.prior, self.image, self.temperature = prior, image, temperature
 
     def log_prior(self, graph: SceneGraph) -> float:

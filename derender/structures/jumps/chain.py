@@ -170,7 +170,7 @@ def in_step(chains: list[list[Visit]]) -> list[list[Visit]]:
     return [[visit for chain in chains for visit in chain]]
 
 
-def _part(words, chains: list[list[Visit]]) -> StructurePosterior:
+def _part(words: Any, chains: list[list[Visit]]) -> StructurePosterior:
     weight = sum(visit.weight for chain in chains for visit in chain)
     chains = in_step(chains)
     group = [visit for chain in chains for visit in chain]

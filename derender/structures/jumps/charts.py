@@ -19,7 +19,7 @@ itself from the uniform distribution.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from derender.scene.distributions import Distribution
 from derender.scene.pose import from_rotation_vector, rotation_angle
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, Shape, shapes
+
+if TYPE_CHECKING:
+    from derender.scene.priors.objects import ShapePrior
+    from derender.scene.vertex import Contact
 
 area_element = interpreted(polygon.area_element)
 HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
@@ -45,12 +49,12 @@ class Rest(NamedTuple):
     shape: tuple[float, ...]
 
 
-def free_names(table) -> tuple[str, ...]:
+def free_names(table: Any) -> tuple[str, ...]:
     """Return the names of a contact's numbers that have distributions; a rotation is `quat_wxyz`."""
     return tuple(name for name, value in table.items() if isinstance(value, Distribution))
 
 
-def rotation_near(rng, centre: np.ndarray, angle: float) -> np.ndarray:
+def rotation_near(rng: np.random.Generator, centre: np.ndarray, angle: float) -> np.ndarray:
     """Return a (4, 4) rotation drawn about another: a rotation vector of three normals, shorter than pi."""
     while True:
         vector = angle * rng.standard_normal(3)
@@ -89,12 +93,12 @@ def scales_with_extents(shape: Shape) -> bool:
     return shape.name in ("box", "cylinder") or len(shape.parameters) == 1
 
 
-def _unit_size(shape: Shape, options) -> np.ndarray:
+def _unit_size(shape: Shape, options: Any) -> np.ndarray:
     """Return the (3,) extents of the solid whose parameters are all one."""
     return np.asarray(shape.size(np.ones(len(shape.parameters)), options), dtype=float)
 
 
-def extents_of(entry, psi: np.ndarray, rest: tuple[float, ...]) -> np.ndarray:
+def extents_of(entry: "ShapePrior", psi: np.ndarray, rest: tuple[float, ...]) -> np.ndarray:
     """Return the (3,) extents. psi: (P,) in the shape's order; rest: for fixed sizes, then for what is missing."""
     shape = shapes[entry.type]
     fixed = fixed_sizes(entry)
@@ -104,7 +108,7 @@ def extents_of(entry, psi: np.ndarray, rest: tuple[float, ...]) -> np.ndarray:
     return _unit_size(shape, entry.options) * np.exp(matrix @ np.concatenate([logs, rest[len(fixed) :]]))
 
 
-def extents_into(entry, extents: np.ndarray) -> tuple[np.ndarray, tuple[float, ...]]:
+def extents_into(entry: Any, extents: np.ndarray) -> tuple[np.ndarray, tuple[float, ...]]:
     """Return (psi (P,), rest): the inverse of `extents_of`."""
     shape = shapes[entry.type]
     matrix, _ = _form(shape)
@@ -118,12 +122,12 @@ def extents_into(entry, extents: np.ndarray) -> tuple[np.ndarray, tuple[float, .
     return psi, (*deviations, *map(float, missing))
 
 
-def fixed_sizes(entry) -> list[int]:
+def fixed_sizes(entry: "ShapePrior") -> list[int]:
     """Return the places of the sizes that the prior fixes."""
     return [place for place, (_, value) in enumerate(entry._table) if isinstance(value, float)]
 
 
-def log_extents_element(entry, psi: np.ndarray) -> float:
+def log_extents_element(entry: "ShapePrior", psi: np.ndarray) -> float:
     """Return log d(l, w, h) / d(free psi, rest), but for the product l w h that every shape shares."""
     _, log_determinant = _form(shapes[entry.type])
     free = [place for place in range(len(psi)) if place not in fixed_sizes(entry)]
@@ -133,7 +137,7 @@ def log_extents_element(entry, psi: np.ndarray) -> float:
 # ---- poses --------------------------------------------------------------------------------------------------------
 
 
-def log_pose_element(kind: str, numbers: dict[str, float], parent: Body, child: Body, faces) -> float:
+def log_pose_element(kind: str, numbers: dict[str, float], parent: Body, child: Body, faces: Any) -> float:
     """Return log d(pose) / d(all numbers of a contact), the pose's measure being Lebesgue times Haar of mass one."""
     if kind == "6dof":
         return 0.0
@@ -150,13 +154,13 @@ def log_pose_element(kind: str, numbers: dict[str, float], parent: Body, child: 
     return total
 
 
-def all_numbers(contact, parent: Shape, child: Shape) -> dict[str, float]:
+def all_numbers(contact: "Contact", parent: Shape, child: Shape) -> dict[str, float]:
     """Return every number of a contact by name, defaults filled in."""
     parameters = contacts[contact.type].parameters(parent, child, contact.parent_face, contact.child_face)
     return {p.name: float(contact.values.get(p.name, p.default or 0.0)) for p in parameters}
 
 
-def chartable(kind: str, table) -> bool:
+def chartable(kind: str, table: Any) -> bool:
     """Return whether jumps know the chart: edges and corners they leave alone, and a rotation that the prior fixes."""
     if kind == "6dof":
         return isinstance(table.get(QUATERNION), Distribution)
@@ -166,7 +170,9 @@ def chartable(kind: str, table) -> bool:
 # ---- the rest -----------------------------------------------------------------------------------------------------
 
 
-def _missing(kind: str, parent: Shape, child: Shape, faces, table) -> list[tuple[str, float, str, float | None]]:
+def _missing(
+    kind: str, parent: Shape, child: Shape, faces: tuple[str | None, str | None], table: dict[str, Distribution | float]
+) -> list[tuple[str, float, str, float | None]]:
     """Return (name, centre, unit, period where uniform) of the contact numbers that are not free."""
     found = []
     for parameter in contacts[kind].parameters(parent, child, *faces):
@@ -181,12 +187,20 @@ def _missing(kind: str, parent: Shape, child: Shape, faces, table) -> list[tuple
     return found
 
 
-def _turns_freely(child: Shape, missing) -> bool:
+def _turns_freely(child: Shape, missing: list[tuple[str, float, str, float | None]]) -> bool:
     """Return whether all three angles of a ball are missing: then its rotation is uniform."""
     return child.name == "sphere" and {"theta", "tilt_x", "tilt_y"} <= {name for name, *_ in missing}
 
 
-def draw_rest(rng, kind: str, parent: Shape, child: Shape, faces, table, entry) -> Rest:
+def draw_rest(
+    rng: np.random.Generator,
+    kind: str,
+    parent: Shape,
+    child: Shape,
+    faces: tuple[str | None, str | None],
+    table: dict[str, Distribution | float],
+    entry: "ShapePrior",
+) -> Rest:
     """Return the numbers that a vertex of this kind in this contact lacks, drawn at random."""
     numbers = {}
     missing = _missing(kind, parent, child, faces, table)
@@ -207,7 +221,15 @@ def draw_rest(rng, kind: str, parent: Shape, child: Shape, faces, table, entry) 
     return Rest(numbers, tuple(draw_two_scales(rng, "log") for _ in range(lacking)))
 
 
-def log_rest(rest: Rest, kind: str, parent: Shape, child: Shape, faces, table, entry) -> float:
+def log_rest(
+    rest: Rest,
+    kind: str,
+    parent: Shape,
+    child: Shape,
+    faces: tuple[str | None, str | None],
+    table: dict[str, Distribution | float],
+    entry: "ShapePrior",
+) -> float:
     """Return the log density of `draw_rest`."""
     missing = _missing(kind, parent, child, faces, table)
     if {name for name, *_ in missing} != set(rest.contact) or len(rest.shape) != 3 - len(entry.free()):
@@ -228,7 +250,7 @@ def log_rest(rest: Rest, kind: str, parent: Shape, child: Shape, faces, table, e
     return total
 
 
-def draw_two_scales(rng, unit: str) -> float:
+def draw_two_scales(rng: np.random.Generator, unit: str) -> float:
     """Return a normal draw about 0, its scale NARROW or WIDE with even odds."""
     scale = NARROW[unit] if rng.random() < 0.5 else WIDE[unit]
     return scale * float(rng.standard_normal())

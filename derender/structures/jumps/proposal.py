@@ -12,6 +12,7 @@ from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, inverse, quaternion
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
+from derender.structures.jumps.base import Vocabulary
 from derender.structures.jumps.charts import free_names, rotation_density, rotation_near
 
 ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
@@ -23,7 +24,7 @@ class PriorProposal:
     log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
     """
 
-    def sample(self, rng, words, graph: SceneGraph) -> Vertex | None:
+    def sample(self, rng: Any, words: Any, graph: SceneGraph) -> Vertex | None:
         """Return a new vertex with a name of its own; None where nothing can grow."""
         bearers = words.bearers(graph)
         if not bearers:
@@ -36,7 +37,7 @@ class PriorProposal:
         contact = words.prior.contacts.sample(rng, shape, entry.type, top)
         return Vertex(words.fresh_name(graph, kind), entry.type, parameters, parent, contact, dict(entry.options))
 
-    def log_density(self, words, graph: SceneGraph, vertex: Vertex) -> float:
+    def log_density(self, words: Any, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""
         bearers = words.bearers(graph)
         if vertex.parent not in bearers:
@@ -100,7 +101,7 @@ class HypothesisProposal:
         self.fallback = PriorProposal()
         self._last: tuple = (None, [])
 
-    def components(self, words, graph: SceneGraph) -> list[Component]:
+    def components(self, words: Any, graph: SceneGraph) -> list[Component]:
         """Return the mixture's components, their weights summing to one; empty where no hypothesis hangs anywhere."""
         if self._last[0] is graph:
             return self._last[1]
@@ -125,7 +126,7 @@ class HypothesisProposal:
         self._last = (graph, found)
         return found
 
-    def sample(self, rng, words, graph: SceneGraph) -> Vertex | None:
+    def sample(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Vertex | None:
         """Return a new vertex; None where nothing can grow or a number fell outside its support by rounding."""
         components = self.components(words, graph)
         if not components or rng.random() < self.on_prior:
@@ -147,7 +148,7 @@ class HypothesisProposal:
                 values[name] = _draw(rng, centre, *spread)
         return vertex_of(words, graph, chosen, values)
 
-    def log_density(self, words, graph: SceneGraph, vertex: Vertex) -> float:
+    def log_density(self, words: Vocabulary, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex for a graph that lacks it."""
         components = self.components(words, graph)
         prior = self.fallback.log_density(words, graph, vertex)
@@ -163,7 +164,9 @@ class HypothesisProposal:
         return math.log(total) if total > 0.0 else -math.inf
 
 
-def _component(words, graph, hypothesis, parent, body, relative, choice) -> list[Component]:
+def _component(
+    words: Any, graph: Any, hypothesis: Any, parent: str, body: Any, relative: Any, choice: Any
+) -> list[Component]:
     """Return the component of one hypothesis in one contact, if that is possible at all."""
     table = words.table(*words.seat(graph, parent), body.shape.name, choice)
     kind = contacts[choice[0]]
@@ -204,7 +207,7 @@ def _component(words, graph, hypothesis, parent, body, relative, choice) -> list
     return [Component(weight, hypothesis.kind, parent, choice, centres, spreads)]
 
 
-def vertex_of(words, graph, component, values) -> Vertex:
+def vertex_of(words: Vocabulary, graph: SceneGraph, component: Component, values: dict[str, float]) -> Vertex:
     """Return a new object of a component with these numbers by name, those of its shape after `shape.`."""
     entry = words.shapes[component.kind]
     parameters = {name: values[f"shape.{name}"] for name, _ in entry._table}
@@ -216,14 +219,16 @@ def vertex_of(words, graph, component, values) -> Vertex:
     return Vertex(name, entry.type, parameters, component.parent, contact, dict(entry.options))
 
 
-def _cut(centre, width, support, period) -> tuple[float, float]:
+def _cut(centre: float, width: float, support: tuple[float, float], period: float | None) -> tuple[float, float]:
     """Return the ends of a normal, in standard deviations from its centre."""
     if period is not None:
         return -0.5 * period / width, 0.5 * period / width
     return (support[0] - centre) / width, (support[1] - centre) / width
 
 
-def _draw(rng, centre, width, support, period) -> float:
+def _draw(
+    rng: np.random.Generator, centre: float, width: float, support: tuple[float, float], period: float | None
+) -> float:
     low, high = _cut(centre, width, support, period)
     bottom, top = ndtr(low), ndtr(high)
     if not top - bottom > 1e-12:  # the centre is far outside: a uniform draw where there are ends, see _log_one
@@ -234,7 +239,7 @@ def _draw(rng, centre, width, support, period) -> float:
     return min(max(x, support[0]), support[1])
 
 
-def _log_one(x, centre, width, support, period) -> float:
+def _log_one(x: float, centre: float, width: float, support: tuple[float, float], period: float | None) -> float:
     low, high = _cut(centre, width, support, period)
     mass = float(ndtr(high) - ndtr(low))
     if not support[0] <= x <= support[1]:
@@ -247,7 +252,7 @@ def _log_one(x, centre, width, support, period) -> float:
     return -0.5 * (offset / width) ** 2 - math.log(width * mass * math.sqrt(2.0 * math.pi))
 
 
-def _log_normal(component, values) -> float:
+def _log_normal(component: Component, values: dict[str, float]) -> float:
     """Return the log density of a vertex's numbers under one component."""
     total = 0.0
     for name, spread in component.spreads.items():

@@ -19,7 +19,7 @@ its range by a symmetry of its shape, its axes are named anew, and so on upwards
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
 from derender.scene.shapes.base import AXES
 from derender.scene.shapes.box import ROTATIONS
+from derender.structures.jumps.base import Vocabulary
 from derender.structures.jumps.charts import (
     LINE,
     STEEPEST,
@@ -67,14 +68,14 @@ class PosedBox(NamedTuple):
     log_element: float
 
 
-def slot_of(words, graph: SceneGraph, name: str) -> Slot:
+def slot_of(words: Vocabulary, graph: SceneGraph, name: str) -> Slot:
     """Return where a vertex hangs."""
     vertex = graph.vertex(name)
     contact = vertex.contact
     return Slot(words.kind_of(vertex), vertex.parent, (contact.type, contact.parent_face, contact.child_face))
 
 
-def table_of(words, graph: SceneGraph, slot: Slot):
+def table_of(words: Any, graph: SceneGraph, slot: Slot) -> Any:
     """Return the table of a slot's contact; None where the prior has none or jumps do not know its chart."""
     table = words.table(*words.seat(graph, slot.parent), words.shapes[slot.kind].type, slot.choice)
     if (
@@ -86,7 +87,7 @@ def table_of(words, graph: SceneGraph, slot: Slot):
     return table
 
 
-def release(words, graph: SceneGraph, vertex: Vertex, rest: Rest) -> PosedBox:
+def release(words: Vocabulary, graph: SceneGraph, vertex: Vertex, rest: Rest) -> PosedBox:
     """Return the posed box of a vertex and its rest."""
     entry = words.shapes[words.kind_of(vertex)]
     parent, contact = graph.body(vertex.parent), vertex.contact
@@ -100,7 +101,9 @@ def release(words, graph: SceneGraph, vertex: Vertex, rest: Rest) -> PosedBox:
     return PosedBox(extents, _on_its_foot(graph, pose, contact, parent, vertex, extents), element)
 
 
-def _on_its_foot(graph, pose, contact, parent, vertex, extents, sign=1.0):
+def _on_its_foot(
+    graph: Any, pose: np.ndarray, contact: Any, parent: Any, vertex: Any, extents: np.ndarray, sign: float = 1.0
+) -> np.ndarray:
     """Return the pose shifted along the parent's face so that the box with other extents stands where the solid does.
 
     A function of extents, sizes and rotation times a direction: as a map of positions a shift, of Jacobian one.
@@ -115,7 +118,7 @@ def _on_its_foot(graph, pose, contact, parent, vertex, extents, sign=1.0):
 
 
 def hung_from(
-    words, graph: SceneGraph, name: str, slot: Slot, table, posed: PosedBox
+    words: Vocabulary, graph: SceneGraph, name: str, slot: Slot, table: Any, posed: PosedBox
 ) -> tuple[Vertex, Rest, float] | None:
     """Return (vertex, rest, log element) of a posed box in a slot, the inverse of `release`; None if out of range."""
     entry = words.shapes[slot.kind]
@@ -169,7 +172,14 @@ def group(first: str, second: str) -> np.ndarray:
     return IDENTITY
 
 
-def allowed(words, graph: SceneGraph, slot: Slot, table, pose: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+def allowed(
+    words: Vocabulary,
+    graph: SceneGraph,
+    slot: Slot,
+    table: dict[str, Distribution | float],
+    pose: np.ndarray,
+    rotations: np.ndarray,
+) -> np.ndarray:
     """Return (K,) bool: under which rotations of its axes a posed box can hang in a slot, by its angles."""
     kind = slot.choice[0]
     shape = words.shapes[slot.kind].type
@@ -210,7 +220,9 @@ def renamed(pose: np.ndarray, extents: np.ndarray, rotation: np.ndarray) -> tupl
     return new, np.abs(rotation.T) @ extents
 
 
-def carry(words, graph: SceneGraph, name: str, new: Vertex, rotation: np.ndarray) -> tuple[SceneGraph, float] | None:
+def carry(
+    words: Vocabulary, graph: SceneGraph, name: str, new: Vertex, rotation: np.ndarray
+) -> tuple[SceneGraph, float] | None:
     """Return the graph after `name` became `new`, its axes named anew by R, all above it riding along, and log J."""
     changed = {name: new}
     turned = {name: rotation}
@@ -233,7 +245,7 @@ def carry(words, graph: SceneGraph, name: str, new: Vertex, rotation: np.ndarray
     return graph.exchange(changed), total
 
 
-def same_freedom(words, old: SceneGraph, new: SceneGraph, names) -> bool:
+def same_freedom(words: Any, old: SceneGraph, new: SceneGraph, names: Any) -> bool:
     """Return whether the contacts of some vertices have the same free numbers in both graphs, by the prior."""
     for name in names:
         tables = [words.table_of(graph, graph.vertex(name)) for graph in (old, new)]

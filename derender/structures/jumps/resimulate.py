@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,13 @@ from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion
 from derender.scene.priors.values import QUATERNION, ROTATION
-from derender.structures.jumps.base import Applied, Move, log_uniform_choice, moves
+from derender.structures.jumps.base import Applied, Move, Vocabulary, log_uniform_choice, moves
 from derender.structures.jumps.charts import LINE, TILTED, all_numbers, log_pose_element
 
 Key = tuple[str, str]  # ("shape" or "contact", name of the number)
 
 
-def read(vertex: Vertex, keys) -> dict[Key, float | tuple[float, ...]]:
+def read(vertex: Vertex, keys: dict[tuple[str, str], float]) -> dict[Key, float | tuple[float, ...]]:
     """Return a vertex's numbers by key; those that the vertex leaves out are 0."""
     found: dict[Key, float | tuple[float, ...]] = {}
     for part, name in keys:
@@ -56,7 +56,7 @@ def unit_of(graph: SceneGraph, vertex: Vertex, key: Key) -> str:
     return next(p.unit for p in known if p.name == name)
 
 
-def moved(value, step, law):
+def moved(value: Any, step: float, law: Distribution) -> Any:
     """Return a number shifted by `step`, on a circle where it is an angle over one; a rotation turned by a vector (3,).
 
     Both keep the stock measure and are undone by the opposite step.
@@ -89,7 +89,7 @@ class Resimulate(Move):
 
     weight = 1.0
 
-    def _blocks(self, words, graph):
+    def _blocks(self, words: Vocabulary, graph: SceneGraph) -> list[tuple[str, str]]:
         return [
             (name, part)
             for name in graph.names
@@ -97,7 +97,7 @@ class Resimulate(Move):
             if any(key[0] == part for key in words.free_numbers(graph, name))
         ]
 
-    def draw(self, rng, words, graph):
+    def draw(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Any:
         blocks = self._blocks(words, graph)
         if not blocks:
             return None
@@ -105,12 +105,12 @@ class Resimulate(Move):
         laws = words.free_numbers(graph, name)
         return Numbers(name, part, {key: law.sample(rng) for key, law in laws.items() if key[0] == part})
 
-    def log_choice(self, words, graph, choice):
+    def log_choice(self, words: Any, graph: SceneGraph, choice: Any) -> float:
         laws = words.free_numbers(graph, choice.name)
         total = log_uniform_choice(len(self._blocks(words, graph)))
         return total + sum(laws[key].log_density(value) for key, value in choice.values.items())
 
-    def apply(self, words, graph, choice):
+    def apply(self, words: Any, graph: SceneGraph, choice: Any) -> Applied | None:
         vertex = graph.vertex(choice.name)
         back = Numbers(choice.name, choice.part, read(vertex, choice.values))
         new = write(vertex, choice.values)
@@ -142,24 +142,24 @@ class Wiggle(Move):
     weight = 12.0
     even = True
 
-    def objects(self, words, graph):
+    def objects(self, words: Vocabulary, graph: SceneGraph) -> list[str]:
         """Return the names of what has free numbers, the root's pose among them."""
         names = [name for name in graph.names if words.free_numbers(graph, name)]
         return ([ROOT] if words.prior.root.free_addresses() else []) + names
 
-    def laws(self, words, graph, name):
+    def laws(self, words: Vocabulary, graph: SceneGraph, name: str) -> Any:
         """Return the prior of each number that may shift."""
         if name == ROOT:
             return {("root", key): law for key, law in words.prior.root.free_addresses().items()}
         return words.free_numbers(graph, name)
 
-    def draw(self, rng, words, graph):
+    def draw(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Any:
         names = self.objects(words, graph)
         if not names:
             return None
         return self.steps_of(rng, words, graph, names[int(rng.random() * len(names))])
 
-    def steps_of(self, rng, words, graph, name) -> Shift:
+    def steps_of(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph, name: Any) -> Shift:
         """Return steps for the numbers of one object."""
         scale = SHORTEST * (LONGEST / SHORTEST) ** rng.random()
         keys = list(self.laws(words, graph, name))
@@ -172,7 +172,7 @@ class Wiggle(Move):
             steps[key] = width * rng.standard_normal(3) if turn else width * float(rng.standard_normal())
         return Shift(name, scale, steps)
 
-    def log_choice(self, words, graph, choice):
+    def log_choice(self, words: Any, graph: SceneGraph, choice: Any) -> float:
         laws = self.laws(words, graph, choice.name)
         if choice.name not in self.objects(words, graph) or not set(choice.steps) <= set(laws):
             return -math.inf
@@ -183,7 +183,7 @@ class Wiggle(Move):
         ways = 0.5 * (len(choice.steps) == len(laws)) + 0.5 * (len(choice.steps) == 1) / len(laws)
         return total + math.log(ways) if ways > 0.0 else -math.inf
 
-    def apply(self, words, graph, choice):
+    def apply(self, words: Any, graph: SceneGraph, choice: Any) -> Applied | None:
         back = Shift(choice.name, choice.scale, {key: -step for key, step in choice.steps.items()})
         laws = self.laws(words, graph, choice.name)
         if choice.name == ROOT:
@@ -198,13 +198,13 @@ class Wiggle(Move):
             return None
         return self.place(words, graph, write(vertex, new), back)
 
-    def place(self, words, graph, vertex, back):
+    def place(self, words: Vocabulary, graph: SceneGraph, vertex: Vertex, back: Shift) -> Applied | None:
         """Return the scene with the vertex in its new place."""
         vertices = tuple(vertex if other.name == vertex.name else other for other in graph.vertices)
         return Applied(replace(graph, vertices=vertices), back, 0.0)
 
 
-def _width(graph, name, key, scale):
+def _width(graph: SceneGraph, name: str, key: tuple[str, str], scale: float) -> float:
     """Return the standard deviation of a step of a number: metres, or the turn or share that moves a solid so far."""
     if name == ROOT:
         return scale if key[1] in ("root.x", "root.y", "root.z", "root.distance") else scale / (10.0 * ARM)
@@ -222,14 +222,14 @@ class Slide(Wiggle):
 
     weight = 2.0
 
-    def objects(self, words, graph):
+    def objects(self, words: Vocabulary, graph: SceneGraph) -> list[str]:
         carried = {vertex.parent for vertex in graph.vertices if vertex.contact.type in TILTED + LINE}
         return [name for name in words.grown(graph) if name in carried and self.laws(words, graph, name)]
 
-    def laws(self, words, graph, name):
+    def laws(self, words: Vocabulary, graph: SceneGraph, name: str) -> Any:
         return {key: law for key, law in words.free_numbers(graph, name).items() if key[0] == "contact"}
 
-    def place(self, words, graph, vertex, back):
+    def place(self, words: Any, graph: Any, vertex: Any, back: Any) -> Applied | None:
         alone = replace(graph, vertices=tuple(vertex if o.name == vertex.name else o for o in graph.vertices))
         poses, total, changed = graph.poses(), 0.0, {}
         moved_pose = alone.poses()[vertex.name]

@@ -9,7 +9,7 @@ import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,10 +29,14 @@ from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, v
 from derender.structures.jumps.reparametrise import renamed
 from derender.structures.jumps.sampler import JumpSampler
 
+if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
+    from derender.detection.search.observation import Observation
+
 FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY
 
 
-def root_pose_near(root, floor_pose: np.ndarray) -> np.ndarray:
+def root_pose_near(root: Any, floor_pose: np.ndarray) -> np.ndarray:
     """Return the pose that a root's prior allows nearest to one at which the floor was seen (its z up)."""
     if isinstance(root, LookedAtRoot):
         seen = _looked_at(floor_pose)
@@ -85,7 +89,9 @@ def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, a
     return found
 
 
-def _named(kind, entry, pose, size, turns, up, likely, length, angle) -> list[Hypothesis]:
+def _named(
+    kind: Any, entry: Any, pose: np.ndarray, size: Any, turns: Any, up: Any, likely: Any, length: Any, angle: Any
+) -> list[Hypothesis]:
     from derender.scene.shapes import shapes
 
     variants: list[Hypothesis] = []
@@ -133,7 +139,7 @@ def _floating(pose, root_pose):
     return contacts["6dof"].invert(inverse(np.asarray(root_pose, float)) @ pose).phi
 
 
-def _placed(words, graph, component, total_log_density):
+def _placed(words: Any, graph: SceneGraph, component: Any, total_log_density: Any) -> Any:
     """Return the graph with a component's vertex, shrunk as far as it takes; None where nothing helps."""
     for share in (1.0, 0.99, 0.97, 0.94):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
@@ -145,7 +151,7 @@ def _placed(words, graph, component, total_log_density):
     return None
 
 
-def _inside(x, spread):
+def _inside(x: Any, spread: Any) -> Any:
     """Return a number moved inside its prior's support."""
     if not isinstance(spread, tuple):
         return x
@@ -161,7 +167,9 @@ SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
 EXTRA = 1  # objects beyond those seen that SMC makes room for
 
 
-def infer_by_jumps(image, camera, options, document, rng=None, progress=None) -> Posterior:
+def infer_by_jumps(
+    image: Any, camera: Any, options: Any, document: Any, rng: np.random.Generator | None = None, progress: Any = None
+) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
     document : None for the default prior, as `bare_document` has it.
@@ -243,7 +251,9 @@ def bare_document(floor_pose: np.ndarray) -> Document:
     return replace(document, prior=replace(prior, root=FixedRoot(root_seen(floor_pose))), likelihood=None)
 
 
-def _likelihood_of(document, seen, settings, depth) -> tuple[str, dict[str, float]]:
+def _likelihood_of(
+    document: Document, seen: "Observation", settings: "Settings", depth: np.ndarray
+) -> tuple[str, dict[str, float]]:
     """Return the likelihood's name and numbers: the document's, else a robust one with the noise seen on the floor."""
     if document.likelihood is not None:
         given = document.likelihood.values

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.sampling.chains import Record, Segment
 from derender.scene.graph import Constraint, Contact, SceneGraph, Vertex
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 from derender.structures.jumps import mixture
-from derender.structures.jumps.base import State, Target, Vocabulary, evaluate
+from derender.structures.jumps.base import Move, State, Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import Draws, jump_chain, walk
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
 from derender.structures.jumps.smc import structure_smc
@@ -42,7 +43,7 @@ class SlotImage:
     camera, observed (H, W), likelihood, values : as of `DepthEvaluator`.
     """
 
-    def __init__(self, camera, observed: np.ndarray, likelihood: str = "gaussian", values=None) -> None:
+    def __init__(self, camera: Camera, observed: np.ndarray, likelihood: str = "gaussian", values: Any = None) -> None:
         self._arguments = camera, observed, likelihood, values
         self._evaluator: DepthEvaluator | None = None
         self._keys: list[tuple[int, int]] = []  # (kind, mesh) of each place
@@ -109,7 +110,7 @@ class SlotImage:
         self.evaluations += 1
         return self._evaluator.load(solids)
 
-    def _assign(self, names, solids: Solids) -> dict[str, int] | None:
+    def _assign(self, names: tuple[str, ...], solids: Solids) -> dict[str, int] | None:
         """Return a place for each solid: its own where its kind is the same; None where the places do not suffice."""
         if self._evaluator is None:
             return None
@@ -132,7 +133,7 @@ class SlotImage:
                 here[name] = place
         return {name: here[name] for name in names}
 
-    def _make(self, names, solids: Solids) -> None:
+    def _make(self, names: tuple[str, ...], solids: Solids) -> None:
         """Make an engine with places for a scene and more; the current scene stays the current one."""
         kinds: list[int] = []
         for kind in (PLANE, BOX, SPHERE, CYLINDER):
@@ -186,26 +187,30 @@ class JumpSampler:
         """Return the words that jumps are made of, with births about the hypotheses."""
         return Vocabulary(self.prior, HypothesisProposal(self.hypotheses) if self.hypotheses else None)
 
-    def start(self, rng) -> dict[str, np.ndarray]:
+    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Return the state of a chain that has drawn nothing."""
         counts = np.zeros((len(self._parts), 2), np.int64)
         return {"now": _packed([self.start_graph]), "drawn": _packed([]), "counts": counts}
 
     @property
-    def _parts(self):
+    def _parts(self) -> list[tuple[Move, float]]:
         return mixture(self.weights)
 
-    def _begin(self, state) -> tuple[Target, Vocabulary, State]:
+    def _begin(self, state: dict[str, np.ndarray]) -> tuple[Target, Vocabulary, State]:
         target = Target(self.prior, SlotImage(self.camera, self.image, self.likelihood, self.values))
         return target, self.vocabulary(), evaluate(target, _unpacked(state["now"])[0])
 
-    def warm_up(self, rng, state, done: int, rounds: int, total: int) -> dict[str, np.ndarray]:
+    def warm_up(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
+    ) -> dict[str, np.ndarray]:
         """Return the state after `rounds` times `thin` steps."""
         target, words, place = self._begin(state)
         place = walk(rng, target, words, place, rounds * self.thin, self._parts)
         return {**state, "now": _packed([place.graph])}
 
-    def advance(self, rng, state, draws: int) -> tuple[dict[str, np.ndarray], Segment]:
+    def advance(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], draws: int
+    ) -> tuple[dict[str, np.ndarray], Segment]:
         """Return the state and the densities of `draws` more scenes; the scenes are in the state."""
         target, words, place = self._begin(state)
         counts: Counter = Counter()

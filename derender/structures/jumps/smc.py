@@ -17,7 +17,7 @@ estimate of the evidence; adaptive steps bias it by O(1 / particles).
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,7 @@ def structure_smc(
     return Draws(states, np.full(particles, 1.0 / particles), acceptance_of(counts), log_evidence)
 
 
-def _forth(rng, target: Target, words: Vocabulary, state: State, size: int) -> Particle:
+def _forth(rng: np.random.Generator, target: Target, words: Vocabulary, state: State, size: int) -> Particle:
     """Return a particle after the forward kernel: perhaps with one more object."""
     stays = Particle(state, None, state)
     if len(words.grown(state.graph)) != size - 1 or rng.random() < STAY:
@@ -130,7 +130,15 @@ def _forth(rng, target: Target, words: Vocabulary, state: State, size: int) -> P
     return Particle(evaluate(target, graph), vertex.name, state)
 
 
-def _rejuvenate(rng, target: Target, words: Vocabulary, particle: Particle, size: int, exponent: float, steps: int):
+def _rejuvenate(
+    rng: np.random.Generator,
+    target: Target,
+    words: Vocabulary,
+    particle: Particle,
+    size: int,
+    exponent: float,
+    steps: int,
+) -> Any:
     """Return the particle after moves of its new object that leave the annealed target invariant.
 
     That is pi(G) b(v | G) times the increment to the exponent; steps are those of `wiggle`, even, with Jacobian one.
@@ -170,6 +178,6 @@ def _rejuvenate(rng, target: Target, words: Vocabulary, particle: Particle, size
     return particle
 
 
-def _shift_of(rng, wiggle: Wiggle, words: Vocabulary, particle: Particle) -> Shift:
+def _shift_of(rng: np.random.Generator, wiggle: Wiggle, words: Vocabulary, particle: Particle) -> Shift:
     """Return steps of the new object's numbers."""
     return wiggle.steps_of(rng, words, particle.state.graph, particle.born)

@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from derender.scene.graph import Vertex
+from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.shapes import shapes
-from derender.structures.jumps.base import Applied, Move, log_uniform_choice, moves
+from derender.structures.jumps.base import Applied, Move, Vocabulary, log_uniform_choice, moves
 from derender.structures.jumps.charts import Rest, draw_rest, log_rest
 from derender.structures.jumps.reparametrise import (
     Slot,
@@ -22,6 +22,9 @@ from derender.structures.jumps.reparametrise import (
     slot_of,
     table_of,
 )
+
+if TYPE_CHECKING:
+    from derender.structures.jumps.reparametrise import PosedBox
 
 
 class Rehang(NamedTuple):
@@ -45,19 +48,19 @@ class Reparametrise(Move):
     dropped, and R's inverse one of the k' that the old slot allows.
     """
 
-    def slots(self, words, graph, name) -> list[Slot]:
+    def slots(self, words: Vocabulary, graph: SceneGraph, name: str) -> list[Slot]:
         """Return where the object may go, its present slot left out."""
         raise NotImplementedError
 
-    def rotations(self, words, graph, name, slot) -> np.ndarray:
+    def rotations(self, words: Vocabulary, graph: SceneGraph, name: str, slot: Slot) -> np.ndarray:
         """Return the group (K, 3, 3), the same back as forth."""
         return group(graph.vertex(name).shape, words.shapes[slot.kind].type)
 
-    def keeps_axes(self, graph, name) -> bool:
+    def keeps_axes(self, graph: SceneGraph, name: str) -> bool:
         """Return whether the axes' names must stay, for the sake of what the object carries."""
         return False
 
-    def draw(self, rng, words, graph):
+    def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
         names = words.grown(graph)
         if not names:
             return None
@@ -75,7 +78,9 @@ class Reparametrise(Move):
             return None
         return Rehang(name, slot, rest, int(places[int(rng.random() * len(places))]))
 
-    def _places(self, words, graph, name, slot, rest):
+    def _places(
+        self, words: Vocabulary, graph: SceneGraph, name: str, slot: Slot, rest: Rest
+    ) -> "tuple[PosedBox, np.ndarray, np.ndarray]":
         """Return the posed box, the group, and the indices of the rotations that the slot allows."""
         rotations = self.rotations(words, graph, name, slot)
         table = table_of(words, graph, slot)
@@ -87,7 +92,7 @@ class Reparametrise(Move):
             good &= np.array([np.array_equal(r, np.eye(3)) for r in rotations])
         return posed, rotations, np.flatnonzero(good)
 
-    def log_choice(self, words, graph, choice):
+    def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
         names = words.grown(graph)
         slots = self.slots(words, graph, choice.name)
         own = own_chart(words, graph, choice.name)
@@ -99,7 +104,7 @@ class Reparametrise(Move):
         total = log_uniform_choice(len(names)) + log_uniform_choice(len(slots)) + log_uniform_choice(len(places))
         return total + log_rest(choice.rest, *own)
 
-    def apply(self, words, graph, choice):
+    def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
         name, slot = choice.name, choice.slot
         posed, rotations, _ = self._places(words, graph, name, slot, choice.rest)
         rotation = rotations[choice.rotation]
@@ -120,7 +125,7 @@ class Reparametrise(Move):
         return Applied(new, back, posed.log_element - element + log_jacobian)
 
 
-def own_chart(words, graph, name):
+def own_chart(words: Vocabulary, graph: SceneGraph, name: str) -> Any:
     """Return what `draw_rest` asks of a vertex's present chart; None where jumps do not know it."""
     vertex = graph.vertex(name)
     slot = slot_of(words, graph, name)
@@ -131,7 +136,7 @@ def own_chart(words, graph, name):
     return slot.choice[0], parent, shapes[vertex.shape], slot.choice[1:], table, words.shapes[slot.kind]
 
 
-def slots_on(words, graph, parent: str, kind: str) -> list[Slot]:
+def slots_on(words: Vocabulary, graph: SceneGraph, parent: str, kind: str) -> list[Slot]:
     """Return every slot of a kind on a parent."""
     kinds = words.kinds(graph, parent)
     if kinds is None or kind not in kinds.probabilities:
@@ -146,7 +151,7 @@ class Reparent(Reparametrise):
 
     weight = 2.0
 
-    def slots(self, words, graph, name):
+    def slots(self, words: Vocabulary, graph: SceneGraph, name: str) -> list[Slot]:
         vertex = graph.vertex(name)
         out = {name, vertex.parent, *graph.descendants(name)}
         lifted = graph  # what may bear does not depend on the object itself, which is no parent of its parents
@@ -161,7 +166,7 @@ class Reparent(Reparametrise):
 class ChangeFace(Reparametrise):
     """Let an object touch its parent by other faces, or in another way, where it is."""
 
-    def slots(self, words, graph, name):
+    def slots(self, words: Vocabulary, graph: SceneGraph, name: str) -> list[Slot]:
         own = slot_of(words, graph, name)
         return [slot for slot in slots_on(words, graph, own.parent, own.kind) if slot != own]
 
@@ -176,13 +181,13 @@ class ChangeShape(Reparametrise):
 
     weight = 2.0
 
-    def slots(self, words, graph, name):
+    def slots(self, words: Vocabulary, graph: SceneGraph, name: str) -> list[Slot]:
         own = slot_of(words, graph, name)
         kinds = words.kinds(graph, own.parent)
         others = [] if kinds is None else [kind for kind in kinds.choices if kind != own.kind]
         return [slot for kind in others for slot in slots_on(words, graph, own.parent, kind)]
 
-    def keeps_axes(self, graph, name):
+    def keeps_axes(self, graph: SceneGraph, name: str) -> bool:
         return bool(graph.children(name))
 
 
@@ -204,19 +209,19 @@ class Exchange(Move):
 
     weight = 0.5
 
-    def _pairs(self, words, graph):
+    def _pairs(self, words: Vocabulary, graph: SceneGraph) -> list[Pair]:
         grown = set(words.grown(graph))
         return [Pair(vertex.parent, vertex.name) for vertex in graph.vertices if grown >= {vertex.parent, vertex.name}]
 
-    def draw(self, rng, words, graph):
+    def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
         pairs = self._pairs(words, graph)
         return pairs[int(rng.random() * len(pairs))] if pairs else None
 
-    def log_choice(self, words, graph, choice):
+    def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
         pairs = self._pairs(words, graph)
         return log_uniform_choice(len(pairs)) if choice in pairs else -math.inf
 
-    def apply(self, words, graph, choice):
+    def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
         lower, upper = graph.vertex(choice.lower), graph.vertex(choice.upper)
         changed = {
             lower.name: replace(lower, shape=upper.shape, parameters=upper.parameters, options=upper.options),
@@ -251,20 +256,20 @@ class BirthDeath(Move):
 
     weight = 3.0
 
-    def draw(self, rng, words, graph):
+    def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
         if rng.random() < 0.5:
             vertex = words.proposal.sample(rng, words, graph)
             return None if vertex is None else Birth(vertex)
         leaves = words.leaves(graph)
         return Death(leaves[int(rng.random() * len(leaves))]) if leaves else None
 
-    def log_choice(self, words, graph, choice):
+    def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
         if isinstance(choice, Birth):
             return math.log(0.5) + words.proposal.log_density(words, graph, choice.vertex)
         leaves = words.leaves(graph)
         return math.log(0.5) + log_uniform_choice(len(leaves)) if choice.name in leaves else -math.inf
 
-    def apply(self, words, graph, choice):
+    def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
         if isinstance(choice, Birth):
             return Applied(graph.add(choice.vertex), Death(choice.vertex.name), 0.0)
         return Applied(graph.remove(choice.name), Birth(graph.vertex(choice.name)), 0.0)

@@ -6,13 +6,15 @@ already; what then is still unexplained may be solids of unknown sizes.  For eac
 them" compete by their refined energies.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import draw, make_row, rotation_of
+from derender.detection.solids.image import Image, draw, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import misfit_map
 from derender.detection.solids.polish import FREE
@@ -61,19 +63,27 @@ class Placement:
     library : Known objects. others : whether solids that are none of them may be there.
     """
 
-    def __init__(self, rng, image, state: State, settings: Settings, library: tuple[Known, ...], others: bool) -> None:
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        image: Image,
+        state: State,
+        settings: Settings,
+        library: tuple[Known, ...],
+        others: bool,
+    ) -> None:
         self.rng, self.image, self.state, self.settings = rng, image, state, settings
         self.library, self.others = library, others
         self.tilt = max(settings.tilt, LEAST_TILT)
         _, self.label, _, _ = self.view_of(state.rows)
 
-    def view_of(self, rows):
+    def view_of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Return depth, label, misfit, total of rows over the floor."""
         depth, label, misfit = blank(self.image)
         draw(self.image, rows, -1, depth, label)
         return depth, label, misfit, misfit_map(self.image, depth, misfit)
 
-    def view(self, placed, skip=-1):
+    def view(self, placed: list[Placed], skip: int = -1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return depth, label and misfit of the scene without number `skip`."""
         depth, label, misfit = blank(self.image)
         unknown = [k for k, item in enumerate(placed) if item.known is None and k != skip]
@@ -88,11 +98,11 @@ class Placement:
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
-    def rows(self, placed):
+    def rows(self, placed: list[Placed]) -> np.ndarray:
         """Return the (N, ROW) proxies."""
         return np.array([item.row for item in placed]).reshape(-1, 16)
 
-    def starts(self, known: Known, anchor: int, bases):
+    def starts(self, known: Known, anchor: int, bases: Any) -> Iterator[Any]:
         """Yield (rotation, centre, base) from which an object may be refined where a solid was found."""
         row = self.state.rows[anchor]
         middles = [row[10:12]]
@@ -110,7 +120,19 @@ class Placement:
                 for base in bases:
                     yield rotation, np.array([*middle, base - low]), base
 
-    def refine(self, known, rotation, centre, base, rows, skip, view, rounds, heat=2.0, scales=SCALES):
+    def refine(
+        self,
+        known: Known,
+        rotation: np.ndarray,
+        centre: np.ndarray,
+        base: float,
+        rows: np.ndarray,
+        skip: int,
+        view: tuple[np.ndarray, np.ndarray, np.ndarray],
+        rounds: int,
+        heat: float = 2.0,
+        scales: np.ndarray = SCALES,
+    ) -> tuple[float, np.ndarray, np.ndarray]:
         """Return (energy, rotation, centre) of one object annealed against the rest of the scene."""
         vertices, triangles = known.triangles
         size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
@@ -121,7 +143,14 @@ class Placement:
         )  # fmt: skip
         return energy, rotation, centre
 
-    def best_pose(self, known, anchor, placed, view, skip=-1):
+    def best_pose(
+        self,
+        known: Any,
+        anchor: int,
+        placed: list[Placed],
+        view: tuple[np.ndarray, np.ndarray, np.ndarray],
+        skip: int = -1,
+    ) -> tuple[float, Placed]:
         """Return (energy, Placed) of the best pose of an object at an anchor."""
         rows = self.rows(placed)
         tops = {round(highest(item.row), 4): highest(item.row) for k, item in enumerate(placed) if k != skip
@@ -149,7 +178,7 @@ class Placement:
         return energy, Placed(known, make_row(known.proxy, rotation, centre, known.size), anchor, base, -energy)
 
     @staticmethod
-    def above(row, other) -> bool:
+    def above(row: np.ndarray, other: np.ndarray) -> bool:
         """Whether a solid stands over another, seen from above."""
         lifted = row.copy()
         lifted[12] = other[12]
@@ -175,13 +204,13 @@ class Placement:
                 options[key] = (energy, item, len(placed))
                 continue
             placed.append(item)
-            counts[item.known.name] -= 1
+            counts[key[1]] -= 1
             options = {k: v for k, v in options.items() if k[0] != key[0] and counts[k[1]] > 0}
         if self.others:
             placed = self.add_unknown(placed)
         return self.settle(placed)
 
-    def grids(self, counts) -> list[Placed]:
+    def grids(self, counts: dict[str, int]) -> list[Placed]:
         """Return the known boxes of which large ones of the first search may consist, where they explain as much.
 
         counts : of how many of each object there may be more, changed in place.
@@ -200,7 +229,7 @@ class Placement:
                     break
         return placed
 
-    def add_unknown(self, placed):
+    def add_unknown(self, placed: list[Placed]) -> list[Placed]:
         """Return the scene with those solids of the first search that it still needs."""
         left = sorted(set(range(len(self.state))) - {item.anchor for item in placed}, key=self.state_bottom)
         for anchor in left:
@@ -214,38 +243,40 @@ class Placement:
                 placed = [*placed, replace(item, row=row, gain=-energy)]
         return placed
 
-    def price_of_unknown(self, row, item) -> float:
+    def price_of_unknown(self, row: np.ndarray, item: Placed) -> float:
         """Return the price in nats of a solid of unknown sizes: `cube_bonus` is what two free sizes cost."""
         settings, kind = self.settings, int(row[0])
         sizes = 1 if item.cube or kind == SPHERE else 3 if kind == BOX else 2
         tilted = settings.free_price if item.form == FREE and kind != SPHERE else 0.0
         return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + STRANGER * settings.temper
 
-    def state_bottom(self, anchor):
+    def state_bottom(self, anchor: Any) -> Any:
         """Return how high a solid of the first search begins."""
         return lowest(self.state.rows[anchor])
 
-    def unknown(self, anchor) -> Placed:
+    def unknown(self, anchor: int) -> Placed:
         """Return the solid of the first search as it was."""
         state = self.state
         base = state.bottoms[anchor]
         return Placed(None, state.rows[anchor].copy(), anchor, base, 0.0, state.forms[anchor], state.cubes[anchor])
 
-    def polished(self, item, placed, skip, view, rounds=250):
+    def polished(
+        self, item: Placed, placed: list[Placed], skip: int, view: Any, rounds: Any = 250
+    ) -> tuple[np.ndarray, float, float]:
         """Return (row, energy, misfit change) of a solid of unknown sizes polished against the rest."""
         rest = State(self.rows(placed), [FREE] * len(placed), [False] * len(placed), [FLOOR] * len(placed),
                      [np.nan] * len(placed))  # fmt: skip
         return run_polish(self.rng, self.image, rest, skip, item.row, item.form, item.cube, view, item.base,
                           self.settings, rounds)  # fmt: skip
 
-    def parents(self, placed) -> tuple[list[int], list[float]]:
+    def parents(self, placed: list[Placed]) -> tuple[list[int], list[float]]:
         """Return what each stands on and how high that is."""
         state = State(self.rows(placed), [item.form for item in placed], [item.cube for item in placed],
                       [FLOOR] * len(placed), [item.base for item in placed])  # fmt: skip
         found = [standing_on(state, k, REACH) for k in range(len(placed))]
         return [parent for parent, _ in found], [base for _, base in found]
 
-    def settle(self, placed):
+    def settle(self, placed: list[Placed]) -> list[Placed]:
         """Return the scene with every object held to what it stands on and refined against all others."""
         for sweep in range(2):
             _, bases = self.parents(placed)
@@ -262,7 +293,7 @@ class Placement:
                 placed[k] = replace(item, row=row)
         return placed
 
-    def identities(self, placed, k) -> list[tuple[float, Placed]]:
+    def identities(self, placed: list[Placed], k: int) -> list[tuple[float, Placed]]:
         """Return (energy, Placed) of everything that number `k` might be instead, itself first."""
         view = self.view(placed, k)
         rows, anchor = self.rows(placed), placed[k].anchor
@@ -297,7 +328,7 @@ LEVEL = 0.99  # cosine of the large box's tilt
 MOST = 64  # of cells
 
 
-def cells_of(row, known):
+def cells_of(row: np.ndarray, known: Known) -> np.ndarray:
     """Return the rows (N, ROW) of the boxes of one known size that a box may consist of, lowest first; (0, ROW): none.
 
     Of ways to lie that fit, the one whose gaps are narrowest. row : (ROW,) of the large box, floor frame.

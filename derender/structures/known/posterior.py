@@ -1,9 +1,11 @@
 """A posterior over which known object each solid is, and where: what `infer --known` answers."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from derender.detection.search.greedy import Settings
 from derender.detection.solids.graph import (
     FLOOR_NAME,
     best_contact,
@@ -15,15 +17,16 @@ from derender.detection.solids.graph import (
     vertex_of,
     without,
 )
-from derender.detection.solids.image import make_row, rotation_of
+from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.polish import WALK_MOVES, walk
-from derender.detection.solids.state import FLOOR, NOTHING, in_the_way
+from derender.detection.solids.state import FLOOR, NOTHING, State, in_the_way
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.solids import MESH
 from derender.structures.draws.numbers import numbers_at, parameters_of
 from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
 from derender.structures.known.image import walk_known
+from derender.structures.known.library import Known
 
 STEPS = 24  # of each object between two draws
 LEAST_LIKELY = 1e-3
@@ -31,7 +34,15 @@ UNKNOWN = "unknown"
 
 
 def known_posterior(
-    rng, image, state, settings, floor_pose, library, others, chains, draws
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    settings: Settings,
+    floor_pose: np.ndarray,
+    library: tuple[Known, Known, Known],
+    others: bool,
+    chains: int,
+    draws: int,
 ) -> list[StructurePosterior]:
     """Return the structures: the most probable identities with full chains, each single exchange as it is polished.
 
@@ -85,7 +96,7 @@ def names_of(placed: list[Placed]) -> list[str]:
     return names
 
 
-def graph_of(placed, parents, floor_pose, names) -> SceneGraph:
+def graph_of(placed: list[Placed], parents: list[int], floor_pose: np.ndarray, names: list[str]) -> SceneGraph:
     """Return the scene graph of what was placed."""
     parents = list(parents)
     order = order_of(parents)
@@ -106,14 +117,22 @@ def graph_of(placed, parents, floor_pose, names) -> SceneGraph:
     return graph
 
 
-def pose_of_known(row) -> np.ndarray:
+def pose_of_known(row: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4) of a known object; a mesh keeps its own axes, whatever its proxy."""
     pose = pose_of(row)
     pose[:3, :3] = rotation_of(row)
     return pose
 
 
-def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, draws) -> StructurePosterior:
+def part_of_known(
+    rng: np.random.Generator,
+    placement: Placement,
+    placed: list[Placed],
+    names: Any,
+    floor_pose: Any,
+    chains: int,
+    draws: int,
+) -> StructurePosterior:
     """Return draws of all numbers under given identities."""
     placed = list(placed)
     parents, bases = placement.parents(placed)
@@ -144,7 +163,9 @@ def part_of_known(rng, placement: Placement, placed, names, floor_pose, chains, 
                               periods_of(graph, addresses))  # fmt: skip
 
 
-def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
+def walk_one(
+    rng: np.random.Generator, placement: Placement, placed: list[Placed], k: int, scale: np.ndarray, adapt: bool
+) -> Placed:
     """Return one solid after some Metropolis steps given the others."""
     item, settings, image = placed[k], placement.settings, placement.image
     depth, _, misfit = placement.view(placed, k)
@@ -163,7 +184,7 @@ def walk_one(rng, placement: Placement, placed, k, scale, adapt) -> Placed:
     return replace(item, row=make_row(known.proxy, rotation, centre, known.size))
 
 
-def places_of(graph, placed, names):
+def places_of(graph: SceneGraph, placed: list[Placed], names: list[str]) -> dict[str, tuple[np.ndarray, None]]:
     """Return what `numbers_at` takes of what was placed."""
     return {
         name: (pose_of(item.row), parameters_of(item.row, graph.vertex(name).shape)) if item.known is None
