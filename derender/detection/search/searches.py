@@ -52,7 +52,7 @@ def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, floa
 ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
-ON_REPAIRS = 24  # moves between structures of a search that goes on where free-form things are known
+ON_REPAIRS = 48  # moves between structures of a search that goes on where free-form things are known
 PRUNE_THRESHOLD = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
