@@ -10,19 +10,24 @@ FLAT = 1e-10  # area over squared extent below which points count as being on a 
 def convex_outline(points: Any) -> Any:
     """Return the (M, 2) corners of the convex hull of points (N, 2), counterclockwise; None where they are on a line.
 
-    Quickhull: the point farthest beyond an edge is a corner, and what lies beyond the two edges to it is next.
+    Quickhull finds candidates: the point farthest beyond an edge, and what lies beyond the two edges to it. Of points
+    on one side of a polygon it takes some that rounding alone puts beyond an edge, and in a wrong order, so an edge
+    would face inwards: a monotone chain (Andrew 1979) through the candidates leaves those out.
     """
     if len(points) < 3:
         return None
     left, right = points[np.lexsort(points.T)[[0, -1]]]
-    corners = np.array([left, *_beyond(points, left, right), right, *_beyond(points, right, left)])[::-1]
+    found = np.array([left, *_beyond(points, left, right), right, *_beyond(points, right, left)])
+    found = found[np.lexsort(found.T[::-1])]
+    flat = FLAT * np.ptp(points, axis=0).max() ** 2
+    corners = np.array([*_chain(found, flat)[:-1], *_chain(found[::-1], flat)[:-1]])
     x, y = (corners - corners[0]).T
     area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
-    return corners if area > FLAT * np.ptp(points, axis=0).max() ** 2 else None
+    return corners if area > flat else None
 
 
 def _beyond(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
-    """Return the corners strictly to the left of the way from one corner to another, in order."""
+    """Return the corners strictly to the left of the way from one corner to another."""
     along, away = end - start, points - start
     height = along[0] * away[:, 1] - along[1] * away[:, 0]
     points = points[height > 0.0]
@@ -30,6 +35,19 @@ def _beyond(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.n
         return []
     corner = points[np.argmax(height[height > 0.0])]
     return [*_beyond(points, start, corner), corner, *_beyond(points, corner, end)]
+
+
+def _chain(points: np.ndarray, flat: float) -> list[np.ndarray]:
+    """Return those of points in order along an axis at which the way turns left by more than an area `flat`."""
+    chain: list[np.ndarray] = []
+    for point in points:
+        while len(chain) > 1:
+            (ax, ay), (bx, by) = chain[-1] - chain[-2], point - chain[-1]
+            if ax * by - ay * bx > flat:
+                break
+            chain.pop()
+        chain.append(point)
+    return chain
 
 
 def outline_planes(corners: np.ndarray) -> np.ndarray:

@@ -31,3 +31,16 @@ def test_points_on_a_line_have_no_outline():
     assert convex_outline(line) is None
     assert convex_outline(line[:2]) is None
     assert convex_outline(np.ones((5, 2))) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_pixels_of_a_floor_lie_within_their_outline(seed):
+    """Those along the image's border lie on lines but for rounding, which once turned edges to face inwards."""
+    tilt = np.random.default_rng(seed).uniform(0.3, 1.2)
+    rays = np.stack([*np.meshgrid(np.linspace(-0.6, 0.6, 160), np.linspace(-0.45, 0.45, 120)), np.ones((120, 160))], -1)
+    normal, along = np.array([0.0, -np.cos(tilt), -np.sin(tilt)]), np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    depth = -0.6 / (rays @ normal)
+    points = (depth[..., None] * rays)[depth > 0.0][::6]
+    flat = np.stack([points[:, 0], points @ along], axis=-1)
+    planes = outline_planes(convex_outline(flat))
+    assert (flat @ planes[:, :2].T + planes[:, 2]).max() < 1e-9 * np.ptp(flat)
