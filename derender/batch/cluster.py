@@ -1,6 +1,7 @@
 """Frames on a Dask cluster: read here, inferred there, written here. The workers need derender, but no file of ours."""
 
 import os
+import socket
 import tempfile
 import time
 from collections.abc import Mapping
@@ -12,12 +13,14 @@ from derender.batch.frames import Frame
 from derender.batch.work import THUMBNAIL, Done, Order, answer_frame, failure, request_of
 from derender.compilation.threads import THREADS_VARIABLE
 from derender.errors import DerenderError
+from derender.json_text import parse_json
 
 if TYPE_CHECKING:
     from derender.workflow import Request
 
 AHEAD = 2  # frames for each thread of the cluster that are sent before they are asked for: none of them ever waits
-PATIENCE = 30  # seconds for the scheduler to answer
+PATIENCE = 5  # seconds for the scheduler to answer
+GREETING = 1_000_000  # bytes: Dask's first message begins with its length, and is far shorter
 SCHEDULER = "give tcp://HOST:PORT of a running `dask scheduler`, or its scheduler file"
 
 
@@ -36,6 +39,7 @@ class Cluster:
             raise DerenderError("Dask is not installed", "--scheduler", remedy) from None
         if "://" not in scheduler and ":" not in scheduler and not os.path.isfile(scheduler):
             raise DerenderError("there is no such scheduler file", scheduler, SCHEDULER)
+        _check_that_one_answers(scheduler)
         given = {"scheduler_file": scheduler} if os.path.isfile(scheduler) else {"address": scheduler}
         try:
             self.client = Client(**given, timeout=PATIENCE, set_as_default=False)
@@ -97,6 +101,28 @@ class Cluster:
         """Give up what is in work and leave the cluster as it is."""
         self.client.cancel(list(self._futures))
         self.client.close()
+
+
+def _check_that_one_answers(scheduler: str) -> None:
+    """Raise a DerenderError where no Dask scheduler listens: Dask itself goes on asking, or trusts what answers it."""
+    address = scheduler
+    if os.path.isfile(scheduler):
+        told = parse_json(Path(scheduler).read_bytes(), scheduler)
+        if not isinstance(told, dict) or "address" not in told:
+            raise DerenderError("this is no scheduler file", scheduler, SCHEDULER)
+        address = str(told["address"])
+    transport, _, place = address.rpartition("://")
+    host, _, port = place.rpartition(":")
+    if transport not in ("", "tcp"):
+        return
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE) as connection:
+            greeting = connection.recv(8, socket.MSG_WAITALL)
+    except (OSError, ValueError, OverflowError) as error:
+        reason = str(error) if isinstance(error, OSError) else "no such port"
+        raise DerenderError(f"no scheduler answers ({reason})", scheduler, SCHEDULER) from None
+    if len(greeting) < 8 or int.from_bytes(greeting, "little") > GREETING:
+        raise DerenderError("what answers there is no Dask scheduler", scheduler, SCHEDULER)
 
 
 def answer_elsewhere(frame: Frame, request: "Request", page: bool) -> tuple[Done, dict[str, bytes]]:

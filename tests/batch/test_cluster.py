@@ -3,15 +3,18 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
 import pytest
 
-from derender.batch.cluster import write_files
-from derender.batch.work import is_done
+from derender.batch.cluster import PATIENCE, Cluster, write_files
+from derender.batch.work import Order, is_done
+from derender.errors import DerenderError
 
 FRAMES = 12
 
@@ -77,12 +80,27 @@ def told(lines):
     return {json.loads(line)["frame"] for line in lines.read_text().splitlines(keepends=True) if line.endswith("\n")}
 
 
-def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-    from derender.batch import cluster
-    from derender.batch.work import Order
-    from derender.errors import DerenderError
+@pytest.fixture
+def stranger():
+    """A server of another kind: it greets as a web server might."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
 
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
-    with pytest.raises(DerenderError, match="no scheduler answers.*give tcp://HOST:PORT"):
-        cluster.Cluster("tcp://127.0.0.1:9", Order(), str(tmp_path))
+        def greet():
+            with server.accept()[0] as connection:
+                connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+
+        threading.Thread(target=greet, daemon=True).start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+
+def test_a_scheduler_that_does_not_answer_is_told_at_once(tmp_path, stranger):
+    pytest.importorskip("distributed")
+    (tmp_path / "list.json").write_text("[1]")
+    nobody, no_port = "no scheduler answers.*give tcp://HOST:PORT", "no such port"
+    cases = {"tcp://127.0.0.1:9": nobody, "tcp://127.0.0.1": no_port, "tcp://127.0.0.1:x": no_port,
+             stranger: "no Dask scheduler", str(tmp_path / "list.json"): "no scheduler file"}  # fmt: skip
+    for scheduler, told in cases.items():
+        started = time.monotonic()
+        with pytest.raises(DerenderError, match=told):
+            Cluster(scheduler, Order(), str(tmp_path))
+        assert time.monotonic() - started < PATIENCE
