@@ -21,6 +21,8 @@ from derender.errors import DerenderError
 # of a second.
 GARBAGE = 200_000
 
+ENDING = ("SIGTERM", "SIGHUP")  # signals that end a command as Ctrl-C does; the latter is not on Windows
+
 # Each command's module is derender.cli.NAME and holds it as `command`. The summaries stand here so that
 # `derender --help` imports no command.
 COMMANDS = {
@@ -89,9 +91,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Our matrices are small and our threads our own: BLAS's would spin against them, and change sums by their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _open_closed_streams()
-    with warnings.catch_warnings():
-        warnings.showwarning = _show_warning
-        status = status_of(lambda: _run(arguments))
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            status = status_of(lambda: _run(arguments))
+        _end_at_once()
+    except KeyboardInterrupt:  # once more, or after all was done
+        _end_at_once()
+        status = 130
     if arguments is None and sys.gettrace() is None and sys.getprofile() is None:
         _leave(status)
     sys.exit(status)
@@ -127,10 +134,18 @@ def _end_as_ctrl_c() -> None:
 
     if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
         return
-    for name in ("SIGTERM", "SIGHUP"):  # the latter not on Windows
+    for name in ENDING:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup's stays ignored
             signal.signal(number, handle)
+
+
+def _end_at_once() -> None:
+    """Let signals that `_end_as_ctrl_c` handled end this process as usual: nothing is left to be saved."""
+    if threading.current_thread() is threading.main_thread():
+        for name in ENDING:
+            if hasattr(signal, name) and callable(signal.getsignal(getattr(signal, name))):
+                signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
 def _run(arguments: Sequence[str] | None) -> Any:

@@ -14,7 +14,7 @@ from on_floor import cube, on_floor
 from derender import workflow
 from derender.camera.depth_file import write_depth
 from derender.camera.intrinsics import Camera
-from derender.cli import _end_as_ctrl_c
+from derender.cli import _end_as_ctrl_c, main
 from derender.cli.infer import command
 from derender.cli.options import Duration
 from derender.detection.search import searches
@@ -92,6 +92,18 @@ def test_being_told_to_end_is_as_ctrl_c(name, interrupts):
     finally:
         signal.signal(number, before)
         signal.signal(signal.SIGINT, keyboard)
+
+
+def test_nothing_of_ctrl_c_is_left_when_a_command_leaves():
+    """What comes after all is done would be a traceback."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with pytest.raises(SystemExit):
+            main(["types", "box"])
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @pytest.mark.parametrize("text, seconds", [("30s", 30.0), ("30", 30.0), ("2min", 120.0), ("1.5h", 5400.0)])
