@@ -157,12 +157,22 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def make_folder(path: str | Path) -> Path:
-    """Make a folder and its parents where missing, and return it."""
+def make_folder(path: str | Path, room: int = 0) -> Path:
+    """Make a folder and its parents where missing, and return it; `room` bytes are to be free there.
+
+    Raises
+    ------
+    DerenderError : it cannot be made or written to, or its disk is full.
+    """
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DerenderError(f"the folder cannot be made: {reason}", where=path, remedy="choose another place") from None
+    if not os.access(path, os.W_OK):
+        raise DerenderError("the folder cannot be written to", where=path, remedy="choose another place")
+    if room and (free := shutil.disk_usage(path).free) < room:
+        what = f"the disk is full: {free / 1e6:.1f} of the {room / 1e6:g} MB that are needed"
+        raise DerenderError(what, where=path, remedy="make room, or choose another place")
     return path

@@ -21,6 +21,7 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.registry import suggest
 from derender.scene.codec.scene_file import KEYS, read_prior
+from derender.scene.codec.yaml_nodes import Item
 from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml, to_yaml
 from derender.scene.distributions import Distribution
 from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
@@ -184,8 +185,11 @@ def document_from(top: Section, folder: Path) -> Document:
 
 def _read_camera(node: Node, folder: Path) -> Camera:
     """Read the camera: its numbers, or the name of a camera file."""
-    if not isinstance(node, Section):
+    if isinstance(node, Item) and not node.empty:
         return read_camera(folder / node.text())
+    if not isinstance(node, Section):
+        raise node.fault(f"here stands {node.kind}", "write {fx: ..., fy: ..., cx: ..., cy: ..., width: ..., height: "
+                         "...} or the name of a camera file, or leave camera out")  # fmt: skip
     node.allow("fx", "fy", "cx", "cy", "width", "height", "depth_scale", "gravity")
     floats = {key: node[key].number() for key in ("fx", "fy", "cx", "cy")}
     sizes = {key: node[key].integer(lower=1, upper=100_000) for key in ("width", "height")}

@@ -24,6 +24,7 @@ from derender.structures.options import Frame, Options
 from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
+ROOM = 2_000_000  # bytes that have to be free before hours are spent: a result of 640 x 480 pixels takes about so many
 WRITERS = ("derender.report.html", "derender.results.netcdf", "h5py")  # modules that only the files need
 # Of a scene whose objects are given nothing remains to be said of what there is.
 FOR_BARE_IMAGES = ("shapes", "max_objects", "floor", "known", "only_known", "may_overlap", "may_float", "budget")
@@ -82,7 +83,7 @@ def infer_to_folder(
         options = replace(options, frames=read_frames([image, *frames], poses, reading))
     folder = Path(output or f"{Path(image).stem if image != '-' else 'scene'}_inferred")
     request = ask(image, options, prior, folder, reading, gradient, command, warn)
-    return answer(request, make_folder(folder), page, started, progress, say, warn)
+    return answer(request, make_folder(folder, ROOM), page, started, progress, say, warn)
 
 
 class Request(NamedTuple):

@@ -4,6 +4,7 @@ import io
 import json
 import time
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from derender.evaluation.truth import read_json_scene
 from derender.json_text import MOST_DEPTH, parse_json
 from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.shapes.mesh import load_mesh
+from derender.structures.options import Options
+from derender.workflow import infer_to_folder
 
 DEEP = 100_000  # brackets
 SOON = 5.0  # seconds: what was quadratic took minutes, so a busy machine cannot be mistaken for it
@@ -93,6 +96,32 @@ def test_numbers_beyond_computation_are_told(tmp_path, shape, more, told):
     path.write_text(SCENE.format(shape=shape, more=more))
     with pytest.raises(DerenderError, match=told):
         read_prior_document(path)
+
+
+def test_a_camera_that_is_null_is_told_what_to_write(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text("derender: 1\ncamera: null\nobjects:\n  floor: {shape: plane, contact: {type: 6dof}}\n")
+    with pytest.raises(DerenderError, match="write {fx: .* or the name of a camera file, or leave camera out"):
+        read_prior_document(path)
+
+
+def test_a_version_without_quotes_is_text(tmp_path):
+    """As other writers of YAML leave it when they have read and written a scene."""
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.format(shape="{type: cube, side: 0.1}", more="") + "made: {version: 0.1.0}\n")
+    assert read_prior_document(path).made == {"version": "0.1.0"}
+
+
+def test_a_folder_that_cannot_take_results_is_told_before_they_are_computed(tmp_path, monkeypatch):
+    image = tmp_path / "image.npy"
+    np.save(image, np.ones((8, 8)))
+    monkeypatch.setattr("derender.workflow.answer", lambda *_: pytest.fail("it was computed"))
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64_000))
+    with pytest.raises(DerenderError, match="the disk is full: 0.1 of the 2 MB"):
+        infer_to_folder(str(image), Options(), output=str(tmp_path))
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write to any folder but on such a disk
+    with pytest.raises(DerenderError, match="cannot be written to"):
+        infer_to_folder(str(image), Options(), output=str(tmp_path))
 
 
 def test_a_tower_of_1500_is_shown(tmp_path):

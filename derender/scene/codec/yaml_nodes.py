@@ -19,6 +19,7 @@ _BOOLEAN = re.compile(r"yes|no|on|off|true|false", re.IGNORECASE)
 _NOT_TEXT = re.compile(
     r"~|null|[-+]?\.(?:inf|nan)|[-+]?[0-9.][0-9_.:]*(?:e[-+][0-9]+)?|0x[0-9a-f_]+|<<|=", re.IGNORECASE
 )
+_VERSION = re.compile(r"[0-9]+(\.[0-9]+){2,}")  # text to them all: other writers of YAML leave its quotes out
 
 
 class Node:
@@ -159,6 +160,8 @@ class Item(Node):
                 return self.raw == "true"
             if re.fullmatch(r"[-+]?(0|[1-9][0-9]{0,15})", self.raw):
                 return int(self.raw)
+            if _VERSION.fullmatch(self.raw):
+                return self.raw
             if (
                 _NOT_TEXT.fullmatch(self.raw)
                 or _BOOLEAN.fullmatch(self.raw)
