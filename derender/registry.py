@@ -1,15 +1,39 @@
-"""Registries of named types: shapes, contacts, distributions, likelihoods, kernels.
+"""Registries of named types: shapes, contacts, distributions, likelihoods, kernels; and what a parameter of one is.
 
 Another package adds a type by an entry point in the registry's group; naming it there is enough.
 """
 
 import difflib
+import math
 from collections.abc import Callable, Iterator
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from derender.errors import DerenderError
 
 T = TypeVar("T")
+
+
+class Parameter(NamedTuple):
+    """A continuous parameter of a registered type.
+
+    Attributes
+    ----------
+    name : key in scene files and last part of its address (``theta``).
+    unit : "m", "rad" or "" for a pure number.
+    lower, upper : range of meaningful values; a file outside it is at fault.
+    default : value where a file says nothing, or None where a file must say it.
+    period : length after which the value repeats, or None.
+    slack : True for a number that is fixed at its default in an ideal contact (the gap, the tilts, the
+        angle of a disc): it counts as a degree of freedom only where a scene gives it.
+    """
+
+    name: str
+    unit: str = ""
+    lower: float = -math.inf
+    upper: float = math.inf
+    default: float | None = None
+    period: float | None = None
+    slack: bool = False
 
 
 class Registry(Generic[T]):
@@ -21,22 +45,25 @@ class Registry(Generic[T]):
     entry_point_group : group in which other packages announce theirs ("derender.shapes");
         each entry point is a module or object whose import registers it.
     late : modules of derender that register further types, in rooms that may not be imported before one is wanted.
+    make : what is kept of a class that is registered; an instance where not told otherwise.
     """
 
-    def __init__(self, kind: str, entry_point_group: str, late: tuple[str, ...] = ()) -> None:
-        self.late = late
+    def __init__(
+        self, kind: str, entry_point_group: str, late: tuple[str, ...] = (), make: Callable = lambda cls: cls()
+    ) -> None:
+        self.late, self.make = late, make
         self.kind = kind
         self.entry_point_group = entry_point_group
         self._entries: dict[str, T] = {}
         self._loaded = False
 
     def register(self, name: str) -> Callable[[type], type]:
-        """Class decorator: put an instance of the class under `name`. A name can be taken once."""
+        """Class decorator: put what `make` gives of the class under `name`. A name can be taken once."""
 
         def decorate(cls: type) -> type:
             if name in self._entries:
                 raise ValueError(f"the {self.kind} {name!r} is registered already")
-            entry = cls()
+            entry = self.make(cls)
             entry.name = name
             self._entries[name] = entry
             return cls

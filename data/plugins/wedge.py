@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from derender.scene.parameter import Parameter
+from derender.registry import Parameter
 from derender.scene.shapes import Shape, box_face, shapes
 
 

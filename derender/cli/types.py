@@ -59,9 +59,7 @@ def _entries() -> Iterator[Any]:
     for name in contacts:
         yield _entry("contact", name, contacts[name], map(_parameter, contact_parameters(name).values()))
     for name in distributions:
-        yield _entry(
-            "distribution", name, distributions[name], [{"name": key} for key in distributions[name].parameters]
-        )
+        yield _entry("distribution", name, distributions[name], [{"name": key} for key in distributions[name].names])
     for name in structures:
         yield _entry("structure", name, structures[name], [])
     for name in term_types:
@@ -75,7 +73,7 @@ def _entry(kind: str, name: str, entry: Any, parameters: Any) -> dict[str, Any]:
     return {
         "kind": kind,
         "name": name,
-        "summary": inspect.getdoc(type(entry)) or "",
+        "summary": inspect.getdoc(entry if inspect.isclass(entry) else type(entry)) or "",
         "parameters": list(parameters),
     }
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.registry import Parameter
 from derender.scene.codec.yaml_tree import Section, parse_yaml, read_yaml
 from derender.scene.distributions import Distribution
-from derender.scene.parameter import Parameter
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.values import check_range
 

@@ -116,7 +116,7 @@ def representative(prior: TreePrior, graph: SceneGraph) -> SceneGraph:
 def _alike(body: Body, face: str) -> list[str]:
     """Return the faces into which the symmetries of a solid carry one of its faces."""
     normal = body.face(face).frame[:3, 2]
-    turned = body.shape.symmetry(body.psi, body.options).rotations @ normal
+    turned = body.shape.symmetry.rotations @ normal
     normals = {name: body.face(name).frame[:3, 2] for name in body.shape.face_names}
     return [name for name, n in normals.items() if (np.abs(turned - n).max(axis=1) < 1e-9).any()]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from derender.registry import Parameter
 from derender.scene.contacts import ContactType, Inverse, contacts
-from derender.scene.parameter import Parameter
 from derender.scene.shapes import Face, Outline, Shape, box_face, shapes
 
 

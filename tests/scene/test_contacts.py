@@ -243,8 +243,8 @@ def test_theta_repeats_with_the_period():
         faces = parent, child, parent_face, child_face
         theta = contacts[kind].parameters(parent.shape, child.shape, parent_face, child_face)[0]
         poses = [contacts[kind].relative_pose({"theta": 0.3 + shift}, *faces) for shift in (0.0, theta.period)]
-        rotations = child.shape.symmetry(child.psi).rotations
-        if child.shape.symmetry(child.psi).axis is None:
+        rotations = child.shape.symmetry.rotations
+        if child.shape.symmetry.axis is None:
             turned = [np.abs(poses[0][:3, :3] @ r - poses[1][:3, :3]).max() for r in rotations]
             assert min(turned) < 1e-12
         assert np.abs(poses[0][:3, 3] - poses[1][:3, 3]).max() < 1e-12

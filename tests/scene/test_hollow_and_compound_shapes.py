@@ -64,7 +64,7 @@ def test_extents_faces_and_parts_agree_with_the_mesh(name, psi, options):
     assert np.allclose(shape.size(shape.psi_from_size(size, options), options), size)
     (vertices, _), drawn = shape.drawn_mesh(psi, options)[1], size
     assert np.allclose(vertices * (drawn / np.ptp(vertices, axis=0)), mesh.vertices, atol=1e-12)
-    for face in shape.faces(psi, options).values():
+    for face in (shape.face(name, psi, options) for name in shape.face_names):
         assert np.isclose(np.linalg.det(face.frame[:3, :3]), 1.0)
         assert np.abs((mesh.vertices - face.frame[:3, 3]) @ face.frame[:3, 2]).min() < 1e-12
     for corners in shape.convex_parts(psi, options):

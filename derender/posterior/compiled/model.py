@@ -29,10 +29,10 @@ from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, ROW, Part, Tuning
 from derender.posterior.kernels.relocate import mixture_of
 from derender.posterior.space import Space
+from derender.registry import Parameter
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.graph import SceneGraph, Vertex
-from derender.scene.parameter import Parameter
 from derender.scene.priors.root import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
 from derender.scene.shapes.box import box_feature
@@ -137,7 +137,7 @@ def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Add
         else:
             codes.append(0)
             laws.append((*law.row, unknown.period or 0.0, *folds.get(unknown.address, (0.0, 0.0))))
-            density, draw = density_and_draw(law.type)
+            density, draw = density_and_draw(type(law))  # type: ignore[arg-type]  # a class is hashable
             row = np.zeros(len(laws[-1]))
             calls.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
     unknowns = [[*codes, 0], space.offsets, space.directions, *zip(*calls, (0, 0), strict=True)]

@@ -24,7 +24,7 @@ from derender.posterior.compiled.layout import (
     ROTATION,
     SIZES,
 )
-from derender.scene.distributions import DistributionType, distributions
+from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import AtMost, DoesNotTouch, NoFloating, NoOverlap, RestsOn
 from derender.scene.separation import penetration_of, rest_residual, separation_of
@@ -37,7 +37,7 @@ _draw_rotation = njit(distributions["uniform-rotation"].draw)
 
 
 @functools.cache
-def density_and_draw(kind: DistributionType) -> tuple[Kernel, Kernel]:
+def density_and_draw(kind: type[Distribution]) -> tuple[Kernel, Kernel]:
     """Return the kernels density(x, row) -> float64 and draw(rng, row) -> float64 of a type that can be compiled.
 
     They are called by address, so a model compiles those that occur in it.

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.registry import Registry
+from derender.registry import Parameter, Registry
 from derender.render.blur import blur
-from derender.scene.parameter import Parameter
 
 likelihoods: Registry["Likelihood"] = Registry("likelihood", "derender.likelihoods")
 

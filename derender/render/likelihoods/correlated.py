@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.registry import Parameter
 from derender.render.likelihoods.base import (
     BACKGROUND,
     BLUR,
@@ -20,7 +21,6 @@ from derender.render.likelihoods.base import (
     likelihoods,
     with_wall,
 )
-from derender.scene.parameter import Parameter
 
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))

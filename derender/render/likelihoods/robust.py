@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.registry import Parameter
 from derender.render.likelihoods.base import (
     BACKGROUND,
     BLUR,
@@ -19,7 +20,6 @@ from derender.render.likelihoods.base import (
     temper,
     with_wall,
 )
-from derender.scene.parameter import Parameter
 
 RATE = (1e-30, 1.0 - 1e-12)  # of a share: its logarithm and that of the rest are finite; {uniform: [0, 1]} fits in
 DEGREE = 7  # of the polynomial in depth for the log normaliser of a tempered pixel

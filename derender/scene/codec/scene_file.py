@@ -9,11 +9,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.registry import Registry
+from derender.registry import Registry, suggest
 from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
@@ -44,20 +45,22 @@ from derender.scene.vertex import is_name
 structures: Registry["Structure"] = Registry("structure", "derender.structures")
 
 
+class Parts(NamedTuple):
+    """What the other sections of a file give to an open-universe prior, see `GrammarPrior`."""
+
+    root: RootPrior
+    objects: tuple[TreeObject, ...]
+    shapes: Mapping[str, ShapePrior]
+    contacts: ContactPrior
+    constraints: tuple[Term, ...]
+
+
 class Structure:
     """A kind of open-universe prior."""
 
     name: str
 
-    def read(
-        self,
-        section: Section,
-        root: RootPrior,
-        objects: tuple[TreeObject, ...],
-        shapes: Mapping[str, ShapePrior],
-        contacts: ContactPrior,
-        constraints: tuple[Term, ...],
-    ) -> Prior:
+    def read(self, section: Section, parts: Parts) -> Prior:
         """Return the prior of a file's `structure` section, with what its other sections gave."""
         raise NotImplementedError
 
@@ -66,52 +69,39 @@ class Structure:
 class Algorithm1(Structure):
     """`{type: algorithm-1, mean_parents: 1.5, mean_children: 2}`: lambda_1 and lambda_2."""
 
-    def read(self, section, root, objects, shapes, contacts, constraints):
+    def read(self, section: Section, parts: Parts) -> Prior:
         section.allow("type", "mean_parents", "mean_children")
-        if objects:
+        if parts.objects:
             raise section.fault("Algorithm 1 starts from the bare root", "leave objects: out, or take type: grammar")
-        for name, shape in shapes.items():
+        for name, shape in parts.shapes.items():
             if shape.weight != 1.0:
                 raise section.fault(f"the weight of {name} is not 1", "in Algorithm 1 each shape is as likely")
-        means = [section[key].number(lower=1e-9, upper=1000) for key in ("mean_parents", "mean_children")]
-        return Algorithm1Prior(root, shapes, contacts, *means, constraints)
+        parents, children = (section[key].number(lower=1e-9, upper=1000) for key in ("mean_parents", "mean_children"))
+        return Algorithm1Prior(parts.root, parts.shapes, parts.contacts, parents, children, parts.constraints)
 
 
 @structures.register("grammar")
 class Grammar(Structure):
     """`{type: grammar, offspring: {floor: {poisson: 2}, box: {geometric: 0.2}}}`: how many grow on each."""
 
-    def read(
-        self,
-        section: Section,
-        root: RootPrior,
-        objects: tuple[TreeObject, ...],
-        shapes: Mapping[str, ShapePrior],
-        contacts: ContactPrior,
-        constraints: tuple[Term, ...],
-    ) -> Prior:
+    def read(self, section: Section, parts: Parts) -> Prior:
         section.allow("type", "offspring")
-        offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
-        return GrammarPrior(root, objects, shapes, contacts, offspring, constraints)
+        return GrammarPrior(*parts[:4], read_offspring(section), parts.constraints)
 
 
 @structures.register("bare-image")
 class BareImage(Structure):
     """`{type: bare-image, offspring: {...}, slack: 1.5 mm, tipping: 0.01}`: a grammar, and what is loose about it."""
 
-    def read(
-        self,
-        section: Section,
-        root: RootPrior,
-        objects: tuple[TreeObject, ...],
-        shapes: Mapping[str, ShapePrior],
-        contacts: ContactPrior,
-        constraints: tuple[Term, ...],
-    ) -> Prior:
+    def read(self, section: Section, parts: Parts) -> Prior:
         loose = read_loose(section)
-        offspring = {name: read_count(node) for name, node in section["offspring"].section().items()}
-        terms = (*constraints, MayTip(loose.tipping))
-        return BareImagePrior(root, objects, shapes, contacts, offspring, terms, loose)
+        terms = (*parts.constraints, MayTip(loose.tipping))
+        return BareImagePrior(*parts[:4], read_offspring(section), terms, loose)
+
+
+def read_offspring(section: Section) -> dict[str, Any]:
+    """Return the distribution of how many objects grow on each."""
+    return {name: read_count(node) for name, node in section["offspring"].section().items()}
 
 
 KEYS = ("root", "gravity", "objects", "structure", "shapes", "contacts", "constraints")
@@ -152,7 +142,7 @@ def read_prior(top: Section, folder: Path) -> Prior:
     for name, node in top["contacts"].section().items():
         rules += read_rules(node, name)
     try:
-        return structures[kind].read(section, root, objects, kinds, ContactPrior(rules), terms)
+        return structures[kind].read(section, Parts(root, objects, kinds, ContactPrior(rules), terms))
     except DerenderError as error:
         if error.where is not None:
             raise
@@ -288,8 +278,6 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
             for each in face.choices if isinstance(face, Categorical) else (face,):
                 if each is not None and each not in known and not (key == "parent_face" and each == TOP):
                     shape = (parent, child)[index]
-                    from derender.registry import suggest
-
                     what = f"the {key} {each!r} of a {shape} has no {kind} contact"
                     raise section[key].fault(what, suggest(each, known))
         faces = [face if face is not None else _default_face(pairs, wanted, index) for index, face in enumerate(wanted)]

@@ -284,13 +284,13 @@ def parse_number(text: str, unit: str = "") -> float:
             known = UNITS.get(unit, {})
             if named not in known:
                 good = " or ".join(known) if known else "a number without a unit"
-                raise DerenderError(f"{_shown(text)} has a unit that does not fit here", remedy=f"write {good}")
+                raise DerenderError(f"{shown(text)} has a unit that does not fit here", remedy=f"write {good}")
             factor = known[named]
     if not _DECIMAL.fullmatch(digits):
         raise _fault(digits, text)
     value = float(digits) * factor
     if not math.isfinite(value):
-        raise DerenderError(f"{_shown(text)} is too large", remedy="give a finite number")
+        raise DerenderError(f"{shown(text)} is too large", remedy="give a finite number")
     return value
 
 
@@ -301,20 +301,15 @@ def _fault(digits: str, text: str) -> DerenderError:
         sign, whole, _, fraction, exponent_sign, exponent = match.groups()
         if exponent is not None:
             right = f"{sign}{whole or '0'}.{fraction or '0'}e{exponent_sign or '+'}{exponent}"
-            return DerenderError(f"{_shown(digits)} is text to a YAML reader, not a number", remedy=f"write {right}")
+            return DerenderError(f"{shown(digits)} is text to a YAML reader, not a number", remedy=f"write {right}")
         if whole.startswith("0") and not fraction:
             right = f"{sign}{whole.lstrip('0') or '0'}"
-            return DerenderError(f"{_shown(digits)} is octal to a YAML reader", remedy=f"write {right}")
+            return DerenderError(f"{shown(digits)} is octal to a YAML reader", remedy=f"write {right}")
     if digits.lower().lstrip("+-.") in ("inf", "nan", "infinity"):
-        return DerenderError(f"{_shown(text)} is not a finite number", remedy="give a finite number")
+        return DerenderError(f"{shown(text)} is not a finite number", remedy="give a finite number")
     if re.fullmatch(r"[-+]?(?:0[xX][0-9a-fA-F_]+|0[bB][01_]+|[0-9]+(?::[0-9.]+)+|[0-9][0-9_]*\.?[0-9_]*)", digits):
-        return DerenderError(f"{_shown(text)} is not in decimal notation", remedy="write plain digits, such as 1250.0")
-    return DerenderError(f"{_shown(text)} is not a number", remedy="write one such as 0.05 or 20 deg")
-
-
-def _shown(text: str) -> str:
-    """Quote a piece of input, shortened, in printable characters."""
-    return repr(text if len(text) <= 40 else text[:37] + "...")
+        return DerenderError(f"{shown(text)} is not in decimal notation", remedy="write plain digits, such as 1250.0")
+    return DerenderError(f"{shown(text)} is not a number", remedy="write one such as 0.05 or 20 deg")
 
 
 def write_number(value: float) -> str:

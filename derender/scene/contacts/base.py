@@ -8,9 +8,8 @@ import numpy as np
 
 from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
-from derender.registry import Registry, suggest
+from derender.registry import Parameter, Registry, suggest
 from derender.scene import polygon
-from derender.scene.parameter import Parameter
 from derender.scene.polygon import sides
 from derender.scene.pose import from_axes, inverse, rotation_angle, rotation_z, translation
 from derender.scene.shapes import Body, Shape

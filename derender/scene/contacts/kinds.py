@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.registry import Parameter
 from derender.scene.contacts.base import ContactType, Inverse, SurfaceContact, contacts
-from derender.scene.parameter import Parameter
 from derender.scene.pose import (
     from_quaternion,
     from_rotation_vector,

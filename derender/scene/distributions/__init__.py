@@ -9,7 +9,7 @@ True
 """
 
 from derender.scene.distributions import angles, continuous, discrete  # noqa: F401 - registered by being imported
-from derender.scene.distributions.base import ROW, Distribution, DistributionType, distributions
+from derender.scene.distributions.base import ROW, Distribution, distributions
 from derender.scene.distributions.discrete import Categorical
 
-__all__ = ["ROW", "Categorical", "Distribution", "DistributionType", "distributions"]
+__all__ = ["ROW", "Categorical", "Distribution", "distributions"]

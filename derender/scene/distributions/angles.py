@@ -1,21 +1,20 @@
 """Distributions over directions: von Mises on a circle, and the uniform one over rotations."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from derender.scene.distributions.base import DistributionType, bisected, distributions
+from derender.scene.distributions.base import Distribution, bisected, distributions
 
 TWO_PI = 2.0 * math.pi
 
 
 @distributions.register("von-mises")
-class VonMises(DistributionType):
+class VonMises(Distribution):
     """On [0, period] (a full turn unless given), with a mean direction and a concentration."""
 
-    parameters = ("mean", "concentration", "period")
+    names = ("mean", "concentration", "period")
     defaults = (TWO_PI,)
     dimensionless = ("concentration",)
     compiled = True
@@ -52,42 +51,42 @@ class VonMises(DistributionType):
         x = (row[0] + angle * row[2] / TWO_PI) % row[2]
         return x
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        _, concentration, period = parameters
+    def fault(self) -> str | None:
+        _, concentration, period = self.parameters
         if period <= 0:
             return f"period {period:g} is not positive"
         return None if 0 <= concentration <= 1e8 else f"concentration {concentration:g} is not in [0, 1e8]"
 
-    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
+    def _row(self) -> tuple[float, ...]:
         from scipy.special import i0e
 
-        mean, concentration, period = parameters
+        mean, concentration, period = self.parameters
         return mean, concentration, period, math.log(period) + math.log(float(i0e(concentration)))
 
-    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
-        return 0.0, parameters[2]
+    @property
+    def support(self) -> tuple[float, float]:
+        return 0.0, self.parameters[2]
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
+    def cdf(self, x: float) -> float:
         """Sum the Fourier series of the density; its terms fall off as exp(-j^2 / (2 concentration))."""
-        import numpy as np
         from scipy.special import ive
 
-        mean, concentration, period = parameters
+        mean, concentration, period = self.parameters
         x = min(max(x, 0.0), period)
         j = np.arange(1.0, 12.0 + 9.0 * math.sqrt(concentration))
         weights = ive(j, concentration) / ive(0.0, concentration) / (math.pi * j)
         begin, end = -TWO_PI * mean / period, TWO_PI * (x - mean) / period
         return float(x / period + weights @ (np.sin(j * end) - np.sin(j * begin)))
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        return bisected(lambda x: self.cdf(x, parameters), probability, 0.0, parameters[2])
+    def quantile(self, probability: float) -> float:
+        return bisected(self.cdf, probability, 0.0, self.parameters[2])
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0] % parameters[2]
+    def mean(self) -> float:
+        return self.parameters[0] % self.parameters[2]
 
 
 @distributions.register("uniform-rotation")
-class UniformRotation(DistributionType):
+class UniformRotation(Distribution):
     """Every orientation is as likely as another."""
 
     size = 4
@@ -107,5 +106,6 @@ class UniformRotation(DistributionType):
             norm = -norm
         return w / norm, x / norm, y / norm, z / norm
 
-    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
+    @property
+    def support(self) -> tuple[float, float]:
         return -1.0, 1.0

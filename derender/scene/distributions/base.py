@@ -1,4 +1,4 @@
-"""What a probability distribution over one number is: a registered type and, with its parameters, a distribution.
+"""What a probability distribution over one number is.
 
 `density` and `draw` of a built-in type are plain scalar functions of a *row*: four floats that hold the parameters (and
 a constant worth computing once). The compiled prior (posterior/compiled/prior.py) hands the same functions to numba.
@@ -15,7 +15,7 @@ from derender.registry import Registry
 
 ROW = 4  # floats in a row
 
-distributions: Registry["DistributionType"] = Registry("distribution", "derender.distributions")
+distributions: Registry[Any] = Registry("distribution", "derender.distributions", make=lambda family: family)
 
 
 def bisected(cdf: Callable[[float], float], probability: float, low: float, high: float) -> float:
@@ -27,22 +27,30 @@ def bisected(cdf: Callable[[float], float], probability: float, low: float, high
     return middle
 
 
-class DistributionType:
-    """A family of distributions, such as "normal"; calling it with parameters gives a `Distribution`.
+class Distribution:
+    """A distribution over one number (or one rotation): a registered family, such as "normal", with its parameters.
 
-    Attributes
-    ----------
-    parameters : names of the parameters, in the order in which YAML lists them.
+    Immutable. A family is a subclass, registered as `@distributions.register("normal")`; it says:
+
+    names : of the parameters, in the order in which YAML lists them.
     defaults : values of the last parameters, which may then be left out.
     dimensionless : parameters without a unit; all others have that of the number itself.
     lowest : the least value, where support is from there upwards.
     compiled : whether density and draw can be compiled.
     size : how many numbers a value has (1; a rotation's quaternion: 4).
     discrete : the density is with respect to the counting measure.
+
+    Attributes
+    ----------
+    parameters : tuple of float. row : (4,) float, what `density` and `draw` read.
+
+    Raises
+    ------
+    DerenderError : parameters that the family cannot have.
     """
 
     name: str = ""
-    parameters: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     defaults: tuple[float, ...] = ()
     dimensionless: tuple[str, ...] = ()
     lowest: float = -math.inf
@@ -50,109 +58,56 @@ class DistributionType:
     size: int = 1
     discrete: bool = False
 
-    density: Callable[[float, Sequence[float]], float]  # log density of x under a row
-    draw: Callable[[np.random.Generator, Sequence[float]], float]  # one draw under a row
+    density: Callable[[Any, Sequence[float]], float]  # log density of x under a row
+    draw: Callable[[np.random.Generator, Sequence[float]], Any]  # one draw under a row
 
-    def __call__(self, *parameters: float) -> "Distribution":
-        missing = len(self.parameters) - len(parameters)
+    def __init__(self, *parameters: float) -> None:
+        missing = len(self.names) - len(parameters)
+        remedy = f"it takes [{', '.join(self.names)}]" if self.names else "it takes nothing"
         if missing < 0 or missing > len(self.defaults):
-            wanted = ", ".join(self.parameters) or "nothing"
-            raise DerenderError(f"{self.name} got {len(parameters)} parameters", remedy=f"it takes [{wanted}]")
-        if missing:
-            parameters += self.defaults[len(self.defaults) - missing :]
-        values = tuple(float(value) for value in parameters)
-        for name, value in zip(self.parameters, values, strict=True):
+            raise DerenderError(f"{self.name} got {len(parameters)} parameters", remedy=remedy)
+        values = (*parameters, *self.defaults[len(self.defaults) - missing :])
+        self.parameters = tuple(float(value) for value in values)
+        for name, value in zip(self.names, self.parameters, strict=True):
             if not math.isfinite(value):
                 raise DerenderError(f"{self.name}: {name} is {value}", remedy="give a finite number")
-        fault = self.fault(values)
+        fault = self.fault()
         if fault:
-            raise DerenderError(f"{self.name}: {fault}", remedy=f"it takes [{', '.join(self.parameters)}]")
-        return Distribution(self, values)
+            raise DerenderError(f"{self.name}: {fault}", remedy=remedy)
+        self.row = self._row()
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
+    def fault(self) -> str | None:
         """Say what is wrong with the parameters, or None."""
         return None
 
-    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
+    def _row(self) -> tuple[float, ...]:
         """Return the row of four floats that `density` and `draw` read: here the parameters, padded with zeros."""
-        return tuple(parameters) + (0.0,) * (ROW - len(parameters))
-
-    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
-        """Return the least and the greatest value (possibly infinite)."""
-        return self.lowest, math.inf
-
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        """Return the probability of a value of at most x."""
-        raise NotImplementedError
-
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        """Return the x at which the cdf reaches `probability`."""
-        raise NotImplementedError
-
-    def mean(self, parameters: Sequence[float]) -> float:
-        """Return the mean (on a circle: the mean direction)."""
-        raise NotImplementedError
-
-    def describe(self) -> str:
-        """Return how YAML writes it, for `derender types`."""
-        return f"{self.name}: [{', '.join(self.parameters)}]"
-
-
-class Distribution:
-    """A distribution over one number (or one rotation): a type with its parameters.  Immutable.
-
-    Attributes
-    ----------
-    type : DistributionType.
-    parameters : tuple of float.
-    row : four floats for the compiled twin.
-    """
-
-    __slots__ = ("type", "parameters", "row", "_density", "_draw")
-
-    def __init__(self, type: DistributionType, parameters: tuple[float, ...]) -> None:
-        self.type = type
-        self.parameters = parameters
-        self.row = type.row(parameters)
-        self._density = type.density
-        self._draw = type.draw
-
-    @property
-    def name(self) -> str:
-        return self.type.name
-
-    @property
-    def compiled(self) -> bool:
-        return self.type.compiled
-
-    @property
-    def discrete(self) -> bool:
-        return self.type.discrete
-
-    @property
-    def size(self) -> int:
-        return self.type.size
+        return self.parameters + (0.0,) * (ROW - len(self.parameters))
 
     def sample(self, rng: np.random.Generator) -> Any:
         """Return one draw: a float (int where discrete; (4,) floats for a rotation)."""
-        return self._draw(rng, self.row)
+        return self.draw(rng, self.row)
 
     def log_density(self, x: Any) -> float:
         """Return the log density at x; -inf outside the support."""
-        return self._density(x, self.row)
+        return self.density(x, self.row)
 
     @property
     def support(self) -> tuple[float, float]:
-        return self.type.support(self.parameters)
+        """The least and the greatest value (possibly infinite)."""
+        return self.lowest, math.inf
 
     def cdf(self, x: float) -> float:
-        return self.type.cdf(x, self.parameters)
+        """Return the probability of a value of at most x."""
+        raise NotImplementedError
 
     def quantile(self, probability: float) -> float:
-        return self.type.quantile(probability, self.parameters)
+        """Return the x at which the cdf reaches `probability`."""
+        raise NotImplementedError
 
     def mean(self) -> float:
-        return self.type.mean(self.parameters)
+        """Return the mean (on a circle: the mean direction)."""
+        raise NotImplementedError
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Distribution) and (self.name, self.parameters) == (other.name, other.parameters)
@@ -160,13 +115,5 @@ class Distribution:
     def __hash__(self) -> int:
         return hash((self.name, self.parameters))
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, tuple[float, ...]]]:
-        return _restore, (self.name, self.parameters)
-
     def __repr__(self) -> str:
         return f"{{{self.name}: [{', '.join(map(repr, self.parameters))}]}}"
-
-
-def _restore(name: str, parameters: tuple[float, ...]) -> Distribution:
-    """Rebuild a pickled distribution (its functions are the registry's)."""
-    return Distribution(distributions[name], parameters)

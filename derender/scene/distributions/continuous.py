@@ -6,22 +6,21 @@ precision.
 """
 
 import math
-from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
-from derender.scene.distributions.base import DistributionType, bisected, distributions
+from derender.scene.distributions.base import Distribution, bisected, distributions
 
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
 
 @distributions.register("normal")
-class Normal(DistributionType):
+class Normal(Distribution):
     """Normal with a mean and a standard deviation."""
 
-    parameters = ("mean", "sd")
+    names = ("mean", "sd")
     compiled = True
 
     @staticmethod
@@ -33,26 +32,26 @@ class Normal(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] + row[1] * rng.standard_normal()
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        return None if parameters[1] > 0 else f"sd {parameters[1]:g} is not positive"
+    def fault(self) -> str | None:
+        return None if self.parameters[1] > 0 else f"sd {self.parameters[1]:g} is not positive"
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        mean, sd = parameters
+    def cdf(self, x: float) -> float:
+        mean, sd = self.parameters
         return 0.5 * math.erfc((mean - x) / (sd * math.sqrt(2.0)))
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        return NormalDist(*parameters).inv_cdf(probability)
+    def quantile(self, probability: float) -> float:
+        return NormalDist(*self.parameters).inv_cdf(probability)
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0]
+    def mean(self) -> float:
+        return self.parameters[0]
 
 
 @distributions.register("log-normal")
-class LogNormal(DistributionType):
+class LogNormal(Distribution):
     """Positive, with a median and the standard deviation of its natural logarithm."""
 
     lowest = 0.0
-    parameters = ("median", "log_sd")
+    names = ("median", "log_sd")
     dimensionless = ("log_sd",)
     compiled = True
 
@@ -69,33 +68,33 @@ class LogNormal(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return math.exp(row[2] + row[1] * rng.standard_normal())
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        median, log_sd = parameters
+    def fault(self) -> str | None:
+        median, log_sd = self.parameters
         if median <= 0:
             return f"median {median:g} is not positive"
         return None if 0 < log_sd <= 20 else f"log_sd {log_sd:g} is not in (0, 20]"
 
-    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
-        return parameters[0], parameters[1], math.log(parameters[0]), 0.0
+    def _row(self) -> tuple[float, ...]:
+        return self.parameters[0], self.parameters[1], math.log(self.parameters[0]), 0.0
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
+    def cdf(self, x: float) -> float:
         if x <= 0.0:
             return 0.0
-        return 0.5 * math.erfc((math.log(parameters[0]) - math.log(x)) / (parameters[1] * math.sqrt(2.0)))
+        return 0.5 * math.erfc((math.log(self.parameters[0]) - math.log(x)) / (self.parameters[1] * math.sqrt(2.0)))
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        return math.exp(NormalDist(math.log(parameters[0]), parameters[1]).inv_cdf(probability))
+    def quantile(self, probability: float) -> float:
+        return math.exp(NormalDist(math.log(self.parameters[0]), self.parameters[1]).inv_cdf(probability))
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0] * math.exp(0.5 * parameters[1] ** 2)
+    def mean(self) -> float:
+        return self.parameters[0] * math.exp(0.5 * self.parameters[1] ** 2)
 
 
 @distributions.register("exponential")
-class Exponential(DistributionType):
+class Exponential(Distribution):
     """Positive, with a mean."""
 
     lowest = 0.0
-    parameters = ("mean",)
+    names = ("mean",)
     compiled = True
 
     @staticmethod
@@ -106,25 +105,25 @@ class Exponential(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] * rng.standard_exponential()
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        return None if parameters[0] > 0 else f"mean {parameters[0]:g} is not positive"
+    def fault(self) -> str | None:
+        return None if self.parameters[0] > 0 else f"mean {self.parameters[0]:g} is not positive"
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        return -math.expm1(-x / parameters[0]) if x > 0 else 0.0
+    def cdf(self, x: float) -> float:
+        return -math.expm1(-x / self.parameters[0]) if x > 0 else 0.0
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        return -parameters[0] * math.log1p(-probability)
+    def quantile(self, probability: float) -> float:
+        return -self.parameters[0] * math.log1p(-probability)
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0]
+    def mean(self) -> float:
+        return self.parameters[0]
 
 
 @distributions.register("gamma")
-class Gamma(DistributionType):
+class Gamma(Distribution):
     """Positive, with a shape and a scale; the mean is their product."""
 
     lowest = 0.0
-    parameters = ("shape", "scale")
+    names = ("shape", "scale")
     dimensionless = ("shape",)
     compiled = True
 
@@ -139,50 +138,51 @@ class Gamma(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[1] * rng.standard_gamma(row[0])
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        shape, scale = parameters
+    def fault(self) -> str | None:
+        shape, scale = self.parameters
         return None if shape > 0 and scale > 0 else "shape and scale have to be positive"
 
-    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
-        shape, scale = parameters
+    def _row(self) -> tuple[float, ...]:
+        shape, scale = self.parameters
         return shape, scale, math.lgamma(shape) + shape * math.log(scale), 0.0
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
+    def cdf(self, x: float) -> float:
         from scipy.special import gammainc
 
-        return float(gammainc(parameters[0], max(x, 0.0) / parameters[1]))
+        return float(gammainc(self.parameters[0], max(x, 0.0) / self.parameters[1]))
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
+    def quantile(self, probability: float) -> float:
         from scipy.special import gammaincinv
 
-        return float(gammaincinv(parameters[0], probability) * parameters[1])
+        return float(gammaincinv(self.parameters[0], probability) * self.parameters[1])
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0] * parameters[1]
+    def mean(self) -> float:
+        return self.parameters[0] * self.parameters[1]
 
 
 ROOT_HALF = math.sqrt(0.5)
 
 
-class Interval(DistributionType):
-    """Between its last two parameters. The quantile is found by bisection where a type has no formula for it."""
+class Interval(Distribution):
+    """Between its last two self.parameters. The quantile is found by bisection where a type has no formula for it."""
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        lower, upper = parameters[-2:]
+    def fault(self) -> str | None:
+        lower, upper = self.parameters[-2:]
         return None if lower < upper else f"lower {lower:g} is not below upper {upper:g}"
 
-    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
-        return parameters[-2], parameters[-1]
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.parameters[-2], self.parameters[-1]
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        return bisected(lambda x: self.cdf(x, parameters), probability, *self.support(parameters))
+    def quantile(self, probability: float) -> float:
+        return bisected(self.cdf, probability, *self.support)
 
 
 @distributions.register("uniform")
 class Uniform(Interval):
     """Uniform on [lower, upper]."""
 
-    parameters = ("lower", "upper")
+    names = ("lower", "upper")
     compiled = True
 
     @staticmethod
@@ -193,23 +193,23 @@ class Uniform(Interval):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] + (row[1] - row[0]) * rng.random()
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def cdf(self, x: float) -> float:
+        lower, upper = self.parameters
         return min(max((x - lower) / (upper - lower), 0.0), 1.0)
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def quantile(self, probability: float) -> float:
+        lower, upper = self.parameters
         return lower + (upper - lower) * probability
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return 0.5 * (parameters[0] + parameters[1])
+    def mean(self) -> float:
+        return 0.5 * (self.parameters[0] + self.parameters[1])
 
 
 @distributions.register("log-uniform")
 class LogUniform(Interval):
     """Uniform in the logarithm on [lower, upper]."""
 
-    parameters = ("lower", "upper")
+    names = ("lower", "upper")
     compiled = True
 
     @staticmethod
@@ -222,25 +222,25 @@ class LogUniform(Interval):
         x = math.exp(row[2] + math.exp(row[3]) * rng.random())
         return min(max(x, row[0]), row[1])  # rounding must not leave the support
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        if not parameters[0] > 0:
-            return f"lower {parameters[0]:g} is not above 0"
-        return super().fault(parameters)
+    def fault(self) -> str | None:
+        if not self.parameters[0] > 0:
+            return f"lower {self.parameters[0]:g} is not above 0"
+        return super().fault()
 
-    def row(self, parameters: Sequence[float]) -> tuple[float, ...]:
-        lower, upper = parameters
+    def _row(self) -> tuple[float, ...]:
+        lower, upper = self.parameters
         return lower, upper, math.log(lower), math.log(math.log(upper / lower))
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def cdf(self, x: float) -> float:
+        lower, upper = self.parameters
         return math.log(min(max(x, lower), upper) / lower) / math.log(upper / lower)
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def quantile(self, probability: float) -> float:
+        lower, upper = self.parameters
         return lower * (upper / lower) ** probability
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def mean(self) -> float:
+        lower, upper = self.parameters
         return (upper - lower) / math.log(upper / lower)
 
 
@@ -248,7 +248,7 @@ class LogUniform(Interval):
 class Beta(Interval):
     """Beta with shapes a and b on (lower, upper), by default (0, 1)."""
 
-    parameters = ("a", "b", "lower", "upper")
+    names = ("a", "b", "lower", "upper")
     defaults = (0.0, 1.0)
     dimensionless = ("a", "b")
     compiled = True
@@ -268,25 +268,25 @@ class Beta(Interval):
         second = rng.standard_gamma(row[1])
         return row[2] + (row[3] - row[2]) * first / (first + second)
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        if min(parameters[:2]) < 0.01:
+    def fault(self) -> str | None:
+        if min(self.parameters[:2]) < 0.01:
             return "a and b have to be at least 0.01"
-        return super().fault(parameters)
+        return super().fault()
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
+    def cdf(self, x: float) -> float:
         from scipy.special import betainc
 
-        a, b, lower, upper = parameters
+        a, b, lower, upper = self.parameters
         return float(betainc(a, b, min(max((x - lower) / (upper - lower), 0.0), 1.0)))
 
-    def quantile(self, probability: float, parameters: Sequence[float]) -> float:
+    def quantile(self, probability: float) -> float:
         from scipy.special import betaincinv
 
-        a, b, lower, upper = parameters
+        a, b, lower, upper = self.parameters
         return float(lower + (upper - lower) * betaincinv(a, b, probability))
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        a, b, lower, upper = parameters
+    def mean(self) -> float:
+        a, b, lower, upper = self.parameters
         return lower + (upper - lower) * a / (a + b)
 
 
@@ -294,7 +294,7 @@ class Beta(Interval):
 class TruncatedNormal(Interval):
     """Normal with a mean and a standard deviation before it was cut to [lower, upper]."""
 
-    parameters = ("mean", "sd", "lower", "upper")
+    names = ("mean", "sd", "lower", "upper")
     compiled = True
 
     @staticmethod
@@ -331,16 +331,16 @@ class TruncatedNormal(Interval):
             if rng.random() <= math.exp(0.5 * (offset * offset - z * z)):
                 return x
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        mean, sd, lower, upper = parameters
+    def fault(self) -> str | None:
+        mean, sd, lower, upper = self.parameters
         if sd <= 0:
             return f"sd {sd:g} is not positive"
         if lower < upper and max(lower - mean, mean - upper) > 30.0 * sd:
             return "the interval is more than 30 standard deviations from the mean"
-        return super().fault(parameters)
+        return super().fault()
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        mean, sd, lower, upper = parameters
+    def cdf(self, x: float) -> float:
+        mean, sd, lower, upper = self.parameters
         a, b = (lower - mean) / sd, (upper - mean) / sd
         z = (min(max(x, lower), upper) - mean) / sd
         if a + b < 0.0:
@@ -349,7 +349,7 @@ class TruncatedNormal(Interval):
         below = math.erfc(a * ROOT_HALF) - math.erfc(z * ROOT_HALF)
         return below / (math.erfc(a * ROOT_HALF) - math.erfc(b * ROOT_HALF))
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        mean, sd, lower, upper = parameters
-        row = self.row(parameters)
+    def mean(self) -> float:
+        mean, sd, lower, upper = self.parameters
+        row = self.row
         return mean + sd * sd * (math.exp(self.density(lower, row)) - math.exp(self.density(upper, row)))

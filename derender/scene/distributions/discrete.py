@@ -1,17 +1,19 @@
 """Distributions over finitely many names or whole numbers: categorical ones; uniform, Poisson and geometric counts."""
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene.distributions.base import DistributionType, distributions
+from derender.scene.distributions.base import Distribution, distributions
 
 
+@distributions.register("categorical")
 class Categorical:
-    """Choices with probabilities.  Weights are normalised; a choice of weight zero is no choice.
+    """Choices with weights: {choice: weight, ...}, or a list of equally likely ones; weight zero is no choice.
 
     Attributes
     ----------
@@ -20,11 +22,13 @@ class Categorical:
 
     __slots__ = ("probabilities", "_log", "_choices", "_cumulative")
     name = "categorical"
-    compiled = False
+    names: tuple[str, ...] = ()
     size = 1
     discrete = True
 
-    def __init__(self, weights: Mapping[Any, float]) -> None:
+    def __init__(self, weights: Mapping[Any, float] | Iterable[Any]) -> None:
+        if not isinstance(weights, Mapping):
+            weights = dict.fromkeys(weights, 1.0)
         if not weights:
             raise DerenderError("categorical has no choices", remedy="give {choice: weight, ...}")
         for choice, weight in weights.items():
@@ -36,12 +40,7 @@ class Categorical:
         self.probabilities = {choice: weight / total for choice, weight in weights.items() if weight > 0}
         self._log = {choice: math.log(p) if p > 0 else -math.inf for choice, p in self.probabilities.items()}
         self._choices = tuple(self.probabilities)
-        sums = []
-        running = 0.0
-        for p in self.probabilities.values():
-            running += p
-            sums.append(running)
-        self._cumulative = tuple(sums)
+        self._cumulative = tuple(accumulate(self.probabilities.values()))
 
     def sample(self, rng: np.random.Generator) -> Any:
         """Return one choice."""
@@ -85,27 +84,11 @@ class Categorical:
         return "{categorical: {" + ", ".join(f"{c}: {p!r}" for c, p in self.probabilities.items()) + "}}"
 
 
-@distributions.register("categorical")
-class CategoricalType(DistributionType):
-    """Choices with weights: {choice: weight, ...}, or a list of equally likely ones."""
-
-    discrete = True
-
-    def __call__(self, weights: Any) -> Categorical:  # type: ignore[override]
-        """Return a `Categorical` from {choice: weight} or a list of equally likely choices."""
-        if not isinstance(weights, Mapping):
-            weights = dict.fromkeys(weights, 1.0)
-        return Categorical(weights)
-
-    def describe(self) -> str:
-        return "categorical: {choice: weight, ...}"
-
-
 @distributions.register("uniform-integer")
-class UniformInteger(DistributionType):
+class UniformInteger(Distribution):
     """lower, lower + 1, ..., upper."""
 
-    parameters = ("lower", "upper")
+    names = ("lower", "upper")
     discrete = True
 
     @staticmethod
@@ -118,29 +101,30 @@ class UniformInteger(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(row[0]) + int((row[1] - row[0] + 1.0) * rng.random())
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        lower, upper = parameters
+    def fault(self) -> str | None:
+        lower, upper = self.parameters
         if lower != math.floor(lower) or upper != math.floor(upper):
             return "lower and upper have to be whole numbers"
         return None if lower <= upper <= lower + 1e6 else f"it is not true that {lower:g} <= upper <= lower + 1e6"
 
-    def support(self, parameters: Sequence[float]) -> tuple[float, float]:
-        return parameters[0], parameters[1]
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.parameters[0], self.parameters[1]
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        lower, upper = parameters
+    def cdf(self, x: float) -> float:
+        lower, upper = self.parameters
         return min(max((math.floor(x) - lower + 1.0) / (upper - lower + 1.0), 0.0), 1.0)
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return 0.5 * (parameters[0] + parameters[1])
+    def mean(self) -> float:
+        return 0.5 * (self.parameters[0] + self.parameters[1])
 
 
 @distributions.register("poisson")
-class Poisson(DistributionType):
+class Poisson(Distribution):
     """0, 1, 2, ... with a mean."""
 
     lowest = 0.0
-    parameters = ("mean",)
+    names = ("mean",)
     discrete = True
 
     @staticmethod
@@ -153,24 +137,24 @@ class Poisson(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(rng.poisson(row[0]))
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        return None if 0 < parameters[0] <= 1e4 else f"mean {parameters[0]:g} is not in (0, 1e4]"
+    def fault(self) -> str | None:
+        return None if 0 < self.parameters[0] <= 1e4 else f"mean {self.parameters[0]:g} is not in (0, 1e4]"
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
+    def cdf(self, x: float) -> float:
         from scipy.special import pdtr
 
-        return float(pdtr(math.floor(x), parameters[0])) if x >= 0 else 0.0
+        return float(pdtr(math.floor(x), self.parameters[0])) if x >= 0 else 0.0
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0]
+    def mean(self) -> float:
+        return self.parameters[0]
 
 
 @distributions.register("geometric")
-class Geometric(DistributionType):
+class Geometric(Distribution):
     """0, 1, 2, ...: after each one, another follows with probability `more`."""
 
     lowest = 0.0
-    parameters = ("more",)
+    names = ("more",)
     discrete = True
 
     @staticmethod
@@ -183,11 +167,11 @@ class Geometric(DistributionType):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return int(rng.geometric(1.0 - row[0])) - 1
 
-    def fault(self, parameters: Sequence[float]) -> str | None:
-        return None if 0 < parameters[0] < 1 else f"more {parameters[0]:g} is not between 0 and 1"
+    def fault(self) -> str | None:
+        return None if 0 < self.parameters[0] < 1 else f"more {self.parameters[0]:g} is not between 0 and 1"
 
-    def cdf(self, x: float, parameters: Sequence[float]) -> float:
-        return 1.0 - parameters[0] ** (math.floor(x) + 1.0) if x >= 0 else 0.0
+    def cdf(self, x: float) -> float:
+        return 1.0 - self.parameters[0] ** (math.floor(x) + 1.0) if x >= 0 else 0.0
 
-    def mean(self, parameters: Sequence[float]) -> float:
-        return parameters[0] / (1.0 - parameters[0])
+    def mean(self) -> float:
+        return self.parameters[0] / (1.0 - self.parameters[0])

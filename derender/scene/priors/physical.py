@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from derender.registry import Parameter
 from derender.scene.codec.yaml_tree import Node, Section
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph
-from derender.scene.parameter import Parameter
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.values import check_range
 
@@ -74,7 +74,7 @@ def with_drawn_matter(graph: SceneGraph, rng: np.random.Generator) -> SceneGraph
 
 
 def _plain(value: float | Distribution) -> Any:
-    return {value.type.name: list(value.parameters)} if isinstance(value, Distribution) else value
+    return {value.name: list(value.parameters)} if isinstance(value, Distribution) else value
 
 
 def _number(value: Any, rng: np.random.Generator | None) -> float:

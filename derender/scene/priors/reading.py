@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from derender.errors import DerenderError
-from derender.registry import suggest
+from derender.registry import Parameter, suggest
 from derender.scene.codec.yaml_tree import Item, List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
-from derender.scene.parameter import Parameter
 from derender.scene.priors.objects import ON, RESTING, TOP, ContactRule, ShapePrior, check_places
 from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quaternion
 from derender.scene.shapes import shapes
@@ -37,16 +36,16 @@ def read_distribution(node: Node, unit: str = "") -> Any:
     if name == "categorical":
         raise node.fault("here stands a choice, not a number", "give a distribution over numbers, such as uniform")
     if isinstance(detail, Section):
-        detail.allow(*kind.parameters)
-        given = [detail.get(key) for key in kind.parameters]
+        detail.allow(*kind.names)
+        given = [detail.get(key) for key in kind.names]
         while given and given[-1] is None:
             given.pop()
-        nodes = [detail[key] if item is None else item for key, item in zip(kind.parameters, given, strict=False)]
+        nodes = [detail[key] if item is None else item for key, item in zip(kind.names, given, strict=False)]
     elif isinstance(detail, List):
         nodes = detail.sequence()
     else:
         nodes = [] if detail.plain() is None else [detail]
-    units = ["" if key in kind.dimensionless else unit for key in kind.parameters]
+    units = ["" if key in kind.dimensionless else unit for key in kind.names]
     numbers = [item.number(units[k] if k < len(units) else "") for k, item in enumerate(nodes)]
     try:
         return kind(*numbers)
@@ -127,18 +126,15 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
             raise node.fault(f"the {parameter.name} of the {kind} is missing", f"add {parameter.name}: 0.1 or so")
     check_places(kind, values, places)
     options = {key: _option(key, node[key], folder) for key in shape.options if key in node}
-    if "file" in shape.options:
-        if "file" not in options:
-            raise node.fault(f"a {kind} needs its file", "add file: PATH")
+    if "file" in shape.options and "file" not in options:
+        raise node.fault(f"a {kind} needs its file", "add file: PATH")
+    if shape.options:
         try:
-            shape.check([parameter.default for parameter in shape.parameters], options)  # reads the mesh
+            shape.check([parameter.default or 1.0 for parameter in shape.parameters], options)  # reads a mesh
         except DerenderError as error:
-            raise node["file"].fault(f"{error.where or options['file']}: {error.what}", error.remedy) from None
-    if {"parts", "patch"} & set(shape.options):
-        try:
-            shape.check([parameter.default for parameter in shape.parameters], options)
-        except DerenderError as error:
-            raise (node.get("parts") or node.get("patch") or node).fault(error.what, error.remedy) from None
+            place = next((node[key] for key in shape.options if key in node), node)
+            what = f"{error.where or options['file']}: {error.what}" if "file" in options else error.what
+            raise place.fault(what, error.remedy) from None
     return ShapePrior(kind, values, options)
 
 

@@ -244,18 +244,8 @@ class RestsOnType(TermType):
     """
 
     def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        if node is None:
-            raise DerenderError("rests-on names no objects", remedy="write rests-on: [deck, pier]")
-        slack = 0.001
-        pair = node
-        if isinstance(node, Section):
-            node.allow("objects", "slack")
-            pair = node["objects"]
-            slack = node["slack"].number("m", lower=1e-6) if "slack" in node else slack
-        child, support = (item.text(names) for item in pair.sequence(2))
-        if child == support:
-            raise node.fault("an object cannot rest on itself", "name two objects")
-        return RestsOn(child, support, slack)
+        child, support, slack = _read_pair(node, names, "rests-on", "slack", 1e-6)
+        return RestsOn(child, support, 0.001 if slack is None else slack)
 
 
 @term_types.register("does-not-touch")
@@ -263,17 +253,24 @@ class DoesNotTouchType(TermType):
     """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
 
     def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        if node is None:
-            raise DerenderError("does-not-touch names no objects", remedy="write does-not-touch: [a, b]")
-        pair, margin = node, 0.0
-        if isinstance(node, Section):
-            node.allow("objects", "margin")
-            pair = node["objects"]
-            margin = node["margin"].number("m", lower=0.0) if "margin" in node else 0.0
-        first, second = (item.text(names) for item in pair.sequence(2))
-        if first == second:
-            raise node.fault("an object cannot keep off itself", "name two objects")
-        return DoesNotTouch(Constraint(first, second, margin=margin))
+        first, second, margin = _read_pair(node, names, "does-not-touch", "margin", 0.0)
+        return DoesNotTouch(Constraint(first, second, margin=margin or 0.0))
+
+
+def _read_pair(
+    node: Node | None, names: tuple[str, ...], term: str, key: str, lower: float
+) -> tuple[str, str, float | None]:
+    """Return two objects by name, and the length in metres that stands under `key` where one does."""
+    if node is None:
+        raise DerenderError(f"{term} names no objects", remedy=f"write {term}: [a, b]")
+    pair, length = node, None
+    if isinstance(node, Section):
+        pair = node.allow("objects", key)["objects"]
+        length = node[key].number("m", lower=lower) if key in node else None
+    first, second = (item.text(names) for item in pair.sequence(2))
+    if first == second:
+        raise node.fault(f"{term} names {first} twice", "name two objects")
+    return first, second, length
 
 
 def read_terms(node: Node, names: tuple[str, ...]) -> tuple[Term, ...]:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from derender.errors import DerenderError
+from derender.registry import Parameter
 from derender.scene.codec.yaml_tree import Node
 from derender.scene.distributions import Distribution
-from derender.scene.parameter import Parameter
 
 Value = float | Distribution
 

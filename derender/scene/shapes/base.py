@@ -1,19 +1,25 @@
 """What every shape type offers: extents, faces, a mesh; and the features that contacts take hold of."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.registry import Registry, suggest
-from derender.scene.parameter import Parameter
+from derender.registry import Parameter, Registry, suggest
+from derender.scene.solids import MESH
 
 shapes: Registry["Shape"] = Registry("shape", "derender.shapes")
 
 AXES = "xyz"
 FACE_NAMES = ("+x", "-x", "+y", "-y", "+z", "-z")
+SIDES = tuple(Parameter(name, "m", 0.0, math.inf) for name in ("length", "width", "height"))
+
+Psi = Sequence[float] | np.ndarray
+Options = Mapping[str, Any]
+NONE: Options = MappingProxyType({})
 
 
 class Outline(NamedTuple):
@@ -68,73 +74,68 @@ class Shape:
 
     Object axes: origin at the centre of the solid, axes along its box, z along a cylinder's axis. `psi` is the (P,)
     array of the values of `parameters`, in their order; `options` is what else a file may say, such as a mesh's file.
-    A subclass needs `parameters`, `size`, `psi_from_size` and `mesh`; the rest follows for a solid without flat faces.
+    A subclass needs `parameters` and `mesh`; its extents are its first three numbers, and the faces that it names those
+    of its box, where it says nothing else.
     """
 
     name: str = ""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     options: ClassVar[tuple[str, ...]] = ()
     form_parameters: ClassVar[tuple[str, ...]] = ()  # those that change its mesh by more than its extents
-    solid_kind: ClassVar[int | None] = 4  # solids.MESH: drawn through its mesh; None: not drawn
+    solid_kind: ClassVar[int | None] = MESH  # drawn through its mesh; None: not drawn
     face_names: ClassVar[tuple[str, ...]] = ()
     side_names: ClassVar[tuple[str, ...]] = ()
     point_names: ClassVar[tuple[str, ...]] = ()
     edge_names: ClassVar[tuple[str, ...]] = ()
     corner_names: ClassVar[tuple[str, ...]] = ()
     bounded: ClassVar[bool] = True
+    order: ClassVar[float] = 1.0  # how many rotations about a face's normal leave it as it is; inf: any
+    symmetry: ClassVar[Symmetry] = Symmetry(np.eye(3)[None])
 
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray | None:
         """Return the (3,) full extents in metres along the object axes, or None without extent."""
+        return np.array(psi[:3], dtype=float)
+
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
+        """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
+        return np.array(size, dtype=float)
+
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
+        """Return the feature called `name`; DerenderError if the shape has none such."""
+        if name not in self.face_names:
+            raise self.no_such_face(name)
+        return box_face(name, self.size(psi, options))
+
+    def face_order(self, name: str) -> float:
+        """Return how many rotations about the face's normal leave the solid as it is; inf for any angle."""
+        return self.order
+
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
+        """Return the solid as a trimesh.Trimesh in object axes."""
         raise NotImplementedError
 
-    def drawn(self, psi: np.ndarray, options: Mapping[str, Any] = {}) -> tuple[int | None, Any, np.ndarray | None]:  # noqa: B006
+    def convex_parts(self, psi: Psi, options: Options = NONE) -> tuple[np.ndarray, ...]:
+        """Return the corners (V, 3) in object axes of the convex solids it is made of; () where it is convex itself."""
+        return ()
+
+    def drawn(self, psi: Psi, options: Options = NONE) -> tuple[int | None, np.ndarray, np.ndarray | None]:
         """Return (kind, full extents, pose) of what `Solids` have of it: one of its kinds, (3,) metres, and the (4, 4)
         pose in object axes, None where these are its own."""
         extents = self.size(psi, options)
         return self.solid_kind, np.zeros(3) if extents is None else extents, None
 
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
-        """Return the (P,) parameters whose extents are nearest to the (3,) `size`."""
-        raise NotImplementedError
-
-    def face(self, name: str, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
-        """Return the feature called `name`; DerenderError if the shape has none such."""
-        raise self.no_such_face(name)
-
-    def faces(self, psi: tuple[float, ...], options: Mapping[str, Any] = {}) -> dict[str, Face]:  # noqa: B006
-        """Return the flat faces by name."""
-        return {name: self.face(name, psi, options) for name in self.face_names}
-
-    def face_order(self, name: str) -> float:
-        """Return how many rotations about the face's normal leave the solid as it is; inf for any angle."""
-        return 1
-
-    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
-        """Return the solid as a trimesh.Trimesh in object axes."""
-        raise NotImplementedError
-
-    def convex_parts(
-        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
-    ) -> tuple[np.ndarray, ...]:  # noqa: B006
-        """Return the corners (V, 3) in object axes of the convex solids it is made of; () where it is convex itself."""
-        return ()
-
-    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def drawn_mesh(self, psi: Psi, options: Options = NONE) -> Any:
         """Return (key, (vertices (V, 3), triangles (T, 3) int32)) for `Solids`; equal keys mean the same mesh."""
         mesh = self.mesh(psi, options)
         vertices = np.ascontiguousarray(mesh.vertices, dtype=float)
         key = (self.name, tuple(float(value) for value in psi), tuple(sorted(map(str, options.items()))))
         return key, (vertices, np.ascontiguousarray(mesh.faces, dtype=np.int32))
 
-    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
-        """Return the rotations that leave the solid as it is."""
-        return Symmetry(np.eye(3)[None])
-
     def feature_names(self) -> tuple[str, ...]:
         """Return the names of all features that a contact can use."""
         return self.face_names + self.side_names + self.point_names + self.edge_names + self.corner_names
 
-    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: object = None) -> None:  # noqa: B006
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
         """Raise DerenderError unless the parameters are finite and within their ranges."""
         for parameter, value in zip(self.parameters, psi, strict=True):
             if not (parameter.lower < value < parameter.upper):
@@ -159,7 +160,7 @@ class Body(NamedTuple):
 
     shape: Shape
     psi: Any = ()
-    options: Mapping[str, Any] = {}
+    options: Options = NONE
 
     def face(self, name: str) -> Face:
         """Return the feature called `name`."""

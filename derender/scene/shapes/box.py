@@ -1,15 +1,28 @@
 """The box and the cube, with their faces, edges and corners; and the open box: a tote, a bin, a carton without lid."""
 
-from collections.abc import Mapping
 from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene import solids
-from derender.scene.parameter import Parameter
-from derender.scene.shapes.base import AXES, FACE_NAMES, POINT, Face, Outline, Shape, Symmetry, box_face, shapes
+from derender.registry import Parameter
+from derender.scene.shapes.base import (
+    AXES,
+    FACE_NAMES,
+    NONE,
+    POINT,
+    SIDES,
+    Face,
+    Options,
+    Outline,
+    Psi,
+    Shape,
+    Symmetry,
+    box_face,
+    shapes,
+)
+from derender.scene.solids import BOX
 
 # An edge is named by the two faces that meet in it, a corner by the three: "+x-z", "+x+y-z".
 EDGE_NAMES = tuple(
@@ -18,12 +31,12 @@ EDGE_NAMES = tuple(
 CORNER_NAMES = tuple(f"{x}x{y}y{z}z" for x, y, z in product("+-", "+-", "+-"))
 CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))  # (8, 3), of the box with sides of one metre
 CORNERS.flags.writeable = False
-SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # counter-clockwise
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # counter-clockwise
 
 
 def box_mesh(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (8, 3) and triangles (12, 3) of a box about the origin, counter-clockwise from outside."""
-    triangles = [(a, b, c) for a, b, c, _ in SIDES] + [(a, c, d) for a, _, c, d in SIDES]
+    triangles = [(a, b, c) for a, b, c, _ in QUADS] + [(a, c, d) for a, _, c, d in QUADS]
     return CORNERS * size, np.array(triangles, dtype=np.int32)
 
 
@@ -70,10 +83,6 @@ def box_feature(name: str, size: Any) -> Face:
 HALF_TURNS = np.stack([np.eye(3), np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
 
 
-def _length(name: str) -> Parameter:
-    return Parameter(name, "m", 0.0, np.inf)
-
-
 def _rotations() -> np.ndarray:
     """Return the (24, 3, 3) rotations of the cube: the signed permutation matrices of determinant one."""
     found = []
@@ -90,60 +99,46 @@ ROTATIONS = _rotations()
 
 
 class Rectangular(Shape):
-    """What the box and the cube share; a subclass says its parameters and how they give the size."""
+    """What the box and the cube share: faces, edges and corners."""
 
-    solid_kind = solids.BOX
+    solid_kind = BOX
     face_names = FACE_NAMES
     edge_names = EDGE_NAMES
     corner_names = CORNER_NAMES
 
-    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006 - never changed
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         if name not in self.feature_names():
             raise self.no_such_face(name)
         return box_feature(name, self.size(psi))
 
-    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
 
-        return trimesh.creation.box(extents=self.size(psi, options))
+        return trimesh.creation.box(extents=self.size(psi))
 
 
 @shapes.register("box")
 class Box(Rectangular):
     """A box with the sides length, width and height along its x, y and z."""
 
-    parameters = (_length("length"), _length("width"), _length("height"))
-
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006
-        return np.array(psi, dtype=float)
-
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
-        return np.array(size, dtype=float)
-
-    def face_order(self, name: Any) -> float:
-        return 2
-
-    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
-        return Symmetry(HALF_TURNS)
+    parameters = SIDES
+    order = 2
+    symmetry = Symmetry(HALF_TURNS)
 
 
 @shapes.register("cube")
 class Cube(Rectangular):
     """A cube, by its side; a quarter turn of any face leaves it as it is."""
 
-    parameters = (_length("side"),)
+    parameters = (Parameter("side", "m", 0.0, np.inf),)
+    order = 4
+    symmetry = Symmetry(ROTATIONS)
 
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
         return np.full(3, float(psi[0]))
 
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
         return np.array([float(np.mean(size))])
-
-    def face_order(self, name: Any) -> float:
-        return 4
-
-    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
-        return Symmetry(ROTATIONS)
 
 
 WALL = 0.005  # metres, of a file that says none: totes and cartons have 3 to 8 mm
@@ -156,32 +151,25 @@ class OpenBox(Shape):
     Its face +z is the bottom's inside, on which what it holds rests; the others are its outside.
     """
 
-    parameters = (
-        *(Parameter(name, "m", 0.0, np.inf) for name in ("length", "width", "height")),
-        Parameter("wall", "m", 0.0, np.inf, WALL),
-    )
+    parameters = (*SIDES, Parameter("wall", "m", 0.0, np.inf, WALL))
     form_parameters = ("length", "width", "height", "wall")
     face_names = FACE_NAMES
+    symmetry = Symmetry(np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])]))
 
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
-        return np.array(psi[:3], dtype=float)
-
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
         return np.array([*size, WALL], dtype=float)
 
-    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        length, width, height, wall = (float(value) for value in psi)
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
         if name != "+z":
-            return box_face(name, (length, width, height))
+            return super().face(name, psi)
+        length, width, height, wall = (float(value) for value in psi)
         inside = Outline(length - 2.0 * wall, width - 2.0 * wall)
         return Face(box_face(name, (length, width, 2.0 * wall - height)).frame, inside)
 
-    def face_order(self, name: Any) -> float:
+    def face_order(self, name: str) -> float:
         return 2 if name in ("+z", "-z") else 1
 
-    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
 
         *size, wall = (float(value) for value in psi)
@@ -197,9 +185,7 @@ class OpenBox(Shape):
                 triangles += [(a, b, b + 4), (a, b + 4, a + 4)]
         return trimesh.Trimesh(vertices, np.array(triangles), process=False)
 
-    def convex_parts(
-        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
-    ) -> tuple[np.ndarray, ...]:  # noqa: B006
+    def convex_parts(self, psi: Psi, options: Options = NONE) -> tuple[np.ndarray, ...]:
         length, width, height, wall = (float(value) for value in psi)
         half, middle = 0.5 * np.array([length, width, height]), 0.5 * (height - wall)
         parts = [((length, width, wall), (0.0, 0.0, -middle))]
@@ -208,10 +194,7 @@ class OpenBox(Shape):
             parts.append(((length - 2 * wall, wall, height - wall), (0.0, sign * (half[1] - 0.5 * wall), 0.5 * wall)))
         return tuple(CORNERS * size + place for size, place in parts)
 
-    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
-        return Symmetry(np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])]))
-
-    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
         super().check(psi, options, where)
         length, width, height, wall = psi
         if not wall < min(0.5 * length, 0.5 * width, height):

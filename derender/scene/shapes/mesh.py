@@ -13,10 +13,9 @@ from warnings import warn
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.registry import suggest
-from derender.scene.parameter import Parameter
+from derender.registry import Parameter, suggest
 from derender.scene.pose import from_quaternion
-from derender.scene.shapes.base import FACE_NAMES, Face, Shape, box_face, shapes
+from derender.scene.shapes.base import FACE_NAMES, NONE, Options, Psi, Shape, shapes
 
 MOST_BYTES, MOST_TRIANGLES = 200_000_000, 2_000_000  # of a mesh file: beyond, fitting its box takes minutes
 LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written in millimetres
@@ -129,26 +128,29 @@ class Scaled(Shape):
     parameters = (Parameter("scale", "", 0.0, np.inf, 1.0),)
     face_names = FACE_NAMES
 
-    def load(self, options: Mapping[str, Any]) -> Any:
+    def load(self, options: Options) -> Any:
         """Return its form at scale 1; DerenderError where its options are at fault."""
         raise NotImplementedError
 
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
         return float(psi[0]) * self.load(options).extents
 
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
         return np.array([float(np.cbrt(np.prod(np.asarray(size) / self.load(options).extents)))])
 
-    def face(self, name: Any, psi: Any, options: Any = {}) -> Face:  # noqa: B006
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        return box_face(name, self.size(psi, options))
-
-    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
 
         loaded = self.load(options)
         return trimesh.Trimesh(float(psi[0]) * loaded.vertices, loaded.triangles, process=False)
+
+    def drawn_mesh(self, psi: Psi, options: Options = NONE) -> Any:
+        loaded = self.load(options)
+        return id(loaded.vertices), (loaded.vertices, loaded.triangles)
+
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
+        super().check(psi, options, where)
+        self.load(options)
 
 
 @shapes.register("mesh")
@@ -160,19 +162,11 @@ class Mesh(Scaled):
 
     options = ("file", "hull")
 
-    def load(self, options: Mapping[str, Any]) -> LoadedMesh:
+    def load(self, options: Options) -> LoadedMesh:
         """Return the file's mesh at scale 1."""
         if not options.get("file"):
             raise DerenderError("a mesh needs its file", remedy="give file: PATH")
         return load_mesh(options["file"], options.get("hull", True))
-
-    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
-        loaded = self.load(options)
-        return id(loaded), (loaded.vertices, loaded.triangles)
-
-    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
-        super().check(psi, options, where)
-        self.load(options)
 
 
 MOST_PARTS = 100
@@ -250,7 +244,7 @@ class Compound(Scaled):
 
     options = ("parts",)
 
-    def load(self, options: Mapping[str, Any]) -> Assembly:
+    def load(self, options: Options) -> Assembly:
         """Return its parts put together; DerenderError where one is at fault."""
         parts = options.get("parts")
         if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MOST_PARTS:
@@ -259,15 +253,5 @@ class Compound(Scaled):
             )
         return _assemble(json.dumps(parts, default=str))
 
-    def convex_parts(
-        self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}
-    ) -> tuple[np.ndarray, ...]:  # noqa: B006
+    def convex_parts(self, psi: Psi, options: Options = NONE) -> tuple[np.ndarray, ...]:
         return tuple(float(psi[0]) * corners for corners in self.load(options).corners)
-
-    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
-        assembly = self.load(options)
-        return json.dumps(options["parts"], default=str), (assembly.vertices, assembly.triangles)
-
-    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
-        super().check(psi, options, where)
-        self.load(options)

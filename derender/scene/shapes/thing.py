@@ -7,15 +7,13 @@ import base64
 import binascii
 import struct
 import zlib
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene.parameter import Parameter
-from derender.scene.shapes.base import FACE_NAMES, Face, Shape, box_face, shapes
+from derender.scene.shapes.base import FACE_NAMES, NONE, SIDES, Options, Psi, Shape, shapes
 from derender.scene.shapes.box import box_mesh
 
 STEPS = 65535  # to which a vertex is rounded along each extent: a hundredth of a millimetre of half a metre
@@ -68,38 +66,24 @@ class Thing(Shape):
     whole box is filled.
     """
 
-    parameters = tuple(Parameter(name, "m", 0.0, np.inf) for name in ("length", "width", "height"))
+    parameters = SIDES
     options = ("surface",)
     face_names = FACE_NAMES
 
-    def surface(self, options: Any) -> tuple[np.ndarray, np.ndarray]:
+    def surface(self, options: Options) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices (V, 3) in [-.5, .5] and triangles (T, 3) of the closed surface."""
         text = options.get("surface")
         return decode_surface(str(text)) if text else box_mesh(np.ones(3))
 
-    def size(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
-        return np.array(psi, dtype=float)
-
-    def psi_from_size(self, size: np.ndarray, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
-        return np.array(size, dtype=float)
-
-    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
-        if name not in self.face_names:
-            raise self.no_such_face(name)
-        return box_face(name, psi)
-
-    def face_order(self, name: Any) -> float:
-        return 1
-
-    def mesh(self, psi: tuple[float, ...] | np.ndarray, options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
         import trimesh
 
         vertices, triangles = self.surface(options)
         return trimesh.Trimesh(vertices * np.asarray(psi, float), triangles, process=False)
 
-    def drawn_mesh(self, psi: tuple[float, ...] | np.ndarray, options: Any = {}) -> Any:  # noqa: B006
+    def drawn_mesh(self, psi: Psi, options: Options = NONE) -> Any:
         return ("thing", options.get("surface")), self.surface(options)
 
-    def check(self, psi: Any, options: Any = {}, where: Any = None) -> None:  # noqa: B006
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
         super().check(psi, options, where)
         self.surface(options)

@@ -1,14 +1,13 @@
 """Shapes without extent: the coordinate frame, such as the root, and the plane, such as a floor, a table or a wall."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene import solids
 from derender.scene.pose import rotation_z
-from derender.scene.shapes.base import UNBOUNDED, Face, Shape, Symmetry, box_face, shapes
+from derender.scene.shapes.base import NONE, UNBOUNDED, Face, Options, Psi, Shape, Symmetry, box_face, shapes
+from derender.scene.solids import BOX, PLANE
 
 
 @shapes.register("frame")
@@ -18,13 +17,10 @@ class Frame(Shape):
     solid_kind = None
     bounded = False
 
-    def size(self, psi: tuple[float, ...] | np.ndarray = (), options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+    def size(self, psi: Psi = (), options: Options = NONE) -> None:
         return None
 
-    def psi_from_size(self, size: np.ndarray | None = None, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
-        return np.zeros(0)
-
-    def mesh(self, psi: tuple[float, ...] | np.ndarray = (), options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
         import trimesh
 
         return trimesh.Trimesh()
@@ -43,20 +39,22 @@ class Plane(Shape):
     is there.
     """
 
-    solid_kind = solids.PLANE
+    solid_kind = PLANE
     bounded = False
     face_names = ("+z", "-z")
     options = ("patch",)
+    order = np.inf
+    symmetry = Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")
 
-    def drawn(self, psi: np.ndarray, options: Mapping[str, Any] = {}) -> tuple[int | None, Any, np.ndarray | None]:  # noqa: B006 - never changed
+    def drawn(self, psi: Psi, options: Options = NONE) -> tuple[int | None, np.ndarray, np.ndarray | None]:
         if not options.get("patch"):
             return super().drawn(psi, options)
         x, y, length, width, turn = options["patch"]
         pose = rotation_z(turn)
         pose[:2, 3] = x, y
-        return solids.BOX, np.array([length, width, THICKNESS]), pose
+        return BOX, np.array([length, width, THICKNESS]), pose
 
-    def check(self, psi: Any, options: Mapping[str, Any] = {}, where: Any = None) -> None:  # noqa: B006
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
         patch = options.get("patch")
         if patch is None:
             return
@@ -65,26 +63,17 @@ class Plane(Shape):
             remedy = "write [x, y, length, width, turn] in metres and radians, length and width above 0"
             raise DerenderError("the patch of the plane is none", where, remedy)
 
-    def size(self, psi: tuple[float, ...] | np.ndarray = (), options: Mapping[str, Any] = {}) -> np.ndarray | None:  # noqa: B006 - never changed
+    def size(self, psi: Psi = (), options: Options = NONE) -> None:
         return None
 
-    def psi_from_size(self, size: np.ndarray | None = None, options: Mapping[str, Any] = {}) -> np.ndarray:  # noqa: B006
-        return np.zeros(0)
-
-    def face(self, name: Any, psi: tuple[float, ...] | np.ndarray = (), options: Mapping[str, Any] = {}) -> Face:  # noqa: B006
+    def face(self, name: str, psi: Psi = (), options: Options = NONE) -> Face:
         if name not in self.face_names:
             raise self.no_such_face(name)
         return Face(box_face(name, (0.0, 0.0, 0.0)).frame, UNBOUNDED)
 
-    def face_order(self, name: Any) -> float:
-        return np.inf
-
-    def mesh(self, psi: tuple[float, ...] | np.ndarray = (), options: Mapping[str, Any] = {}) -> Any:  # noqa: B006
+    def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
         import trimesh
 
         half = DRAWN_SIDE / 2
         corners = [[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]]
         return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-
-    def symmetry(self, psi: Any = (), options: Mapping[str, Any] = {}) -> Symmetry:  # noqa: B006
-        return Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")

@@ -100,7 +100,7 @@ class Known:
 
     def same(self, first: np.ndarray, second: np.ndarray) -> bool:
         """Whether the object looks the same under two rotations (3, 3)."""
-        symmetry = self.body.shape.symmetry(self.body.psi, self.options)
+        symmetry = self.body.shape.symmetry
         if symmetry.axis == "all":
             return True
         relative = first.T @ second
