@@ -177,9 +177,10 @@ def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
 def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> list[Doubt]:
     """Return a doubt where the noise that was fitted is far above what flat patches of the image show.
 
-    Where much is background it says nothing: it was fitted about solids and floor alone.
+    Where much is background it says nothing: it was fitted about solids and floor alone. Nor where so many pixels are
+    missing that no patch is whole.
     """
-    if float(fit.background[np.isfinite(observed)].mean()) > SOME_BACKGROUND:
+    if not fit.noise.sigma or float(fit.background[np.isfinite(observed)].mean()) > SOME_BACKGROUND:
         return []
     middle = float(np.nanmedian(observed))
     fitted = float(likelihood.get("sigma", 0.0)) + float(likelihood.get("sigma_growth", 0.0)) * middle**2

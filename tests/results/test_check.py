@@ -40,6 +40,9 @@ def test_a_right_scene_raises_no_doubt():
     seen = image(TRUE)
     seen[np.random.default_rng(1).random(seen.shape) < 0.3] = np.nan
     assert doubts_of(TRUE, seen) == ()
+    noisy = image(TRUE, 0.018)
+    noisy[np.isnan(seen)] = np.nan  # no flat patch is whole: none shows how noisy the image is
+    assert doubts_of(TRUE, noisy, {**LIKELIHOOD, "sigma": 0.018}) == ()
 
 
 def test_a_thing_that_was_missed_is_told_and_where():
