@@ -37,7 +37,9 @@ def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = No
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in EXPORTERS:
-        raise DerenderError(f"no format has the suffix {suffix!r}", path, "choose from " + " ".join(EXPORTERS))
+        raise DerenderError(
+            f"no format has the suffix {suffix!r}", path, "choose from " + " ".join([*EXPORTERS, ".rrd"])
+        )
     written = []
     for name, data in EXPORTERS[suffix](graph, path, camera).items():
         target = path.parent / name
