@@ -19,7 +19,7 @@ from derender.errors import DerenderError
 SUFFIXES = (".bag", ".db3", ".mcap")
 FRAME = re.compile(r"(.+)@(\d+)")
 IMAGES, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-INFO, NUMBER = "sensor_msgs/msg/CameraInfo", "std_msgs/msg/Float32"
+INFO = "sensor_msgs/msg/CameraInfo"
 UNIT = "Depth_Units/value"  # the topic in which RealSense tells metres for one unit
 ENCODINGS = {"16UC1": "u2", "mono16": "u2", "Z16": "u2", "32FC1": "f4"}
 COMPRESSED_HEADER = 12  # bytes of compressedDepth before its PNG: a format, and two numbers of a quantisation
@@ -75,7 +75,7 @@ def read_frame(path: str, topic: str | None = None) -> tuple[np.ndarray, dict[st
         repeated = bag.times[:number].count(bag.times[number])
         for connection, _, data in reader.messages(connections, start=bag.times[number]):
             if repeated == 0:
-                return _depth_of(reader.deserialize(data, connection.msgtype), path), bag.camera
+                return _depth_of(_message(reader, connection, data), path), bag.camera
             repeated -= 1
     raise AssertionError("the bag has changed while it was read")
 
@@ -132,8 +132,19 @@ def _depth_topic(reader: Any, path: str, wanted: str | None) -> str:
 def _first(reader: Any, connection: Any) -> Any:
     """Return the first message of a connection, or None."""
     for _, _, data in reader.messages([connection]):
-        return reader.deserialize(data, connection.msgtype)
+        return _message(reader, connection, data)
     return None
+
+
+def _message(reader: Any, connection: Any, data: bytes) -> Any:
+    """Return a message. RealSense's SDK leaves bytes behind the end of images in .bag: they are cut off."""
+    if connection.msgtype == IMAGES and not reader.is2:
+        end = 12  # of the header's number and time; then come frame, height and width, encoding, order and step, pixels
+        for between in (0, 8, 5):
+            end += between
+            end += 4 + int.from_bytes(data[end : end + 4], "little")
+        data = data[:end]
+    return reader.deserialize(data, connection.msgtype)
 
 
 def _encoding(message: Any) -> str:
@@ -159,11 +170,19 @@ def _camera(reader: Any, topic: str) -> dict[str, Any] | None:
     tree = {"width": int(message.width), "height": int(message.height), "D": [] if rectified else fields["d"].tolist(),
             "fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}  # fmt: skip
     for connection in reader.connections:
-        if connection.msgtype == NUMBER and connection.topic.endswith(UNIT):
-            unit = _first(reader, connection)
-            if unit is not None and unit.data > 0:
-                tree["depth_scale"] = 1000.0 * float(unit.data)
+        if connection.topic.endswith(UNIT):
+            unit = _unit(_first(reader, connection))
+            if unit > 0:
+                tree["depth_scale"] = 1000.0 * unit
     return tree
+
+
+def _unit(message: Any) -> float:
+    """Return the metres for one unit that a message of RealSense tells, a Float32 in .bag, a String in .db3; else 0."""
+    try:
+        return float(message.data)
+    except (AttributeError, TypeError, ValueError):
+        return 0.0
 
 
 def _depth_of(message: Any, path: str) -> np.ndarray:
