@@ -64,7 +64,7 @@ def best_guess(rng, way, image, points, bottom, depth, misfit, count):
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def guess(rng, way, origin, points, bottom, row):
     """Write the row of a solid on whose surface one of the points lies, and which reaches over the others."""
     top = bottom + THINNEST
@@ -120,7 +120,7 @@ def guess(rng, way, origin, points, bottom, row):
         row[0], row[15] = SPHERE, diameter
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def reaching(rng, points, x, y, ax, ay):
     """Return (low, high) between which points lie along (x, y), and what may be hidden behind them.
 

@@ -93,7 +93,7 @@ def blank(image: Image) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.empty(shape), np.empty(shape, np.int32), np.empty(shape)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def bounding_rectangle(row, projection, height, width):
     """Return (i0, i1, j0, j1): the pixels, ends excluded, that can see the solid; all if it reaches behind."""
     left, right, top, bottom = 1e30, -1e30, 1e30, -1e30
@@ -113,7 +113,7 @@ def bounding_rectangle(row, projection, height, width):
     return pixels_within(left, right, top, bottom, height, width)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def pixels_within(left, right, top, bottom, height, width):
     """Return (i0, i1, j0, j1): the pixels, ends excluded, whose centres lie within bounds given in pixels."""
     i0 = int(min(max(np.ceil(left), 0), width))
@@ -123,7 +123,7 @@ def pixels_within(left, right, top, bottom, height, width):
     return i0, i1, j0, j1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", borrows=True)
 def between(o, d, half, near, far):
     """Return the part of a ray's depths near..far in which its coordinate o + depth * d is within half; none: near >
     far."""
@@ -134,7 +134,7 @@ def between(o, d, half, near, far):
     return max(near, min(a, b)), min(far, max(a, b))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", borrows=True)
 def in_axes(row, x, y, z):
     """Return a vector given in floor axes in the axes of a row's solid."""
     return (row[1] * x + row[4] * y + row[7] * z,
@@ -142,7 +142,7 @@ def in_axes(row, x, y, z):
             row[3] * x + row[6] * y + row[9] * z)  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", borrows=True)
 def hit(kind, row, ox, oy, oz, dx, dy, dz):
     """Return the depth of a ray's first hit, or FAR. Origin (o) and direction (d) in the solid's axes."""
     if kind == BOX:
@@ -178,7 +178,7 @@ def hit(kind, row, ox, oy, oz, dx, dy, dz):
     return near if near <= far else FAR
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def draw(image, rows, skip, depth, label):
     """Draw the floor (label -1; -2 nothing) and all solids but number `skip` into depth and label, in place."""
     height, width = image.depth.shape
@@ -191,7 +191,7 @@ def draw(image, rows, skip, depth, label):
             draw_one(image, rows[index], index, depth, label)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def draw_one(image, row, index, depth, label):
     """Draw one solid into depth and label, in place."""
     height, width = image.depth.shape

@@ -11,7 +11,7 @@ from derender.compilation.cache import njit
 from derender.scene.solids import BOX, SPHERE
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def reach(row, x, y, z):
     """Return how far the solid reaches from its centre along the unit vector (x, y, z)."""
     kind = int(row[0])
@@ -25,7 +25,7 @@ def reach(row, x, y, z):
     return 0.5 * (np.sqrt(a * a + b * b) * row[13] + abs(c) * row[15])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def overlap_along(p, q, x, y, z):
     """Return the overlap of two solids' shadows on an axis of any length (a great number for a zero axis)."""
     length = np.sqrt(x * x + y * y + z * z)
@@ -36,7 +36,7 @@ def overlap_along(p, q, x, y, z):
     return reach(p, x, y, z) + reach(q, x, y, z) - gap
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def clamp_direction(box, x, y, z):
     """Return the vector from the nearest point of the solid's oriented box to the point (x, y, z)."""
     ex, ey, ez = x - box[10], y - box[11], z - box[12]
@@ -52,7 +52,7 @@ def clamp_direction(box, x, y, z):
     return rx, ry, rz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def penetration(p, q):
     """Return the depth in metres by which two solids overlap; negative: a lower bound of minus their distance."""
     dx, dy, dz = q[10] - p[10], q[11] - p[11], q[12] - p[12]
@@ -62,13 +62,13 @@ def penetration(p, q):
     return least_overlap(p, q, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def gap_between(p, q):
     """Return the distance in metres between two solids as far as one of their axes tells; negative: they overlap."""
     return -least_overlap(p, q, -np.inf)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def least_overlap(p, q, enough):
     """Return the least overlap of two solids along the directions that may part them, or the first up to `enough`."""
     dx, dy, dz = q[10] - p[10], q[11] - p[11], q[12] - p[12]
@@ -105,13 +105,13 @@ def least_overlap(p, q, enough):
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def lowest(row):
     """Return the height of the solid's lowest point over the floor."""
     return row[12] - reach(row, 0.0, 0.0, 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def highest(row):
     """Return the height of the solid's highest point over the floor."""
     return row[12] + reach(row, 0.0, 0.0, 1.0)

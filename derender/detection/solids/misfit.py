@@ -16,7 +16,7 @@ NEAREST = 1e6  # 1 / metres: nothing is nearer
 WALL = 10.0  # metres: what lies beyond counts as this deep where the blur mixes it with what is nearer
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def residual(seen, drawn, blurred):
     """Return what is seen less what is drawn; a background that was taken as it is seen is not blurred again."""
     return 0.0 if abs(seen - drawn) < AS_SEEN else seen - blurred
@@ -60,7 +60,7 @@ def blur_into(taps, depth, i0, i1, j0, j1, out):
             weigh(taps[k], rows[max(j - k, 0) - top], rows[min(j + k, height - 1) - top], 1.0, out[j - j0])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def weigh(tap, one, other, kept, out):
     """Write kept * out plus `tap` times two rows (n,), or the one where they are the same row, into out (n,)."""
     share = tap if kept > 0.0 else 0.5 * tap
@@ -72,7 +72,7 @@ def weigh(tap, one, other, kept, out):
             out[n] += share * (one[n] + other[n])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def box_faces(image, row, i0, faces):
     """Write the inverse depths of a box's faces as affine functions of the pixel (i0 + n, j): a + b n + c j.
 
@@ -117,7 +117,7 @@ def box_depths(faces, j, out):
         out[n] = depth if upper >= lower else FAR
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def depths_of(image, row, i0, j, faces, out):
     """Write the depths of a solid in pixels i0.. of a row of the image, FAR where it is not hit, into out (n,)."""
     kind = int(row[KIND])
@@ -168,7 +168,7 @@ def added_misfits(image, rows, depth, misfit):
     return found
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(cache=True, nogil=True, fastmath={"reassoc"}, borrows=True)
 def change_of_row(seen, weight, depth, drawn, misfit):
     """Return how the misfit of pixels (n,) changes where what is drawn is nearer than the depth before."""
     total = 0.0
@@ -199,7 +199,7 @@ def change_within(image, window, left, top, i0, i1, j0, j1, misfit):
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc"})
+@njit(cache=True, nogil=True, fastmath={"reassoc"}, borrows=True)
 def change_of_blurred(seen, weight, drawn, blurred, misfit):
     """Return how the misfit of pixels (n,) changes with what is drawn in them, blurred."""
     total = 0.0

@@ -21,7 +21,7 @@ UPRIGHT, FREE = 0, 1
 MOVES, WALK_MOVES = 14, 15
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def size_energy(row, cube):
     """Return minus the log prior density of the sizes, log-normal in each free extent, up to a constant."""
     kind = int(row[0])
@@ -33,7 +33,7 @@ def size_energy(row, cube):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def contact_energy(row, others, skip, bottom, carried, slack):
     """Return the energy of standing off its support, of sinking into the floor or others, of those it carries.
 
@@ -46,7 +46,7 @@ def contact_energy(row, others, skip, bottom, carried, slack):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def resting_energy(row, low, others, skip, bottom, slack):
     """Return the energy of a solid whose lowest point is at height `low`: off its support, or inside what is there."""
     total = 0.0
@@ -62,7 +62,7 @@ def resting_energy(row, low, others, skip, bottom, slack):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def tilt_energy(row, form, tilt):
     """Return minus the log prior density of an upright solid's tilt off the vertical (normal, scale `tilt`)."""
     if form == FREE or int(row[0]) == SPHERE or tilt <= 0.0:
@@ -70,7 +70,7 @@ def tilt_energy(row, form, tilt):
     return max(1.0 - abs(row[9]), 0.0) / tilt**2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def turn(row, axis, angle, px, py, pz):
     """Turn the solid about its own axis (0, 1, 2) through the point (px, py, pz), in place."""
     ux, uy, uz = row[1 + axis], row[4 + axis], row[7 + axis]
@@ -90,7 +90,7 @@ def turn(row, axis, angle, px, py, pz):
             row[10], row[11], row[12] = nx + px, ny + py, nz + pz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def shift(row, axis, distance):
     """Shift the solid along its own axis, in place."""
     row[10] += distance * row[1 + axis]
@@ -98,7 +98,7 @@ def shift(row, axis, distance):
     row[12] += distance * row[7 + axis]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def try_step(rng, row, origin, form, cube, tilt, move, step):
     """Change the row by the step of kind `move` (see module), in place; return False where it is not allowed.
 
@@ -163,7 +163,7 @@ def try_step(rng, row, origin, form, cube, tilt, move, step):
     return row[13] > 0.004
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def propose(rng, row, trial, origin, form, cube, tilt, scale):
     """Write a solid one random step from `row` into `trial`; return (the kind of step, whether it is possible).
 

@@ -69,7 +69,7 @@ def log_density_of(value: Any, x: float) -> float:
     return 0.0 if abs(x - value) <= 1.01 * EDGE else -np.inf
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def log_density_at(row, extent):
     """Return the log density of an extent by a row of the table."""
     inside = min(max(np.log(extent), row[LOW]), row[HIGH])
@@ -80,7 +80,7 @@ def log_density_at(row, extent):
     return (1.0 - share) * row[FIRST + node] + share * row[FIRST + node + 1] - 0.5 * beyond * beyond
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def box_log_density(table, extents, upright):
     """Return the log density of a box's three extents, whichever of its names each has.
 

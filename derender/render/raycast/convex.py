@@ -26,7 +26,7 @@ ROUNDING = 1e-3  # pixels by which rectangles are enlarged: float32 rows must mi
 NEAREST = 1e-6  # metres: anything nearer to the camera's plane counts as behind it when rectangles are bounded
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _tangents(x, z, xx, xz, zz):
     """Bounds of X / Z over the ellipse with centre (x, z), shape ((xx, xz), (xz, zz)); infinite if Z can be 0."""
     leading = z * z - zz
@@ -37,13 +37,13 @@ def _tangents(x, z, xx, xz, zz):
     return (middle - root) / leading, (middle + root) / leading
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _first_pixel(value, limit):
     """The first pixel at or beyond `value`, in [0, limit]; a hair early, never late."""
     return int(math.ceil(min(max(value - ROUNDING, 0.0), float(limit))))  # clipped first: ceil of infinity has no int
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height):
     rectangle[0] = _first_pixel(camera[0] * lower_x + camera[2], width)
     rectangle[1] = max(_first_pixel(camera[0] * upper_x + camera[2] + 1.0 + 2.0 * ROUNDING, width), rectangle[0])
@@ -53,7 +53,7 @@ def _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width,
         rectangle[1] = rectangle[0]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def box_rectangle(pose, size, camera, width, height, rectangle):
     """Bound the image of a box: exact if it lies before the camera, the whole image if it reaches behind."""
     lower_x, upper_x, lower_y, upper_y = math.inf, -math.inf, math.inf, -math.inf
@@ -83,7 +83,7 @@ def box_rectangle(pose, size, camera, width, height, rectangle):
         _set_rectangle(rectangle, lower_x, upper_x, lower_y, upper_y, camera, width, height)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _put_face(prepared, nx, ny, nz, offset, camera):
     """Add the half space n.p <= offset, n = (nx, ny, nz) over the focal lengths: a front face if the camera is outside.
 
@@ -108,7 +108,7 @@ def _put_face(prepared, nx, ny, nz, offset, camera):
     prepared[slot], prepared[slot + 1], prepared[slot + 2] = a, b, c
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _put_slab(prepared, pose, axis, half, camera):
     """Add the two faces of a slab |axis coordinate| <= half."""
     nx, ny, nz = pose[0, axis], pose[1, axis], pose[2, axis]
@@ -118,7 +118,7 @@ def _put_slab(prepared, pose, axis, half, camera):
     _put_face(prepared, -nx, -ny, -nz, half - middle, camera)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _put_quadric(prepared, xx, xy, xz, yy, yz, zz, pose, radius, column, row, camera):
     """Add (p - centre)' M (p - centre) <= radius^2, M a projection with these entries, about a pixel."""
     x, y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
@@ -141,7 +141,7 @@ def _put_quadric(prepared, xx, xy, xz, yy, yz, zz, pose, radius, column, row, ca
     prepared[q + 5] = b2 * b2 - k * yy * dy * dy
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _prepare_round(pose, radius, half, camera, width, height, prepared, rectangle):
     """A cylinder along its z axis; with half = 0 a sphere. Either is bounded by two ellipsoids: caps, or one twice."""
     ax, ay, az = pose[0, 2], pose[1, 2], pose[2, 2]
@@ -175,7 +175,7 @@ def _prepare_round(pose, radius, half, camera, width, height, prepared, rectangl
         rectangle[1] = rectangle[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
     """Turn one posed solid into its bounds on inverse depth and the rectangle outside which it cannot show.
 
@@ -217,7 +217,7 @@ def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
         box_rectangle(pose, size, camera, width, height, rectangle)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def discriminant(prepared, t, s):
     """B^2 - K A of a prepared solid with a quadric, at t columns and s rows from its (i0, j0)."""
     q = DISCRIMINANT
@@ -228,7 +228,7 @@ def discriminant(prepared, t, s):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def inverse_depth(prepared, column, row):
     """Inverse depth at which the ray through (column, row) enters a prepared convex solid; 0 where it misses.
 

@@ -69,7 +69,7 @@ SCORES = {GAUSSIAN: score_gaussian, ROBUST: score_robust, CORRELATED: score_corr
 REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding cannot pile up
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _log_likelihood(settings, parameters, total):
     if settings[LIKELIHOOD] != GAUSSIAN:
         return total
@@ -78,13 +78,13 @@ def _log_likelihood(settings, parameters, total):
     return -0.5 * temper * total / (sigma * sigma) - observed * constant
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def log_likelihood_of(state, total):
     """The log likelihood whose scores sum to `total` (Eq. 6; under a temper exponent, of the normalised power)."""
     return _log_likelihood(state.settings, state.parameters, total)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _prepare(state, half, k):
     """Find the bounds and the rectangle of solid k; draw it if it is a mesh."""
     settings, parameters, rectangle = state.settings, state.parameters, state.rectangle[half, k]
@@ -121,7 +121,7 @@ def _prepare(state, half, k):
         )
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _rescore(settings, parameters, total, taps, images, strip, region):
     whole_image(settings, region)
     total[CURRENT], _ = score_region(settings, parameters, taps, images, strip, CURRENT, region)
@@ -129,7 +129,7 @@ def _rescore(settings, parameters, total, taps, images, strip, region):
     return _log_likelihood(settings, parameters, total[CURRENT])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def rescore_state(state):
     """Blur and score the current scene anew without drawing it; returns its log likelihood."""
     return _rescore(
@@ -137,7 +137,7 @@ def rescore_state(state):
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def load_state(state, poses, sizes):
     """Make a scene the current one and return its log likelihood: the full evaluation.
 
@@ -167,7 +167,7 @@ def load_state(state, poses, sizes):
     return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _copy_pixels(images, source, target, left, right, top, bottom):
     """Copy columns left:right and rows top:bottom of one image to another."""
     for row in range(top, bottom):
@@ -175,7 +175,7 @@ def _copy_pixels(images, source, target, left, right, top, bottom):
             images[target, row, column] = images[source, row, column]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
     """Copy what is known of solid k from one half to the other."""
     target = 1 - source
@@ -192,7 +192,7 @@ def _copy_solid(images, kind, pose, size, prepared, rectangle, source, k):
         _copy_pixels(images, first + source, first + target, r[0], r[1], r[2], r[3])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def propose_state(state, count, indices, poses, sizes):
     """Return the log likelihood with some solids moved or resized; `settle_state` must follow.
 
@@ -235,7 +235,7 @@ def propose_state(state, count, indices, poses, sizes):
     return _log_likelihood(settings, state.parameters, total[CANDIDATE])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def settle_state(state, source):
     """Copy what the proposal changed from one half to the other: CANDIDATE accepts it, CURRENT rejects it."""
     settings, images, regions, total = state.settings, state.images, state.regions, state.total
@@ -318,7 +318,7 @@ def for_steps(state: EngineState) -> EngineState:
     return state
 
 
-@njit(inline="always")
+@njit(inline="always", borrows=True)
 def propose_in(state, count, indices, poses, sizes):
     """As `propose_state`, for kernels: the engine is not compiled into them."""
     if state.settings[PROPOSE] == 0:
@@ -326,7 +326,7 @@ def propose_in(state, count, indices, poses, sizes):
     return call_for_number(state.settings[PROPOSE], state, count, indices, poses, sizes)
 
 
-@njit(inline="always")
+@njit(inline="always", borrows=True)
 def settle_in(state, source):
     """As `settle_state`, for kernels: the engine is not compiled into them."""
     if state.settings[SETTLE] == 0:

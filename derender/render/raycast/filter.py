@@ -28,7 +28,7 @@ from derender.render.raycast.lane_names import (
 def _make_blur(radius: int) -> Kernel:
     """Compile the blur of one radius."""
 
-    @njit(cache=True, nogil=True, no_cpython_wrapper=True)
+    @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
     def blur_strips(source, result, strip, taps, left, right, top, bottom, height):
         for column in range(left, right, LANES):
             first = max(top - radius, 0)
@@ -50,14 +50,14 @@ def _make_blur(radius: int) -> Kernel:
 _UNROLLED = {radius: _make_blur(radius) for radius in (1, 2, 3, 5, 6)}
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _blur_nothing(source, result, strip, taps, left, right, top, bottom, height):
     for row in range(top, bottom):
         for column in range(left, right, LANES):
             store(result, row, column, load(source, row, column))
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _blur_wide(source, result, strip, taps, left, right, top, bottom, height):
     radius = taps.shape[0] - 1
     for column in range(left, right, LANES):

@@ -43,7 +43,7 @@ from derender.scene.solids import MESH
 DRAWN, SCORED = 0, 1  # of a region: the columns and rows that are drawn, and the wider ones that the blur reaches
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def draw_region(settings, parameters, images, kind, prepared, rectangle, half, region):
     """Draw the clean depth of a half in columns region[0]:region[1] (a multiple of LANES) and rows [2]:[3].
 
@@ -64,7 +64,7 @@ def draw_region(settings, parameters, images, kind, prepared, rectangle, half, r
     invert(image, left, right, top, bottom, PAD, settings[WIDTH])
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_region(settings, parameters, taps, images, strip, half, region):
     """Blur and score a half in a region (columns a multiple of LANES).
 
@@ -79,19 +79,19 @@ def score_region(settings, parameters, taps, images, strip, half, region):
     return call_for_two_numbers(settings[RATE], parameters, images, half, left, right, top, bottom, height)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def whole_image(settings, region):
     """Make a region the whole image."""
     region[0], region[1] = 0, (settings[WIDTH] + LANES - 1) // LANES * LANES
     region[2], region[3] = 0, settings[HEIGHT]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _touch(a, b):
     return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def add_region(settings, regions, rectangle):
     """Add a rectangle to the proposal's regions, swallowing those whose scored regions it touches.
 
@@ -128,7 +128,7 @@ def add_region(settings, regions, rectangle):
 FAR_BOUND = np.float32(3e38)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _bound(prepared, face, column, row):
     """Affine bound `face` on a row: its value at `column` and its slope."""
     k = FACES + 3 * face
@@ -136,7 +136,7 @@ def _bound(prepared, face, column, row):
     return np.float32(prepared[k] + slope * column + prepared[k + 2] * row), np.float32(slope)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _raise_plane(image, left, right, top, bottom, middle, pad, prepared):
     for row in range(top, bottom):
         a, b = _bound(prepared, 0, middle, row)
@@ -146,7 +146,7 @@ def _raise_plane(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, maximum(value, load(image, row, column + pad)))
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _raise_box(image, left, right, top, bottom, middle, pad, prepared):
     """Three upper and five lower bounds, repeated where a box has fewer: no branch in the loop."""
     front, back = int(prepared[0]), int(prepared[1])
@@ -176,7 +176,7 @@ def _raise_box(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, where_at_least(upper, maximum(lower, before), upper, before))
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _raise_quadric(image, left, right, top, bottom, middle, pad, prepared):
     """A sphere (no faces) or a cylinder (two). Everything is divided by |K|, so that the roots are centre +- root."""
     front, faces = int(prepared[0]), int(prepared[0] + prepared[1])
@@ -215,7 +215,7 @@ def _raise_quadric(image, left, right, top, bottom, middle, pad, prepared):
             store(image, row, column + pad, where_at_least(discriminant, zero, hit, before))
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def raise_solid(image, left, right, top, bottom, pad, prepared, middle):
     """Raise an image of inverse depth to that of a prepared solid, columns from `left` to `right` rounded up to LANES.
 
@@ -229,7 +229,7 @@ def raise_solid(image, left, right, top, bottom, pad, prepared, middle):
         _raise_box(image, left, right, top, bottom, middle, pad, prepared)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def raise_to_image(image, left, right, top, bottom, pad, other):
     """Raise an image of inverse depth to another (H, >= W) one without padding, columns from `left` to `right`."""
     for row in range(top, bottom):
@@ -238,7 +238,7 @@ def raise_to_image(image, left, right, top, bottom, pad, other):
                 image[row, column + pad] = other[row, column]
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def fill(image, left, right, top, bottom, pad, value):
     """Set columns from `left` to `right` (rounded up to LANES) of some rows."""
     for row in range(top, bottom):
@@ -246,7 +246,7 @@ def fill(image, left, right, top, bottom, pad, value):
             store(image, row, column + pad, splat(value))
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def invert(image, left, right, top, bottom, pad, width):
     """Turn inverse depth into depth in a region, and replicate the image's edges where the region touches them."""
     for row in range(top, bottom):

@@ -45,7 +45,7 @@ GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP = range(LIKELIHOOD_
 NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients: away from edges, at edges
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_gaussian(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into squared residuals.
 
@@ -64,7 +64,7 @@ def score_gaussian(parameters, images, half, left, right, top, bottom, height):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_robust(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into log densities under the mixture; returns sums as above."""
     new, old = zero_sum(), zero_sum()
@@ -119,7 +119,7 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True, inline="always")
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, inline="always", borrows=True)
 def _polynomial(parameters, first, x):
     result = splat(np.float32(parameters[first + 7]))
     for k in range(6, -1, -1):
@@ -127,7 +127,7 @@ def _polynomial(parameters, first, x):
     return result
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def pixel_log_densities(settings, parameters, images, result):
     """Write each pixel's log density under the current scene into `result` (H, W) float64; 0 where there is none."""
     sigma, temper = parameters[SIGMA], parameters[TEMPER]

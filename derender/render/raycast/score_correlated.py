@@ -52,7 +52,7 @@ WIDER = 4.0  # of the likelihood, whose sixteenth power of a density is taken be
 APART = np.float32(1024.0)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True)
+@njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_correlated(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into log densities given earlier pixels.
 

@@ -61,7 +61,7 @@ def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return result
 
 
-@njit(inline="always")
+@njit(inline="always", borrows=True)
 def _engine(engines, view):
     return EngineState(
         engines.settings[view], engines.parameters[view], engines.total[view], engines.taps[view],
@@ -72,7 +72,7 @@ def _engine(engines, view):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def propose_views(views, count, indices, poses, sizes):
     """Return the log likelihood of all images with some solids moved or resized; `settle_views` must follow.
 
@@ -95,7 +95,7 @@ def propose_views(views, count, indices, poses, sizes):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def settle_views(views, source):
     """Accept (CANDIDATE) or reject (CURRENT) what was proposed, in all views."""
     for view in range(len(views.into)):

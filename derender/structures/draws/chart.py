@@ -157,7 +157,7 @@ def support_of(state: State, k: int, parent: int) -> int | None:
     return FLOOR if abs(low) < LEVEL_WITHIN else None
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def place_rows(chart, values, rows):
     """Write the rows (N, ROW) of the solids at these coordinates (D,)."""
     for k in chart.order:
@@ -188,23 +188,19 @@ def place_rows(chart, values, rows):
             row[12] = values[slot[Z]]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def camera_poses(chart, values, rows, poses, sizes):
     """Write the poses (1 + N, 4, 4), object to camera, and extents (1 + N, 3) of the floor and the solids."""
     ways = len(values) - FLOOR_WAYS
     ca, sa = np.cos(values[ways]), np.sin(values[ways])
     cb, sb = np.cos(values[ways + 1]), np.sin(values[ways + 1])
-    turn = np.empty((3, 3))  # about x, then y
-    turn[0, 0], turn[0, 1], turn[0, 2] = cb, 0.0, sb
-    turn[1, 0], turn[1, 1], turn[1, 2] = sa * sb, ca, -sa * cb
-    turn[2, 0], turn[2, 1], turn[2, 2] = -ca * sb, sa, ca * cb
     floor = poses[0]
     for i in range(3):
-        for j in range(3):
-            floor[i, j] = 0.0
-            for m in range(3):
-                floor[i, j] += chart.floor[i, m] * turn[m, j]
-        floor[i, 3] = chart.floor[i, 3] + chart.floor[i, 2] * values[ways + 2]
+        x, y, z = chart.floor[i, 0], chart.floor[i, 1], chart.floor[i, 2]
+        floor[i, 0] = x * cb + y * sa * sb - z * ca * sb  # turned about x, then y
+        floor[i, 1] = y * ca + z * sa
+        floor[i, 2] = x * sb - y * sa * cb + z * ca * cb
+        floor[i, 3] = chart.floor[i, 3] + z * values[ways + 2]
         sizes[0, i] = 0.0
         floor[3, i] = 0.0
     floor[3, 3] = 1.0
@@ -219,7 +215,7 @@ def camera_poses(chart, values, rows, poses, sizes):
         pose[3, 3] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def touching_area(row, on):
     """Return the area in which an upright solid's centre may lie so that it touches the top of `on`, square metres.
 
@@ -240,7 +236,7 @@ def touching_area(row, on):
     return a * b + c * d + sine * (a * c + b * d) + cosine * (a * d + b * c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def solid_log_prior(chart, rows, k):
     """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
 
@@ -274,9 +270,10 @@ def solid_log_prior(chart, rows, k):
         if min(on[13], on[14], on[15]) < LEAST_EXTENT:  # before the area that it offers is taken the logarithm of
             return -np.inf
         if flag[HELD]:
-            lifted = row.copy()
-            lifted[12] = on[12]
-            if penetration(lifted, on) <= 0.0:
+            height, row[12] = row[12], on[12]  # beside each other they overlap where one lies over the other
+            apart = penetration(row, on) <= 0.0
+            row[12] = height
+            if apart:
                 return -np.inf
         total -= np.log(touching_area(row, on))
     if kind == SPHERE or (kind == CYLINDER and flag[VERTICAL]):
@@ -296,7 +293,7 @@ def solid_log_prior(chart, rows, k):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def apparent_cube_log_density(chart, extents):
     """Return the log density of the extents (3,) at which the faces of a cube appear to be, its side unknown.
 
@@ -320,7 +317,7 @@ def log_prior(chart, rows):
     return chart.structural + log_prior_about(chart, rows, np.ones(len(rows) + 1, np.bool_))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def log_prior_about(chart, rows, touched):
     """Return those terms of the log prior density that change when solids do.
 

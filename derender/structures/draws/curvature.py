@@ -168,7 +168,7 @@ def write_derivatives(engine, chart, values, into, members, apart, touched, weig
     return min(first, last), last
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def limit_at_border(change, weight, height, width):
     """Limit a change of the image (H, P) where the picture ends, in place, to what an edge tells anywhere.
 

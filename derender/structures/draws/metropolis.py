@@ -57,8 +57,29 @@ TRUSTED = 3  # draws for each coordinate that the covariance at the beginning is
 BLURRINGS = 20  # times in a chain that its views' blurs are drawn anew, where they are open
 
 
-@njit(cache=True, nogil=True)
-def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities):
+class Scratch(NamedTuple):
+    """What a walk writes into: rows (N, ROW) of the solids as they are and as they are tried, poses (1 + N, 4, 4) and
+    sizes (1 + N, 3) of those that move and of the floor, their indices (1 + N,) int64, coordinates (D,) that are tried,
+    and normal numbers (D,)."""
+
+    rows: np.ndarray
+    trial_rows: np.ndarray
+    poses: np.ndarray
+    sizes: np.ndarray
+    indices: np.ndarray
+    trial: np.ndarray
+    normal: np.ndarray
+
+
+def scratch_for(count: int, size: int) -> Scratch:
+    """Return the Scratch for so many solids and coordinates."""
+    rows, trial_rows, poses, sizes = map(np.empty, ((count, ROW), (count, ROW), (count + 1, 4, 4), (count + 1, 3)))
+    return Scratch(rows, trial_rows, poses, sizes, np.empty(count + 1, np.int64), np.empty(size), np.empty(size))
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept, densities,
+         scratch):  # fmt: skip
     """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
 
     Parameters
@@ -67,15 +88,13 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
     prior, likelihood : their logs there.
     temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.
     kept : (steps // thin, D), densities : (steps // thin, 2) float64, log prior and log likelihood; written.
+    scratch : Scratch of these solids and coordinates.
 
     Returns the number of accepted steps.
     """
-    count, size = len(chart.flags), len(values)
-    rows, trial_rows = np.empty((count, ROW)), np.empty((count, ROW))
+    size = len(values)
+    rows, trial_rows, poses, sizes, indices, trial, normal = scratch
     place_rows(chart, values, rows)
-    poses, sizes = np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
-    indices = np.empty(count + 1, np.int64)
-    trial, normal = values.copy(), np.empty(size)
     accepted, number = 0, len(proposals.scale)
     for taken in range(steps):
         threshold = rng.random() * proposals.cumulative[number - 1]
@@ -134,7 +153,7 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
     return accepted
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, borrows=True)
 def take_moved(touched, poses, sizes, indices):
     """Bring the poses and sizes of what moves to the front, write which solids these are, and return how many."""
     moved = np.int64(0)  # no literal: the engine would be compiled for it a second time
@@ -213,7 +232,7 @@ def run(rng: np.random.Generator, engine: Views, chart: Chart, values: np.ndarra
     kept, densities = np.empty((count, len(values))), np.empty((count, 2))
     prior, likelihood = load(engine, chart, values)
     accepted = walk(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
-                    count * thin, thin, kept, densities)  # fmt: skip
+                    count * thin, thin, kept, densities, scratch_for(len(chart.flags), len(values)))  # fmt: skip
     return Draws(kept, densities, accepted / max(count * thin, 1))
 
 
