@@ -253,8 +253,8 @@ def test_theta_repeats_with_the_period():
 class Upright(FaceToFace):
     """Broken twin: the child's normal is not turned round, so it sits inside its parent."""
 
-    def turn(self, first, second, child_face):
-        return rotation_x(math.pi)
+    def rotation(self, theta, first, second, child_face):
+        return super().rotation(theta, first, second, child_face) @ rotation_x(math.pi)
 
 
 class SquareOn(FaceToFace):

@@ -10,8 +10,10 @@ from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
 from derender.registry import Parameter, Registry, suggest
 from derender.scene import polygon
+from derender.scene.contacts import compiled
+from derender.scene.contacts.compiled import FEATURE_CODES
 from derender.scene.polygon import sides
-from derender.scene.pose import from_axes, inverse, rotation_angle, rotation_z, translation
+from derender.scene.pose import from_axes, inverse, rotation_angle, translation
 from derender.scene.shapes import Body, Shape
 
 contacts: Registry["ContactType"] = Registry("contact", "derender.contacts")
@@ -21,6 +23,7 @@ FLIP = from_axes((1, 0, 0), (0, -1, 0), (0, 0, -1))
 
 
 offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interpreted(polygon.uv_from_offset)
+rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.chart_of)
 
 
 class Inverse(NamedTuple):
@@ -129,39 +132,29 @@ class ContactType:
                 raise DerenderError(what, where, f"it must lie in [{lower:g}, {upper:g}]")
 
 
-def turn_into_period(angle: float) -> float:
-    """Return the angle in [0, 2 pi), a rounding error below a full turn counted as none."""
-    angle = angle % math.tau
-    return 0.0 if math.tau - angle < 1e-12 else angle
-
-
 class SurfaceContact(ContactType):
     """A contact between the parent's flat face and a feature of the child: all but `6dof`.
 
     z_child = z_parent . F_parent . T(x, y, gap + lift) . Rz(theta) . turn . diag(1, -1, -1) . F_child^-1
 
-    (x, y) is (u, v) of Figure 2 between bounded outlines. `turn` is what each type adds: a tilt, a lean. Slots of
-    every surface contact: theta, u or x, v or y, gap, and two angles of the type's own.
+    (x, y) is (u, v) of Figure 2 between bounded outlines. `turn` is what each type adds: a tilt, a lean; its charts are
+    in `compiled`. Slots of every surface contact: theta, u or x, v or y, gap, and two angles of the type's own.
     """
 
     child_features: ClassVar[str] = "face_names"
+    angles: ClassVar[tuple[Parameter, Parameter]]  # the type's own two
 
     def choices(self, parent: Shape, child: Shape) -> list[tuple[str | None, str | None]]:
         if not parent.bounded and not child.bounded:
             return []
         return [(a, b) for a in parent.face_names for b in getattr(child, self.child_features)]
 
-    def angles(self) -> tuple[Parameter, Parameter]:
-        """Return the type's own two angles."""
-        raise NotImplementedError
-
-    def turn(self, first: float, second: float, child_face: str) -> np.ndarray:
-        """Return the (4, 4) rotation of the type's two angles."""
-        raise NotImplementedError
-
-    def untwist(self, rotation: np.ndarray, child_face: str) -> tuple[float, float, float]:
-        """Return (theta, first, second), angles within their ranges, of the (3, 3) rotation Rz(theta) . turn."""
-        raise NotImplementedError
+    def rotation(self, theta: float, first: float, second: float, child_face: str) -> np.ndarray:
+        """Return the (4, 4) rotation Rz(theta) . turn."""
+        pose = np.eye(4)
+        numbers = rotation_by(self.compiled_code, FEATURE_CODES[child_face], theta, first, second)
+        pose[:3, :3] = np.reshape(numbers, (3, 3))
+        return pose
 
     def parameters(self, parent: Any, child: Any, parent_face: Any, child_face: Any) -> tuple[Parameter, ...]:
         # A plane under a cube is as symmetric as the cube: the bounded one of the two decides (Eq. 3).
@@ -173,7 +166,7 @@ class SurfaceContact(ContactType):
             offsets = (Parameter("u", "", 0.0, 1.0, 0.5), Parameter("v", "", 0.0, 1.0, 0.5))
         else:
             offsets = (Parameter("x", "m", default=0.0), Parameter("y", "m", default=0.0))
-        return (theta, *offsets, Parameter("gap", "m", default=0.0, slack=True), *self.angles())
+        return (theta, *offsets, Parameter("gap", "m", default=0.0, slack=True), *self.angles)
 
     def relative_pose(self, values, parent, child, parent_face, child_face):
         on, by = parent.face(parent_face), child.face(child_face)
@@ -183,12 +176,11 @@ class SurfaceContact(ContactType):
             x, y = offset_from_uv(u, v, theta, *sides(on.outline, by.outline))
         else:
             x, y = values.get("x", 0.0), values.get("y", 0.0)
-        first, second = (values.get(angle.name, angle.default) for angle in self.angles())
+        first, second = (values.get(angle.name, angle.default) for angle in self.angles)
         return (
             on.frame
             @ translation(x, y, values.get("gap", 0.0) + by.lift)
-            @ rotation_z(theta)
-            @ self.turn(first, second, child_face)
+            @ self.rotation(theta, first, second, child_face)
             @ FLIP
             @ inverse(by.frame)
         )
@@ -196,10 +188,8 @@ class SurfaceContact(ContactType):
     def invert(self, relative: np.ndarray, parent: Any, child: Any, parent_face: Any, child_face: Any) -> Inverse:
         on, by = parent.face(parent_face), child.face(child_face)
         meeting = inverse(on.frame) @ relative @ by.frame @ FLIP
-        theta, first, second = self.untwist(meeting[:3, :3], child_face)
-        theta = turn_into_period(theta)
-        reproduced = rotation_z(theta) @ self.turn(first, second, child_face)
-        angle = rotation_angle(meeting, reproduced)
+        theta, first, second = map(float, chart_of(self.compiled_code, FEATURE_CODES[child_face], meeting[:3, :3]))
+        angle = rotation_angle(meeting, self.rotation(theta, first, second, child_face))
         x, y, height = (float(part) for part in meeting[:3, 3])
         outside = 0.0
         if on.outline.bounded and by.outline.bounded:

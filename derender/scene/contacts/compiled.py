@@ -76,8 +76,8 @@ def _rotation_of(w, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def _meeting_rotation(contact, child_face, theta, first, second):
-    """Return the nine numbers of Rz(theta) . turn, by the type's chart."""
+def rotation_by(contact, child_face, theta, first, second):
+    """Return the nine numbers, row by row, of Rz(theta) . turn, by the type's chart."""
     half = 0.5 * theta
     # Each chart as a quaternion: Rz(theta) = (cz, 0, 0, sz) times the turn's own.
     cz, sz = math.cos(half), math.sin(half)
@@ -115,7 +115,7 @@ def relative_pose(contact, parent_kind, parent_size, child_kind, child_size, par
     if a < math.inf and c < math.inf:
         x, y = offset_from_uv(x, y, theta, a, b, c, d, radius + child_radius)
     height = phi[3] + lift
-    q = _meeting_rotation(contact, child_face, theta, phi[4], phi[5])
+    q = rotation_by(contact, child_face, theta, phi[4], phi[5])
     # Rotation and shift of the child's face in the parent's object axes ...
     on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
     for i in range(3):
@@ -149,27 +149,14 @@ def _quaternion_of(r, out):
 
 
 @njit(cache=True, nogil=True)
-def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_face, child_face, relative, phi):
-    """Write phi of the contact nearest to the (4, 4) pose into `phi`; return (outside, angle): `ContactType.invert`."""
-    if contact == SIX_DOF:
-        phi[0], phi[1], phi[2] = relative[0, 3], relative[1, 3], relative[2, 3]
-        _quaternion_of(relative, phi[3:7])
-        return 0.0, 0.0
-    on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
-    turned = np.empty((3, 3))  # F_parent^T . relative . F_child . FLIP
-    place = np.empty(3)
-    shift = np.empty(3)
-    middle = np.empty((3, 3))
-    for i in range(3):
-        shift[i] = relative[i, 3] - 0.5 * _SIGNS[parent_face, i] * parent_size[i]
-        for j in range(3):
-            shift[i] += relative[i, j] * 0.5 * _SIGNS[child_face, j] * child_size[j]
-            middle[i, j] = relative[i, 0] * by[0, j] + relative[i, 1] * by[1, j] + relative[i, 2] * by[2, j]
-    for i in range(3):
-        place[i] = on[0, i] * shift[0] + on[1, i] * shift[1] + on[2, i] * shift[2]
-        for j in range(3):
-            value = on[0, i] * middle[0, j] + on[1, i] * middle[1, j] + on[2, i] * middle[2, j]
-            turned[i, j] = value if j == 0 else -value
+def chart_of(contact, child_face, turned):
+    """Return (theta, first, second) of the (3, 3) rotation Rz(theta) . turn, the two within their ranges.
+
+    Of faces and points a turn is the rotation by the vector (tilt_x, tilt_y, 0), the swing-twist form of a rotation:
+    every one has it, but for half turns it is unique; so a pose is always reproduced, and to one that is nearly flush
+    belongs the theta that one would measure. Of lines it is Ry(tilt) . Rx(-second), of corners Ry . Rz: Euler angles,
+    unique but where the line or the corner's axis stands upright.
+    """
     if contact == SIDE_ON_FACE or contact == EDGE_ON_FACE:
         theta = math.atan2(turned[1, 0], turned[0, 0])
         first = math.atan2(-turned[2, 0], math.hypot(turned[0, 0], turned[1, 0]))
@@ -197,6 +184,32 @@ def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_fac
     theta = theta % (2.0 * math.pi)
     if 2.0 * math.pi - theta < 1e-12:
         theta = 0.0
+    return theta, first, second
+
+
+@njit(cache=True, nogil=True)
+def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_face, child_face, relative, phi):
+    """Write phi of the contact nearest to the (4, 4) pose into `phi`; return (outside, angle): `ContactType.invert`."""
+    if contact == SIX_DOF:
+        phi[0], phi[1], phi[2] = relative[0, 3], relative[1, 3], relative[2, 3]
+        _quaternion_of(relative, phi[3:7])
+        return 0.0, 0.0
+    on, by = _ROTATIONS[parent_face], _ROTATIONS[child_face]
+    turned = np.empty((3, 3))  # F_parent^T . relative . F_child . FLIP
+    place = np.empty(3)
+    shift = np.empty(3)
+    middle = np.empty((3, 3))
+    for i in range(3):
+        shift[i] = relative[i, 3] - 0.5 * _SIGNS[parent_face, i] * parent_size[i]
+        for j in range(3):
+            shift[i] += relative[i, j] * 0.5 * _SIGNS[child_face, j] * child_size[j]
+            middle[i, j] = relative[i, 0] * by[0, j] + relative[i, 1] * by[1, j] + relative[i, 2] * by[2, j]
+    for i in range(3):
+        place[i] = on[0, i] * shift[0] + on[1, i] * shift[1] + on[2, i] * shift[2]
+        for j in range(3):
+            value = on[0, i] * middle[0, j] + on[1, i] * middle[1, j] + on[2, i] * middle[2, j]
+            turned[i, j] = value if j == 0 else -value
+    theta, first, second = chart_of(contact, child_face, turned)
     a, b, radius, _ = outline(parent_kind, parent_size, parent_face)
     c, d, child_radius, lift = outline(child_kind, child_size, child_face)
     x, y, outside = place[0], place[1], 0.0
@@ -204,7 +217,7 @@ def invert(contact, parent_kind, parent_size, child_kind, child_size, parent_fac
         x, y, outside = uv_from_offset(x, y, theta, a, b, c, d, radius + child_radius)
     phi[0], phi[1], phi[2], phi[3], phi[4], phi[5] = theta, x, y, place[2] - lift, first, second
     # The angle between what was asked for and what these numbers give, from the chord |R - R'| = 2 sqrt(2) sin(a / 2).
-    q = _meeting_rotation(contact, child_face, theta, first, second)
+    q = rotation_by(contact, child_face, theta, first, second)
     square = 0.0
     for i in range(3):
         for j in range(3):
