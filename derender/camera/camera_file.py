@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from derender.camera.device_files import DEVICES, STRAY_SCANNER, refuse_named_distortion
+from derender.camera.device_files import DEVICES, STRAY_SCANNER, refuse_named_distortion, refuse_numbers
 from derender.camera.image_files import read_bytes
-from derender.camera.intrinsics import Camera, finite_number
+from derender.camera.intrinsics import Camera, finite_number, from_matrix, numbers_in
 from derender.errors import DerenderError
 from derender.json_text import MOST_DEPTH, parse_json
 
@@ -35,7 +35,7 @@ def _read_bop_frame(tree: dict) -> dict[str, Any]:
 
 
 def _read_open3d(tree: dict) -> dict[str, Any]:
-    matrix = _numbers(tree["intrinsic_matrix"], "intrinsic_matrix", 9)
+    matrix = numbers_in(tree["intrinsic_matrix"], "intrinsic_matrix", 9)
     arguments = from_matrix(matrix.reshape(3, 3).T, "intrinsic_matrix (column-major)")
     arguments |= {key: tree[key] for key in ("width", "height") if key in tree}
     if "depth_scale" in tree:  # Open3D counts units to the metre
@@ -194,7 +194,7 @@ def _matrix_tree(rows: list, name: str) -> dict[str, Any]:
     """Return the tree of a file that is a 3 x 3 matrix and nothing else; StrayScanner's belongs to its video."""
     stray = name == "camera_matrix.csv"
     more = {"w": STRAY_SCANNER[0], "h": STRAY_SCANNER[1]} if stray else {}
-    return {"K" if stray else "cam_K": _numbers(rows, "the matrix", 9).reshape(3, 3).tolist(), **more}
+    return {"K" if stray else "cam_K": numbers_in(rows, "the matrix", 9).reshape(3, 3).tolist(), **more}
 
 
 def load_tree(
@@ -258,39 +258,8 @@ def _first(tree: dict, *names: str) -> Any:
     return next((tree[name] for name in names if name in tree), None)
 
 
-def _numbers(value: object, name: str, count: int | None = None) -> np.ndarray:
-    """Return the flat numbers of a list, of a list of rows, or of ROS's {rows, cols, data}."""
-    if isinstance(value, dict):
-        value = value.get("data")
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    if not isinstance(value, list) or len(value) > 100:
-        raise DerenderError(f"{name} is not a list of numbers", "camera")
-    rows = [item if isinstance(item, list) and len(item) <= 100 else [item] for item in value]
-    numbers = np.array([finite_number(leaf, name) for row in rows for leaf in row])
-    if count is not None and len(numbers) != count:
-        raise DerenderError(f"{name} has {len(numbers)} numbers", "camera", f"it needs {count}")
-    return numbers
-
-
-def from_matrix(value: object, name: str) -> dict[str, Any]:
-    """Return fx, fy, cx, cy of a row-major intrinsic matrix."""
-    matrix = _numbers(value, name, 9).reshape(3, 3)
-    matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix
-    if matrix[2, 0] or matrix[2, 1] or matrix[1, 0] or not matrix[2, 2]:
-        remedy = "its last row is 0, 0, 1: check whether it is row-major (Open3D's is column-major)"
-        raise DerenderError(f"{name} is not an intrinsic matrix", "camera", remedy)
-    if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
-        raise DerenderError(f"{name} has skew {matrix[0, 1]:g}", "camera", "rectify first")
-    return {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
-
-
 def _refuse_distortion(tree: dict) -> None:
     refuse_named_distortion(tree)
     for key in ("coeffs", "D", "d", "distortion_coefficients", "dist_coeffs", "distortion", "cam_D"):
-        value = tree.get(key)
-        if value is None or isinstance(value, (str, bool)):
-            continue
-        if np.any(_numbers(value, key) != 0):
-            remedy = "rectify first, then give the rectified image's camera with zeros there"
-            raise DerenderError(f"the camera has distortion ({key} is not zero)", "camera", remedy)
+        if not isinstance(tree.get(key), None | str | bool):
+            refuse_numbers(tree[key], key)

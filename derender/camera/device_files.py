@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.camera.intrinsics import finite_number
+from derender.camera.intrinsics import finite_number, from_matrix, numbers_in
 from derender.errors import DerenderError
 
 Reader = Callable[[dict], dict[str, Any]]
@@ -30,13 +30,13 @@ def read_nerfstudio(tree: dict) -> dict[str, Any]:
 
 def read_record3d(tree: dict) -> dict[str, Any]:
     """Read the metadata of a Record3D recording: K column by column, of the colour image; dw, dh of the depth image."""
-    return _of_matrix(np.reshape([finite_number(x, "K") for x in _flat(tree["K"])], (3, 3)), "K") | _size(tree)
+    return _of_matrix(tree["K"], "K") | _size(tree)
 
 
 def read_arkit(tree: dict) -> dict[str, Any]:
     """Read what apps write of an ARKit frame: a matrix by rows or by columns, the size, and the pose, for gravity."""
     key = next(key for key in MATRIX_KEYS if key in tree)
-    arguments = _of_matrix(np.reshape([finite_number(x, key) for x in _flat(tree[key], 9, key)], (3, 3)), key)
+    arguments = _of_matrix(tree[key], key)
     gravity = gravity_of_arkit(tree)
     return arguments | _size(tree) | ({} if gravity is None else {"gravity": gravity})
 
@@ -52,8 +52,7 @@ def read_oak(tree: dict) -> dict[str, Any]:
     """Read an OAK's calibration: the right camera, whose rectified image its depth belongs to, distortion taken out."""
     cameras = {int(finite_number(entry[0], "cameraData")): entry[1] for entry in tree["cameraData"]}
     data = cameras.get(RIGHT_SOCKET) or next(iter(cameras.values()))
-    matrix = np.reshape([finite_number(x, "intrinsicMatrix") for x in _flat(data["intrinsicMatrix"])], (3, 3))
-    return _of_matrix(matrix, "intrinsicMatrix") | _size(data)
+    return _of_matrix(data["intrinsicMatrix"], "intrinsicMatrix") | _size(data)
 
 
 def read_zed(tree: dict) -> dict[str, Any]:
@@ -89,7 +88,7 @@ def gravity_of_arkit(tree: dict) -> tuple[float, float, float] | None:
     """Return the direction of fall in camera axes from a frame's pose: ARKit's world has y upwards."""
     for key in POSE_KEYS:
         if key in tree:
-            pose = np.reshape([finite_number(x, key) for x in _flat(tree[key], 16, key)], (4, 4))
+            pose = numbers_in(tree[key], key, 16).reshape(4, 4)
             if np.any(abs(pose[3, :3]) > 1e-6):  # by columns
                 pose = pose.T
             return _down_in_camera(pose[:3, :3])
@@ -111,18 +110,10 @@ def refuse_named_distortion(tree: dict) -> None:
 
 def refuse_numbers(value: object, key: str) -> None:
     """Raise a DerenderError where distortion coefficients are not all zero."""
-    if any(finite_number(number, key) != 0 for number in _flat(value)):
+    numbers = value if isinstance(value, dict | list | tuple | np.ndarray) else [value]
+    if np.any(numbers_in(numbers, key) != 0):
         remedy = "rectify first, then give the rectified image's camera with zeros there"
         raise DerenderError(f"the camera has distortion ({key} is not zero)", "camera", remedy)
-
-
-def _flat(value: Any, count: int | None = None, name: str = "the matrix") -> list:
-    """Return the numbers of a list or of a list of rows."""
-    items = value if isinstance(value, list | tuple) else [value]
-    flat = [leaf for item in items for leaf in (item if isinstance(item, list | tuple) else [item])]
-    if count is not None and len(flat) != count:
-        raise DerenderError(f"{name} has {len(flat)} numbers", "camera", f"it needs {count}")
-    return flat
 
 
 def _size(tree: dict) -> dict[str, Any]:
@@ -139,8 +130,7 @@ def _size(tree: dict) -> dict[str, Any]:
     return {}
 
 
-def _of_matrix(matrix: np.ndarray, name: str) -> dict[str, Any]:
+def _of_matrix(value: object, name: str) -> dict[str, Any]:
     """Return fx, fy, cx, cy of a matrix by rows or by columns."""
-    from derender.camera.camera_file import from_matrix
-
+    matrix = numbers_in(value, name, 9).reshape(3, 3)
     return from_matrix(matrix.T if matrix[0, 2] == matrix[1, 2] == 0 else matrix, name)

@@ -5,7 +5,7 @@ The axes are OpenCV's (x right, y down, z forward) and the centre of pixel (colu
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,8 +81,6 @@ class Camera:
 
         more : depth_scale and gravity.
         """
-        from derender.camera.camera_file import from_matrix
-
         return cls(**from_matrix(np.asarray(matrix), "the matrix"), width=width, height=height, **more)
 
     @classmethod
@@ -138,17 +136,9 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of a BOP camera.json, and `gravity` where it is known."""
-        more = {} if self.gravity is None else {"gravity": list(self.gravity)}
-        return {
-            "fx": self.fx,
-            "fy": self.fy,
-            "cx": self.cx,
-            "cy": self.cy,
-            "width": self.width,
-            "height": self.height,
-            "depth_scale": self.depth_scale,
-            **more,
-        }
+        known = asdict(self)
+        gravity = known.pop("gravity")
+        return known if gravity is None else known | {"gravity": list(gravity)}
 
 
 def finite_number(value: object, name: str) -> float:
@@ -178,3 +168,30 @@ def unit_vector(value: Any, name: str) -> tuple[float, float, float]:
         raise DerenderError(f"{name} is no direction", "camera", remedy)
     x, y, z = (number / length for number in numbers)
     return x, y, z
+
+
+def numbers_in(value: object, name: str, count: int | None = None) -> np.ndarray:
+    """Return the flat numbers of a list, of a list of rows, or of ROS's {rows, cols, data}."""
+    if isinstance(value, dict):
+        value = value.get("data")
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple) or len(value) > 100:
+        raise DerenderError(f"{name} is not a list of numbers", "camera")
+    rows = [item if isinstance(item, list | tuple) and len(item) <= 100 else [item] for item in value]
+    numbers = np.array([finite_number(leaf, name) for row in rows for leaf in row])
+    if count is not None and len(numbers) != count:
+        raise DerenderError(f"{name} has {len(numbers)} numbers", "camera", f"it needs {count}")
+    return numbers
+
+
+def from_matrix(value: object, name: str) -> dict[str, Any]:
+    """Return fx, fy, cx, cy of a row-major intrinsic matrix."""
+    matrix = numbers_in(value, name, 9).reshape(3, 3)
+    matrix = matrix / matrix[2, 2] if matrix[2, 2] else matrix
+    if matrix[2, 0] or matrix[2, 1] or matrix[1, 0] or not matrix[2, 2]:
+        remedy = "its last row is 0, 0, 1: check whether it is row-major (Open3D's is column-major)"
+        raise DerenderError(f"{name} is not an intrinsic matrix", "camera", remedy)
+    if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
+        raise DerenderError(f"{name} has skew {matrix[0, 1]:g}", "camera", "rectify first")
+    return {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
