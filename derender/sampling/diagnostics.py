@@ -1,13 +1,13 @@
 """Whether chains agree and how much they know: R-hat, effective sample sizes, Monte Carlo standard errors.
 
 Vehtari, Gelman, Simpson, Carpenter, Buerkner, "Rank-normalization, folding, and localization: an improved R-hat"
-(Bayesian Analysis 2021), in numpy alone: the figures are ArviZ's to 1e-6 without its second and a half of import.
+(Bayesian Analysis 2021), without scipy: the figures are ArviZ's to 1e-6 without its second and a half of import.
 Every function takes `draws` : (chains, draws) float of one parameter and returns a float, nan for fewer than four draws
 or for values that are not finite; `agree` and `far_apart` judge all parameters.
 """
 
 from functools import lru_cache
-from typing import Any
+from statistics import NormalDist
 
 import numpy as np
 
@@ -106,7 +106,8 @@ def _rank_normalise(draws: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=4)
 def _normal_scores(count: int) -> np.ndarray:
     """Return the normal scores of the ranks 1, 1.5, 2 ... count: the same for each parameter of a posterior."""
-    return normal_quantile((np.arange(2, 2 * count + 1) / 2 - 3 / 8) / (count + 1 / 4))
+    probabilities = (np.arange(2, 2 * count + 1) / 2 - 3 / 8) / (count + 1 / 4)
+    return np.array([NormalDist().inv_cdf(probability) for probability in probabilities.tolist()])
 
 
 def _r_hat(draws: np.ndarray) -> float:
@@ -158,54 +159,11 @@ def _autocovariance(draws: np.ndarray) -> np.ndarray:
     return np.fft.irfft(spectrum * np.conj(spectrum), padded, axis=1)[:, :count] / count
 
 
-def normal_quantile(probability: np.ndarray) -> np.ndarray:
-    """Return the standard normal quantiles, relative error below 1e-15 (Wichura, algorithm AS 241, PPND16).
-
-    Parameters
-    ----------
-    probability : (...) float, strictly between 0 and 1.
-    """
-    probability = np.asarray(probability, float)
-    centred = probability - 0.5
-    squared = 0.180625 - centred * centred
-    quantile = centred * _ratio(_CENTRE, squared)
-    root = np.sqrt(-np.log(np.minimum(probability, 1 - probability)))
-    tail = np.where(root <= 5, _ratio(_TAIL, root - 1.6), _ratio(_FAR_TAIL, root - 5))
-    return np.where(np.abs(centred) <= 0.425, quantile, np.copysign(tail, centred))
-
-
-def _ratio(
-    coefficients: tuple[tuple[float, ...], tuple[float, ...]], argument: float | np.ndarray
-) -> float | np.ndarray:
-    numerator, denominator = coefficients
-    return np.polyval(numerator, argument) / np.polyval(denominator, argument)
-
-
-_CENTRE = (
-    (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457,
-     13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.387132872796366608),
-    (5226.495278852545925, 28729.085735721942674, 39307.89580009271061, 21213.794301586595867,
-     5394.1960214247511077, 687.1870074920579083, 42.313330701600911252, 1.0),
-)  # fmt: skip
-_TAIL = (
-    (7.7454501427834140764e-4, 0.0227238449892691845833, 0.24178072517745061177, 1.27045825245236838258,
-     3.64784832476320460504, 5.7694972214606914055, 4.6303378461565452959, 1.42343711074968357734),
-    (1.05075007164441684324e-9, 5.475938084995344946e-4, 0.0151986665636164571966, 0.14810397642748007459,
-     0.68976733498510000455, 1.6763848301838038494, 2.05319162663775882187, 1.0),
-)  # fmt: skip
-_FAR_TAIL = (
-    (2.01033439929228813265e-7, 2.71155556874348757815e-5, 0.0012426609473880784386, 0.026532189526576123093,
-     0.29656057182850489123, 1.7848265399172913358, 5.4637849111641143699, 6.6579046435011037772),
-    (2.04426310338993978564e-15, 1.4215117583164458887e-7, 1.8463183175100546818e-5, 7.868691311456132591e-4,
-     0.0148753612908506148525, 0.13692988092273580531, 0.59983220655588793769, 1.0),
-)  # fmt: skip
-
-
 AGREE, ENOUGH, FEW = 1.1, 25.0, 20  # R-hat and effective draws; draws of a chain from which on they mean something
 FAR = 1.3  # R-hat of chains in modes of their own
 
 
-def agree(values: Any) -> Any:
+def agree(values: np.ndarray) -> bool:
     """Whether chains (C, D, N) of enough draws to tell mix well enough to be trusted for a quick look."""
     if values.shape[1] < FEW:
         return True
@@ -213,6 +171,6 @@ def agree(values: Any) -> Any:
     return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
 
 
-def far_apart(values: Any) -> Any:
+def far_apart(values: np.ndarray) -> bool:
     """Whether chains (C, D, N) that have gone on are so far from agreeing that going on again will not help."""
     return any(r_hat(column) > FAR for column in np.moveaxis(values, -1, 0))

@@ -109,6 +109,6 @@ _pairs = functools.cache(np.triu_indices)
 
 def bound(count: int) -> float:
     """Return the largest |z| that chance allows among `count` normal scores: exceeded once in about 20,000 tests."""
-    from derender.sampling.diagnostics import normal_quantile
+    from statistics import NormalDist
 
-    return float(-normal_quantile(np.array(2.5e-5 / count)))
+    return -NormalDist().inv_cdf(2.5e-5 / count)
