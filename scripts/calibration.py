@@ -22,7 +22,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from derender.cli import status_of
-from derender.evaluation.made_scenes import drawn_scene, prior_document  # noqa: E402
+from derender.document import read_prior_document  # noqa: E402
+from derender.evaluation.made_scenes import drawn_scene  # noqa: E402
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -50,7 +51,7 @@ def one_scene(seed, prior, size=None, sigma=None, twice=False, told=False):
 
     graph, image, label, camera = drawn_scene(seed, prior, size, sigma)
     start = time.perf_counter()
-    options = Options(prior=prior_document(prior).prior) if told else None
+    options = Options(prior=read_prior_document(prior).prior) if told else None
     posterior = infer_structure(image, camera, options, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     truth = scene_json(graph)

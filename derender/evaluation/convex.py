@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.scene.shapes.box import CORNERS
 
 PRISM_SIDES = 64
 SPHERE_FACES = 256
@@ -229,7 +230,7 @@ def surface_points(solid: Mapping[str, Any]) -> np.ndarray:
     elif solid["type"] == "cylinder":
         local = _cylinder_points(0.5 * size[0], size[2], POINTS)
     else:
-        local = _box_points(size, POINTS)
+        local = _hull_points(CORNERS * size, POINTS)
     return local @ pose[:3, :3].T + pose[:3, 3]
 
 
@@ -264,24 +265,6 @@ def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndar
     outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
     inside = np.minimum(beyond.max(axis=1), 0)
     return np.abs(outside + inside)
-
-
-def _box_points(size: np.ndarray, count: int) -> np.ndarray:
-    area = 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0])
-    step = sqrt(area / count)
-    points = []
-    for axis in range(3):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        # Cells of about step x step, one point in the middle of each.
-        numbers = [max(1, round(size[k] / step)) for k in (first, second)]
-        a, b = np.meshgrid(
-            *[((np.arange(n) + 0.5) / n - 0.5) * size[k] for n, k in zip(numbers, (first, second), strict=True)]
-        )
-        for sign in (-0.5, 0.5):
-            face = np.full((a.size, 3), sign * size[axis])
-            face[:, first], face[:, second] = a.ravel(), b.ravel()
-            points.append(face)
-    return np.vstack(points)
 
 
 def _fibonacci_sphere(count: int) -> np.ndarray:

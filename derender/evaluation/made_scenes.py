@@ -7,15 +7,12 @@ supports (indices of what else carries it).
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from derender.physics.bodies import DENSITY
 from derender.physics.settling import come_to_rest
-
-if TYPE_CHECKING:
-    from derender.document import Document
 
 BEARS = 0.1  # share of a body's weight from which another one counts as carrying it
 GRAVITY = 9.81
@@ -161,9 +158,7 @@ def stack(
             turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
             centre = centre + turn @ offset
             yaw += rng.uniform(-np.pi / 4, np.pi / 4)
-        pose = np.eye(4)
-        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        pose[:3, 3] = [*centre, height + size[2] / 2]
+        pose = turned(yaw, centre[0], centre[1], height + size[2] / 2)
         height += size[2]
         kinds.append(kind)
         sizes.append(size)
@@ -286,31 +281,22 @@ def make_groups(rng: np.random.Generator, count: Any = 20) -> Any:
     return photograph(rng, kinds, np.array(sizes), np.array(poses), parents, width=320, height=240, distance=(1.0, 1.2))
 
 
-def prior_document(prior: str) -> "Document":
-    """Return the Document of a built-in prior by its name, or of a file of one."""
-    from derender import data_path
-    from derender.document import read_document
-
-    return read_document(prior if str(prior).endswith(".yaml") else data_path(f"priors/{prior}.yaml"))
-
-
 def drawn_scene(seed: int, prior: str, size: Any = None, sigma: Any = None) -> Any:
     """Return (graph, image, label, camera) of one draw from a prior, noise and blur included.
 
     size : (width, height) of the image where it is not the prior's; the field of view stays. sigma : metres of noise.
     """
+    from derender.document import read_prior_document
     from derender.render.likelihoods import likelihoods
     from derender.render.raycast.depth import render_depth
 
-    document = prior_document(prior)
+    document = read_prior_document(prior)
     rng = np.random.default_rng([seed, 2026])
     graph = document.prior.sample(rng)
     camera, likelihood = document.camera, document.likelihood
     assert camera is not None and likelihood is not None, "the priors that scenes are made from name both"
     if size is not None:
-        times = size[0] / camera.width
-        camera = replace(camera, width=size[0], height=size[1], fx=camera.fx * times, fy=camera.fy * times,
-                         cx=(camera.cx + 0.5) * times - 0.5, cy=(camera.cy + 0.5) * times - 0.5)  # fmt: skip
+        camera = replace(camera.downscaled(camera.width / size[0]), width=size[0], height=size[1])
     depth, label = render_depth(graph.solids(), camera)
     values = likelihood.sample(rng)
     if sigma is not None:

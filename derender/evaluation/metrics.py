@@ -4,12 +4,13 @@ Scenes are dictionaries as `derender show --json` prints them. Lengths are metre
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import combinations, permutations, product
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from derender.evaluation.convex import distance_to_surface, intersection_over_union, surface_points
+from derender.scene.shapes.box import ROTATIONS
 
 if TYPE_CHECKING:
     from derender.physics.bodies import Matter
@@ -124,14 +125,7 @@ def relabellings(size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
     The box with pose T and `size` is the box with pose T R and the size returned.
     """
-    found = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            rotation = np.zeros((3, 3))
-            rotation[list(order), range(3)] = signs
-            if np.linalg.det(rotation) > 0:
-                found.append((rotation, np.asarray(size, float)[list(order)]))
-    return found
+    return [(rotation, np.abs(rotation.T) @ np.asarray(size, float)) for rotation in ROTATIONS]
 
 
 def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -177,10 +171,7 @@ def add_s(predicted: Mapping[str, Any], truth: Mapping[str, Any]) -> float:
 
 
 def compare_scenes(
-    predicted: Mapping[str, Any],
-    truth: Mapping[str, Any],
-    graph_iou: float = GRAPH_IOU,
-    ignored: Collection[str] = (),
+    predicted: Mapping[str, Any], truth: Mapping[str, Any], graph_iou: float = GRAPH_IOU, ignored: Collection[str] = ()
 ) -> dict[str, Any]:
     """Compare a predicted scene with the true one.
 
