@@ -13,7 +13,7 @@ add, subtract, multiply, divide, maximum, minimum, multiply_add = late(
 )
 load_table, look_up, all_at_least = late("derender.render.raycast.lanes", "load_table", "look_up", "all_at_least")
 reciprocal, square_root, absolute, exponential, logarithm = late(
-    "derender.render.raycast.lane_functions", "reciprocal", "square_root", "absolute", "exponential", "logarithm"
+    "derender.render.raycast.lanes", "reciprocal", "square_root", "absolute", "exponential", "logarithm"
 )
 new_window, push, blur_window, blur_along_row = late(
     "derender.render.raycast.lane_blur", "new_window", "push", "blur_window", "blur_along_row"
