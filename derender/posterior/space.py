@@ -2,7 +2,7 @@
 
 The values of all unknowns are one flat (P,) float64 vector. An unknown lives on a line, on a circle (an angle with a
 period) or in the group of rotations (a unit quaternion wxyz: four values, three directions to go). A *tangent* vector
-has one number for each direction; `move` takes a step by it, `difference` finds the step from one place to another.
+has one number for each direction; `move` takes a step by it, `differences` finds the steps from one place to others.
 """
 
 import math
@@ -140,23 +140,8 @@ class Space:
             direction += 1
         return moved
 
-    def difference(self, values: np.ndarray, origin: np.ndarray, block: Block) -> np.ndarray:
-        """Return the shortest tangent from `origin` to `values`; on a circle it is in [-period / 2, period / 2)."""
-        tangent = []
-        for i in block.unknowns:
-            start = self.offsets[i]
-            unknown = self.unknowns[i]
-            if unknown.distribution.size == 4:
-                tangent.extend(turn_between(origin[start : start + 4], values[start : start + 4]))
-                continue
-            step = values[start] - origin[start]
-            if unknown.period is not None:
-                step = wrap(step + 0.5 * unknown.period, unknown.period) - 0.5 * unknown.period
-            tangent.append(step)
-        return np.array(tangent)
-
     def differences(self, places: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """Return (n, D): `difference` in all unknowns from `origin` to each of (n, P) places."""
+        """Return (n, D), the shortest tangents from `origin` to each of (n, P) places."""
         tangents = np.empty((len(places), self.directions[-1]))
         for i, unknown in enumerate(self.unknowns):
             start, direction = self.offsets[i], self.directions[i]

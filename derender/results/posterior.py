@@ -286,34 +286,15 @@ def graph_to_tree(graph: SceneGraph) -> dict[str, Any]:
         "root_pose": np.asarray(graph.root_pose).tolist(),
         "gravity": [float(value) for value in graph.gravity],
         "constraints": [_plain(asdict(constraint)) for constraint in graph.constraints],
-        "vertices": [
-            {
-                "name": vertex.name,
-                "shape": vertex.shape,
-                "parameters": _plain(vertex.parameters),
-                "parent": vertex.parent,
-                "contact": {
-                    "type": vertex.contact.type,
-                    "parent_face": vertex.contact.parent_face,
-                    "child_face": vertex.contact.child_face,
-                    "values": _plain(vertex.contact.values),
-                },
-                "options": _plain(vertex.options),
-                "supports": list(vertex.supports),
-            }
-            for vertex in graph.vertices
-        ],
+        "vertices": [_plain(asdict(vertex)) for vertex in graph.vertices],
     }
 
 
 def graph_from_tree(tree: Mapping[str, Any]) -> SceneGraph:
     """Return the graph of `graph_to_tree`."""
     vertices = tuple(
-        Vertex(
-            name=vertex["name"],
-            shape=vertex["shape"],
-            parameters=vertex["parameters"],
-            parent=vertex["parent"],
+        replace(
+            Vertex(**vertex),
             contact=Contact(**vertex["contact"]),
             options={k: tuple(v) if isinstance(v, list) else v for k, v in vertex["options"].items()},
             supports=tuple(vertex["supports"]),
