@@ -19,18 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Camera",
-    "DepthImage",
-    "Posterior",
-    "Scene",
-    "infer",
-    "load",
-    "read_depth",
-    "render",
-    "sample",
-    "simulate",
-]
+__all__ = ["Camera", "DepthImage", "Posterior", "Scene", "infer", "load", "read_depth", "render", "sample", "simulate"]
 
 if TYPE_CHECKING:
     from derender.camera.depth_file import DepthImage as DepthImage

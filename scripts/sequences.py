@@ -57,10 +57,9 @@ class Film:
         bodies, pairs = "", ""
         for k, item in enumerate(items):
             half = np.asarray(item["size"]) / 2
-            shape, extent = {
-                "sphere": ("sphere", f"{half[0]}"),
-                "cylinder": ("cylinder", f"{half[0]} {half[2]}"),
-            }.get(item["type"], ("box", " ".join(map(str, half))))
+            shape, extent = {"sphere": ("sphere", f"{half[0]}"), "cylinder": ("cylinder", f"{half[0]} {half[2]}")}.get(
+                item["type"], ("box", " ".join(map(str, half)))
+            )
             bodies += f'<body name="b{k}"><freejoint/><geom name="g{k}" type="{shape}" size="{extent}" '
             bodies += f'density="{item.get("density", DENSITY)}"/></body>'
             for other in ["floor", *(f"g{j}" for j in range(k))]:

@@ -44,7 +44,7 @@ PREVIEW_WIDTH = 640  # pixels; smaller cameras are enlarged for a picture
 @options.seed
 @options.quiet
 @options.tells_idle(
-    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth"),
+    Idle(("noise", "sensor", "antialias", "depth_scale"), lambda given: given["preview"], "--preview draws no depth")
 )
 def command(
     scenes: tuple[str, ...],

@@ -61,11 +61,7 @@ class NextView(NamedTuple):
 
 
 def next_views(
-    posterior: Posterior,
-    camera: Camera,
-    likelihood: Mapping[str, Any],
-    rng: np.random.Generator,
-    about: str = "sizes",
+    posterior: Posterior, camera: Camera, likelihood: Mapping[str, Any], rng: np.random.Generator, about: str = "sizes"
 ) -> list[NextView]:
     """Return the candidate cameras on rings about the scene, all looking at its middle, those that tell most first.
 

@@ -20,12 +20,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
-from derender.structures.alternatives import (
-    PROMISING,
-    QUICK,
-    likeliest_of_each,
-    weighed_whole,
-)
+from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each, weighed_whole
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
 from derender.structures.weighing import Weighed

@@ -17,15 +17,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents
 from derender.scene.solids import BOX
-from derender.structures.alternatives import (
-    HOPELESS,
-    PROMISING,
-    QUICK,
-    WORTHWHILE,
-    changed,
-    climbed,
-    weighed_whole,
-)
+from derender.structures.alternatives import HOPELESS, PROMISING, QUICK, WORTHWHILE, changed, climbed, weighed_whole
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth

@@ -78,10 +78,7 @@ def test_without_a_camera_it_says_what_it_takes(tmp_path):
     assert "60 degrees" in infer(*arguments).stderr
 
 
-@pytest.mark.parametrize(
-    "image, what",
-    [(np.zeros((8, 8)), "depth"), (np.full((8, 8), np.nan), "depth")],
-)
+@pytest.mark.parametrize("image, what", [(np.zeros((8, 8)), "depth"), (np.full((8, 8), np.nan), "depth")])
 def test_an_empty_image_is_told_and_leaves_nothing(tmp_path, image, what):
     np.save(tmp_path / "image.npy", image.astype(np.float32))
     with pytest.raises(DerenderError, match=what):

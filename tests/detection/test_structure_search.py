@@ -9,13 +9,7 @@ from derender.camera.depth_file import read_depth
 from derender.detection.floor import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings
-from derender.detection.search.observation import (
-    drawn,
-    neighbour_correlation,
-    observe,
-    patches_of,
-    rounding_of,
-)
+from derender.detection.search.observation import drawn, neighbour_correlation, observe, patches_of, rounding_of
 from derender.detection.search.searches import explain_otherwise
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene

@@ -213,12 +213,7 @@ def test_area_element_integrates_to_the_area(run):
     assert rounded == pytest.approx(a * b + 2 * (a + b) * 0.03 + math.pi * 0.03**2, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    "kind, sizes",
-    [
-        ("face-to-face", {("cube", "cube"): 36, ("plane", "cube"): 12}),
-    ],
-)
+@pytest.mark.parametrize("kind, sizes", [("face-to-face", {("cube", "cube"): 36, ("plane", "cube"): 12})])
 def test_the_papers_contact_sets(kind, sizes):
     """Eqs. 2 and 3."""
     for (parent, child), count in {**sizes, ("cube", "plane"): 12, ("box", "cylinder"): 12}.items():

@@ -59,13 +59,7 @@ class SilentWorld(SceneWorld):
 @pytest.mark.slow
 @pytest.mark.parametrize("twin", [None, WithoutArea])
 @pytest.mark.parametrize(
-    "name, replicates",
-    [
-        ("relocate", 1200),
-        ("turn", 3200),
-        ("slide", 3200),
-        ("relocate-stack", 3200),
-    ],
+    "name, replicates", [("relocate", 1200), ("turn", 3200), ("slide", 3200), ("relocate-stack", 3200)]
 )
 def test_contacts_made_anew_keep_the_prior(name, replicates, twin):
     world = SilentWorld(PLANKS)

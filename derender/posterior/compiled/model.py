@@ -195,11 +195,7 @@ def root_code(target: "SceneTarget") -> int:
     raise NotCompiled("this kind of root")
 
 
-ROOT_SLOTS = {
-    FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"),
-    LOOKED_AT: LookedAtRoot.KEYS,
-    FIXED_ROOT: (),
-}
+ROOT_SLOTS = {FREE_ROOT: ("x", "y", "z", "qw", "qx", "qy", "qz"), LOOKED_AT: LookedAtRoot.KEYS, FIXED_ROOT: ()}
 
 
 def place_of(target: Any, names: dict[str, int], address: str) -> tuple[int, int, int]:

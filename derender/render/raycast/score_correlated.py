@@ -78,12 +78,7 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
     weight_north_west, weight_north_east = look_up(by_north_west, seven), look_up(by_north_east, seven)
     weight_west_2, weight_north_2 = look_up(by_west_2, seven), look_up(by_north_2, seven)
     sharpest = look_up(sharpness, seven)
-    zero, nothing, apart, none = (
-        splat(np.float32(0)),
-        splat(np.float32(1e-30)),
-        splat(APART),
-        splat(NO_RESIDUAL),
-    )
+    zero, nothing, apart, none = (splat(np.float32(0)), splat(np.float32(1e-30)), splat(APART), splat(NO_RESIDUAL))
     one, two, four = splat(np.float32(1)), splat(np.float32(2)), splat(np.float32(4))
     limit = splat(reach)
     for row in range(top, bottom):

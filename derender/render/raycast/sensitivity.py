@@ -51,12 +51,7 @@ class Records(NamedTuple):
 def new_records(camera: "Camera", solids: int) -> Records:
     """Allocate Records for a Camera and this many solids: four for every pixel, and the outlines."""
     size = 4 * camera.width * camera.height + solids * 16 * (camera.width + camera.height)
-    return Records(
-        np.zeros(size, np.int32),
-        np.zeros(size, np.int32),
-        np.zeros((size, MOTION)),
-        np.zeros(1, np.int64),
-    )
+    return Records(np.zeros(size, np.int32), np.zeros(size, np.int32), np.zeros((size, MOTION)), np.zeros(1, np.int64))
 
 
 @njit(cache=True, nogil=True)

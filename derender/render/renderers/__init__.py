@@ -16,10 +16,7 @@ from typing import Any
 from derender.errors import DerenderError
 from derender.registry import suggest
 
-RENDERERS = {
-    "raycast": "derender.render.raycast.depth",
-    "pyrender": "derender.render.renderers.opengl",
-}
+RENDERERS = {"raycast": "derender.render.raycast.depth", "pyrender": "derender.render.renderers.opengl"}
 ENTRY_POINT_GROUP = "derender.renderers"
 
 

@@ -23,16 +23,7 @@ from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
 from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH, EngineState
 from derender.render.raycast.views import Views, engine_of_view
-from derender.structures.draws.chart import (
-    FLOOR_WAYS,
-    HELD,
-    PARENT,
-    SIZE,
-    TURN,
-    Chart,
-    camera_poses,
-    place_rows,
-)
+from derender.structures.draws.chart import FLOOR_WAYS, HELD, PARENT, SIZE, TURN, Chart, camera_poses, place_rows
 from derender.structures.draws.steps import touched_by_each
 
 if TYPE_CHECKING:

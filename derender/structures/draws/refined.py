@@ -22,14 +22,7 @@ from derender.sampling.evidence import Evidence, draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import lost_at_edges, true_faces
-from derender.structures.draws.metropolis import (
-    Draws,
-    ascend,
-    engine_of,
-    evaluate,
-    load,
-    sample,
-)
+from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample
 from derender.structures.draws.numbers import numbers_of_draws
 from derender.structures.draws.sensor import (
     Sensor,
