@@ -34,7 +34,9 @@ LEAST_MISSING, MOST_MISSING = 1e-4, 0.99
 BACKGROUND = 10.0
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
-FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
+# Times the median depth beyond which pixels are left out: what shows there is another room, or the horizon. A floor
+# that things stand on is seen that far at 7 degrees, and its far end tells its tilt best.
+FAR_AWAY = 8.0
 
 
 class Sensor(NamedTuple):
