@@ -156,7 +156,12 @@ def ratio(some, all_of_them):
 
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="KIND", help="; ".join(f"{k}: {v.says}" for k, v in KINDS.items()))
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="KIND",
+        help="; ".join(f"{k}: {v.says}" for k, v in KINDS.items()).replace("%", "%%"),
+    )
     parser.add_argument("-n", type=int, default=12, help="scenes of each kind")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--method", default="auto", choices=("auto", "map"))

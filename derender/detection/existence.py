@@ -16,15 +16,21 @@ if TYPE_CHECKING:
 LEAST_EXISTENCE = 0.5  # probability that a thing of the best scene is an object
 
 
-def existence_of(seen: "Observation", mask: np.ndarray, gain: float, settings: "Settings") -> tuple[float, float]:
-    """Return (probability, standard error) that what a mask (H, W) shows is an object; gain : in tempered nats."""
+def existence_of(
+    seen: "Observation", mask: np.ndarray, gain: float, settings: "Settings", below: np.ndarray
+) -> tuple[float, float]:
+    """Return (probability, standard error) that what a mask (H, W) shows is an object; gain : in tempered nats.
+
+    below : (H, W) bool, pixels of the solid that it stands on.
+    """
     beliefs = bare_image() if settings.beliefs is None else settings.beliefs
-    return beliefs.loose.existence.of(gain / settings.temper, outstanding(seen, mask))
+    return beliefs.loose.existence.of(gain / settings.temper, outstanding(seen, mask, below))
 
 
-def outstanding(seen: "Observation", mask: np.ndarray) -> float:
+def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> float:
     """Return how much what a mask (H, W) shows stands out, 1 at most: the share of its outline's hull that it fills,
-    times the share of its outline beyond which something farther is seen, or the floor that it stands on.
+    times the share of its outline beyond which something farther is seen, or the floor or the solid (`below`, (H, W)
+    bool) that it stands on.
 
     Clutter, such as leaves or the edge of a bin, is ragged or goes on behind what hides it, and a piece of something
     goes on there; where nothing returned beyond the outline nothing tells what it is.
@@ -33,7 +39,7 @@ def outstanding(seen: "Observation", mask: np.ndarray) -> float:
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     piece = np.where(mask, 0, -1).astype(np.int32)
     around, floor = (outline_shares(piece, 1, seen.points, beyond, jump, seen.footprint, seen.image.origin)[0]
-                     for beyond in (good, good & (mask | ~seen.mask)))  # fmt: skip
+                     for beyond in (good, good & (mask | ~seen.mask | below)))  # fmt: skip
     rows, columns = np.nonzero(mask)
     pixels = np.column_stack([rows, columns])
     corners = np.concatenate([pixels + [down, across] for down in (-0.5, 0.5) for across in (-0.5, 0.5)])

@@ -19,12 +19,24 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
 from derender.detection.solids.support import assign_supports
-from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, cost_of, share_over, support_of
+from derender.detection.things import (
+    BAD,
+    BENEATH,
+    ENDS,
+    INNER,
+    LARGEST,
+    clear_of_edges,
+    cost_of,
+    share_over,
+    shows_below,
+    standing,
+)
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least
 LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
-ROUNDS, YAWS = 200, 6  # of polishing a solid in its place; ways in which a box is turned at first
+# Of polishing a solid in its place; ways in which a box is turned at first; how many of all are looked at to the end.
+ROUNDS, YAWS, FINISHED = 200, 6, 3
 
 
 def leftovers(rng: np.random.Generator, seen: Observation, state: State, settings: Settings) -> tuple[State, list[Any]]:
@@ -46,7 +58,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
         gain = float(misfit[mask].sum())
         if (
-            existence_of(seen, mask, gain, settings)[0] > LEAST_EXISTENCE
+            existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
             and interior(mask).sum() >= INNER * mask.sum()
             and high[2] > max(LEFT_HEIGHT * seen.scale, settings.uneven)
             and max(high[:2] - low[:2]) < LARGEST
@@ -77,21 +89,22 @@ def interior(mask: np.ndarray) -> np.ndarray:
 
 def with_solid(rng: np.random.Generator, seen: Observation, state: State, mask: np.ndarray, settings: Settings) -> Any:
     """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
-    image, points = seen.image, seen.points[mask]
+    image, points = seen.image, seen.points[clear_of_edges(seen, mask)[0]]
     view, before = held_out(image, state, -1), total_energy(image, state, settings)
-    tries, bottom = [], support_of(points, state)[1]
+    tries, bottom = [], standing(seen, state, mask)[1]
     hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
     if "box" in settings.shapes:
         turns = np.pi / 2 * np.arange(YAWS) / YAWS
         hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False, ()) for yaw in turns]
     for h in hypotheses:
-        row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, np.nan, settings, ROUNDS)
+        row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, bottom, settings, ROUNDS)
         tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))
-    if not tries:
-        return state, -np.inf
-    _, _, row, h = min(tries)
-    only = {len(state)}
-    new = assign_supports(image, state.add(row, h.form, h.cube), settings, only)
-    sweep(rng, image, new, settings, ROUNDS, only=only)
-    new = try_cubes(rng, image, new, settings, only=only)
-    return new, before - total_energy(image, new, settings) + settings.price - settings.temper * LEFT_PRICE
+    best, least = state, np.inf
+    for _, _, row, h in sorted(tries)[:FINISHED]:
+        only = {len(state)}
+        new = assign_supports(image, state.add(row, h.form, h.cube), settings, only)
+        sweep(rng, image, new, settings, ROUNDS, only=only)
+        new = try_cubes(rng, image, new, settings, only=only)
+        if (energy := total_energy(image, new, settings)) < least:
+            best, least = new, energy
+    return best, before - least + settings.price - settings.temper * LEFT_PRICE

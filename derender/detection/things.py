@@ -17,7 +17,7 @@ from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.local_planes import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
-from derender.detection.search.observation import HIDDEN_FLOOR, Observation
+from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import Image, make_row, rotation_of
@@ -48,6 +48,9 @@ THINNEST = 0.004  # metres of any extent
 AROUND = 36  # points of a circle
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
 DEPTH, SHALLOW = 0.7, 0.35
+# Standard deviations of the blur within which a silhouette shows what is behind; the share of a mask's pixels that are
+# to lie farther from its edge, at least.
+SMEARED, CLEAR = 2.0, 0.3
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 
 
@@ -115,7 +118,7 @@ def likely_things(
     """
     behind, found = seen.behind.copy(), []
     for mask, gain in masks:
-        existence = existence_of(seen, mask, gain, settings)
+        existence = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))
         if existence[0] < LEAST_EXISTENCE:
             behind |= mask
         else:
@@ -296,17 +299,54 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
     return seen._replace(behind=behind | gone), subset(state, keep), left
 
 
-def support_of(points: np.ndarray, state: State) -> tuple[int, float]:
-    """Return (FLOOR or the index of the solid that points (K, 3) stand on, its height)."""
+def support_of(points: np.ndarray, state: State, unseen: float = NEAR_TOP) -> tuple[int, float]:
+    """Return (FLOOR or the index of the solid that points (K, 3) stand on, its height).
+
+    unseen : metres over that which they may begin at.
+    """
     low = float(np.quantile(points[:, 2], ENDS))
     parent, bottom = FLOOR, 0.0
     for k, row in enumerate(state.rows):
         top = highest(row)
-        if not flat_top(row) or abs(low - top) > NEAR_TOP or top < bottom:
+        if not flat_top(row) or abs(low - top) > unseen or top < bottom:
             continue
         if share_over(points, row) > BENEATH:
             parent, bottom = k, top
     return parent, bottom
+
+
+def shows_below(seen: Observation, state: State, mask: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: the pixels that show the solid that what a mask (H, W) shows stands on; none of the floor."""
+    parent, _ = standing(seen, state, mask)
+    if parent == FLOOR:
+        return np.zeros(mask.shape, bool)
+    return held_out(seen.image, state, -1)[1] == parent
+
+
+def standing(seen: Observation, state: State, mask: np.ndarray) -> tuple[int, float]:
+    """Return (FLOOR or the index of the solid that what a mask (H, W) shows stands on, its height).
+
+    What is hardly off that is explained by it, and no part of the mask.
+    """
+    clear, reach = clear_of_edges(seen, mask)
+    hidden = reach * np.median(seen.footprint[mask]) + np.sqrt(2.0 * BAD) * np.median(seen.sigma[mask])
+    return support_of(seen.points[clear], state, NEAR_TOP + float(hidden))
+
+
+def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return (the pixels of a mask (H, W) that show nothing but its surface, how many pixels its edge lies beyond).
+
+    A blurred image shows depths between a silhouette and what is behind. Of what is narrow enough is left.
+    """
+    taps = seen.image.taps
+    blur = np.sqrt(2.0 * np.sum(taps * np.arange(taps.size) ** 2))
+    clear, reach = mask, 0
+    while reach < round(SMEARED * blur):
+        inner = ~near(~clear, 1)
+        if inner.sum() < max(CLEAR * mask.sum(), FEWEST):
+            break
+        clear, reach = inner, reach + 1
+    return clear, reach
 
 
 def share_over(points: np.ndarray, row: Any) -> Any:
@@ -321,12 +361,13 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last,
     or, of what shows nothing but its front, as deep as household things are for their width and height.
     """
-    points = seen.points[mask]
-    parent, bottom = support_of(points, state)
+    clear, reach = clear_of_edges(seen, mask)
+    points = seen.points[clear]
+    parent, bottom = standing(seen, state, mask)
     # A pixel on the silhouette shows half of itself beyond its middle.
-    rim = 0.5 * float(np.median(seen.footprint[mask]))
+    rim = (0.5 + reach) * float(np.median(seen.footprint[mask]))
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][mask]
+    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][clear]
     axis = vertical_axis(points, normal)
     outline = points[:, :2]
     if axis is not None:
@@ -335,7 +376,7 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
         outline = np.vstack([np.repeat(circle, max(1, int(4.0 * ENDS * len(points))), axis=0), outline])
     upright = rotation_z(smallest_rectangle(outline))[:3, :3]
     wide = np.quantile(outline @ upright[:2, :2], [ENDS, 1.0 - ENDS], axis=0) + [[-rim], [rim]]
-    high = np.quantile(points[:, 2], [ENDS, 1.0 - ENDS])
+    high = np.quantile(points[:, 2], ENDS), np.quantile(seen.points[mask, 2], 1.0 - ENDS)
     ends = np.column_stack([wide, high])
     if not seen.no_floor:
         ends[0, 2] = bottom

@@ -14,11 +14,12 @@ from derender.detection.search.bodies import APART
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.image import make_image, make_row
+from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import made_thing
+from derender.detection.things import clear_of_edges, made_thing
+from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
@@ -262,20 +263,43 @@ def test_a_ball_sunk_in_what_it_stands_on_is_the_dome_of_something_else():
 def test_what_is_ragged_or_hidden_stands_out_less():
     image = seen_on_the_table([(BOX, 0.0, 0.0, (0.12, 0.12, 0.1), None)])
     seen = observe(image, CAMERA)
-    whole = outstanding(seen, seen.mask)
+    nothing = np.zeros(seen.mask.shape, bool)
+    whole = outstanding(seen, seen.mask, nothing)
     rows, columns = np.indices(seen.mask.shape)
     assert whole > 0.8
     striped = seen.mask & ((rows + columns) % 4 < 2)
-    assert outstanding(seen._replace(mask=striped), striped) < 0.7 * whole
+    assert outstanding(seen._replace(mask=striped), striped, nothing) < 0.7 * whole
     left = seen.mask & (columns < np.median(columns[seen.mask]))
-    assert outstanding(seen, left) < 0.9 * whole  # goes on as what stands there too
+    assert outstanding(seen, left, nothing) < 0.9 * whole  # goes on as what stands there too
+    assert outstanding(seen, left, seen.mask & ~left) > outstanding(seen, left, nothing)  # which it may stand on
+
+
+def test_a_small_box_on_another_is_found_in_what_a_phone_sees():
+    """Smoothed, with noise that neighbours share: too few pixels for the search, and joined to what it stands on."""
+    scene = make(np.random.default_rng([103, list(KINDS).index("phone")]), "phone")
+    state, seen = point_estimate(np.random.default_rng(0), scene.depth, scene.camera)
+    assert seen.image.taps.size > 2  # the blur is told
+    small = np.array(scene.objects[2]["size"])
+    (k,) = (k for k in range(len(state)) if state.parents[k] >= 0)
+    assert np.prod(state.rows[k][13:16]) == pytest.approx(np.prod(small), rel=0.5)
+
+
+def test_the_edges_of_what_a_blurred_image_shows_are_not_its_surface():
+    mask = np.zeros((20, 20), bool)
+    mask[4:16, 4:16] = True
+    for blur, reach in ((0.0, 0), (0.6, 1), (1.0, 2)):
+        clear, found = clear_of_edges(SimpleNamespace(image=SimpleNamespace(taps=taps_of(blur))), mask)
+        assert found == reach and clear.sum() == (12 - 2 * reach) ** 2
+    narrow = mask & (np.arange(20) < 6)
+    assert clear_of_edges(SimpleNamespace(image=SimpleNamespace(taps=taps_of(1.0))), narrow)[0].sum() == 24
 
 
 def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
     across, up = np.meshgrid(np.linspace(-0.05, 0.05, 30), np.linspace(0.1, 0.0, 30))
     points = np.dstack([across, np.full((30, 30), 0.5), up])
     seen = SimpleNamespace(points=points, footprint=np.full((30, 30), 0.003), sigma=np.full((30, 30), 0.001),
-                           image=SimpleNamespace(origin=np.array([0.0, -0.4, 0.5])), no_floor=False)  # fmt: skip
+                           image=SimpleNamespace(origin=np.array([0.0, -0.4, 0.5]), taps=np.ones(1)),
+                           no_floor=False)  # fmt: skip
     mask = np.ones((30, 30), bool)
     row = made_thing(seen, State(), mask, 50.0).row
     turn, size = np.abs(row[1:10].reshape(3, 3)), row[13:16]

@@ -1,5 +1,9 @@
 """The made scenes of scripts/frontier.py say what is in their images."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -37,3 +41,9 @@ def test_stereo_fattens_what_is_near_and_a_phone_is_off_by_one_percent():
     assert np.nanmax(np.abs(steps - np.round(steps))) < 1e-6
     flat = phone(np.random.default_rng(0), np.full((96, 128), 1.0))
     assert abs(abs(np.mean(flat) - 1.0) - 0.01) < 0.002
+
+
+def test_the_script_says_what_the_kinds_are():
+    script = Path(__file__).parents[2] / "scripts" / "frontier.py"
+    told = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, check=True).stdout
+    assert all(kind in told for kind in KINDS)

@@ -185,9 +185,9 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
     correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
+    blur = estimate_blur(depth, sigma * np.sqrt(1.0 - max(correlation, 0.0)))  # shared noise hides no leak
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, np.fmin(bare_image().loose.faces, sensor_deviation(depth)))
-    blur = estimate_blur(depth, sigma)
     image = make_image(depth, sigma, camera, floor.pose, blur)
     wall = raise_wall(image)
     points = back_project(depth, camera) - floor.pose[:3, 3]
