@@ -40,6 +40,7 @@ from derender.structures.draws.steps import (
     WIDER,
     Step,
     block_steps,
+    factor_of_inverse,
     floor_step,
     make_proposals,
     own_members,
@@ -227,6 +228,13 @@ def test_a_floor_that_takes_all_else_along_leaves_a_normal_as_it_is():
     kept = np.eye(9) + (np.sqrt(1.0 - 0.6**2) - 1.0) * step.matrix @ pull
     assert np.allclose(kept @ wide @ kept.T + 0.6**2 * step.matrix @ step.matrix.T, wide)
     assert np.allclose(pull @ step.matrix, np.eye(3)) and np.allclose(pull @ wide @ pull.T, np.eye(3))
+
+
+def test_a_precision_that_rounding_made_indefinite_still_gives_steps():
+    """As an image of stripes one pixel wide does."""
+    along = np.array([[1.0], [2.0], [-1.0]])
+    factor = factor_of_inverse(1e12 * along @ along.T - 1e-6 * np.eye(3))
+    assert np.isfinite(factor).all() and np.allclose(along.T @ factor @ factor.T @ along, 1e-12)
 
 
 def test_steps_of_one_top_leave_those_above_where_they_are():

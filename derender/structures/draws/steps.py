@@ -258,7 +258,7 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     precision = back.T @ np.linalg.inv(covariance + shrink**2 * np.eye(len(members))) @ back
     blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
     indices = [[place[m] for m in block] for block in blocks if block]
-    factors = [np.linalg.cholesky(np.linalg.inv(precision[np.ix_(index, index)])) for index in indices]
+    factors = [factor_of_inverse(precision[np.ix_(index, index)]) for index in indices]
     matrices = [back[:, index] @ factor for index, factor in zip(indices, factors, strict=True)]
     moves = np.zeros((size, sum(map(len, indices))))
     moves[members] = np.hstack(matrices)
@@ -275,6 +275,15 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     if place.keys() > set(blocks_of(chart)[-1]):
         steps.append(floor_step(covariance + shrink**2 * np.eye(size), len(chart.flags), center))
     return weighted(steps, 2.0)
+
+
+def factor_of_inverse(precision: np.ndarray) -> np.ndarray:
+    """Return a factor F (n, n) of the covariance F F' = P^-1 of a precision P (n, n), rounded as it may be."""
+    try:
+        return np.linalg.cholesky(np.linalg.inv(precision))
+    except np.linalg.LinAlgError:  # rounding has left a direction that is hardly held with nothing, or less
+        values, vectors = np.linalg.eigh(0.5 * (precision + precision.T))
+        return vectors / np.sqrt(np.maximum(values, values[-1] * len(values) * np.finfo(float).eps))
 
 
 def floor_step(covariance: np.ndarray, count: int, center: Any) -> Step:
