@@ -1,4 +1,4 @@
-"""The best structure's draws as NetCDF-4, with the groups in which ArviZ keeps them; needs h5netcdf (extra `arviz`)."""
+"""The best structure's draws as NetCDF-4, with the groups in which ArviZ keeps them; needs h5py (extra `arviz`)."""
 
 import importlib.util
 from collections.abc import Iterator, Mapping
@@ -12,9 +12,13 @@ from derender.atomic import atomic_path
 from derender.results.posterior import Posterior
 from derender.results.predictive import Blocks
 
+# Nats between one draw and the next, added to what a block's log likelihood is: ArviZ 1 refuses `loo` where the tail of
+# a block's draws is one number, as it is where nothing but a known floor is seen, and where chains stood still.
+TIE = 1e-9
+
 
 def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None = None) -> bool:
-    """Write the groups `posterior` and `sample_stats`; return False where h5netcdf is not installed.
+    """Write the groups `posterior` and `sample_stats`; return False where `can_be_read` does.
 
     With `blocks` also `observed_data`, `log_likelihood` and `posterior_predictive` (each `depth` over the dimension
     `block`; `constant_data` says where the blocks lie), so that `arviz.loo` and `arviz.plot_ppc` have what they need.
@@ -35,10 +39,12 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     if blocks is not None:
         number = {"block": np.arange(len(blocks.observed))}
         where = {"row": blocks.rows, "column": blocks.columns}
+        scored = blocks.log_likelihood
+        apart = TIE * np.arange(scored[..., 0].size).reshape(*scored.shape[:2], 1)
         groups |= {
             "observed_data": (number, {"depth": blocks.observed}),
             "constant_data": (number, where),
-            "log_likelihood": ({"chain": chain, "draw": blocks.scored} | number, {"depth": blocks.log_likelihood}),
+            "log_likelihood": ({"chain": chain, "draw": blocks.scored} | number, {"depth": scored + apart}),
             "posterior_predictive": ({"chain": chain, "draw": blocks.drawn} | number, {"depth": blocks.predicted}),
         }
     with atomic_path(path) as temporary, h5py.File(temporary, "w", track_order=True) as file:
@@ -55,8 +61,9 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
 
 
 def can_be_read() -> bool:
-    """Return whether what could read the file is installed."""
-    return importlib.util.find_spec("h5netcdf") is not None
+    """Return whether what writes the file is installed, and what could read it."""
+    installed = {name for name in ("h5py", "h5netcdf", "netCDF4") if importlib.util.find_spec(name) is not None}
+    return "h5py" in installed and len(installed) > 1
 
 
 def _write_group(
