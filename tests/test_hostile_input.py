@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import time
 import zipfile
 from types import SimpleNamespace
@@ -16,15 +17,18 @@ from small_scenes import TOWER, SceneWorld
 from derender.camera.camera_file import read_camera
 from derender.camera.depth_file import read_depth
 from derender.cli import group, status_of
+from derender.cli.reading import read_explained, read_observation
 from derender.document import read_prior_document
 from derender.errors import LONGEST, DerenderError
 from derender.evaluation.truth import read_json_scene
 from derender.json_text import MOST_DEPTH, parse_json
+from derender.report.scene_json import scene_json
 from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.shapes.mesh import load_mesh
 from derender.structures.options import Options
 from derender.workflow import infer_to_folder
 
+MUTATIONS = int(os.environ.get("MUTATIONS", "60"))  # examples that hypothesis tries
 DEEP = 100_000  # brackets
 SOON = 5.0  # seconds: what was quadratic took minutes, so a busy machine cannot be mistaken for it
 
@@ -236,7 +240,47 @@ def test_a_posterior_with_wrong_arrays_is_told(tmp_path, saved, bad):
     assert is_told(tmp_path, stream.getvalue())
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+JUNK = st.one_of(st.none(), st.booleans(), st.integers(-3, 3), st.sampled_from([1e300, -1e-300, 10**400, float("nan")]),
+                 st.sampled_from(["", "a.b", "floor", "box", "\x00", "x" * 300]),
+                 st.sampled_from([[], [[]], {}, [1, 2, 3], {"a": 1}, [None], [["a"]]]))  # fmt: skip
+
+
+def places_of(node):
+    """Yield (collection, key) of every value of a tree."""
+    for key in list(node) if isinstance(node, dict) else range(len(node)) if isinstance(node, list) else ():
+        yield node, key
+        yield from places_of(node[key])
+
+
+def test_an_observation_of_another_tool_is_told(tmp_path):
+    np.savez(tmp_path / "observation.npz", depth=np.ones((3, 3)))
+    with pytest.raises(DerenderError, match="holds no camera"):
+        read_observation(tmp_path)
+    np.save(tmp_path / "explained.npy", np.ones((3, 4), np.float32))
+    assert read_explained(tmp_path, (3, 3)) is None and read_explained(tmp_path, (3, 4)) is not None
+
+
+@settings(max_examples=MUTATIONS, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(which=st.floats(0, 1, exclude_max=True), junk=JUNK, gone=st.booleans())
+def test_a_posterior_with_anything_in_its_header_is_read_or_told(tmp_path, saved, which, junk, gone):
+    def change(header):
+        places = list(places_of(header))
+        node, key = places[int(which * len(places))]
+        if gone:
+            del node[key]
+        else:
+            node[key] = junk
+
+    (tmp_path / "posterior.npz").write_bytes(with_header(saved[1], change))
+    try:
+        posterior = load(tmp_path)
+    except DerenderError as error:
+        assert "posterior" in str(error)
+        return
+    scene_json(posterior.best_graph(), posterior)  # what was read can be shown
+
+
+@settings(max_examples=MUTATIONS, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.floats(0, 1, exclude_max=True), byte=st.integers(0, 255), cut=st.booleans())
 def test_a_damaged_posterior_is_read_or_told(tmp_path, saved, place, byte, cut):
     data = bytearray(saved[0])

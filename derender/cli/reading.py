@@ -150,18 +150,23 @@ def read_observation(folder: str | Path) -> "tuple[np.ndarray, Camera] | None":
     if not path.exists():
         return None
     image = read_depth(path)
+    if image.camera_is_guess:
+        raise DerenderError("it holds no camera", path, "infer again, or move it away")
     return image.depth, image.camera
 
 
-def read_explained(folder: str | Path) -> "np.ndarray | None":
-    """Return the depths (H, W) that explain the image of a result folder, NaN where nothing does; None without them."""
+def read_explained(folder: str | Path, shape: tuple[int, int]) -> "np.ndarray | None":
+    """Return the depths (H, W) that explain the image of a result folder, NaN where nothing does; None without them.
+
+    shape : (H, W) of the image.
+    """
     import numpy as np
 
     try:
         depth = np.load(Path(folder) / "explained.npy", allow_pickle=False)
     except (OSError, ValueError, EOFError):
         return None
-    return depth.astype(float) if depth.ndim == 2 and depth.dtype.kind == "f" else None
+    return depth.astype(float) if depth.shape == shape and depth.dtype.kind == "f" else None
 
 
 MOVING = {".gif": "image/gif", ".webp": "image/webp"}  # media types of animations that a page can hold

@@ -74,7 +74,7 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     image = read_observation(place) if place else None
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
-    told = read_explained(place) if place and image is not None else None
+    told = read_explained(place, image[1].shape) if place and image is not None else None
     facts = title_facts(len(found))
     report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
     if place is None:

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.scene.contacts import contacts
 from derender.scene.graph import ROOT, Constraint
 from derender.scene.shapes import shapes
 from derender.scene.vertex import is_name
 
+LARGEST = 1e9  # of numbers in a scene: their squares can be added
 WEIGHTS_SLIP = 1e-6  # by which the weights of all structures may miss one: they are kept to 16 digits
 
 
@@ -25,13 +27,23 @@ def check_header(header: Any, form: int) -> Mapping[str, Any]:
     if not isinstance(parts, list) or not parts or not all(isinstance(part, Mapping) for part in parts):
         raise DerenderError("it holds no structure")
     for key, kinds in (("seed", (int, type(None))), ("command", (str, type(None))), ("version", (str, type(None)))):
-        if not isinstance(header.get(key), kinds):
+        if key not in header or not isinstance(header[key], kinds):
             raise DerenderError(f"its {key} is {header.get(key)!r}")
     if not isinstance(header.get("meta"), Mapping):
         raise DerenderError("its meta is no JSON object")
+    _check_meta(header["meta"])
     for part in parts:
         _check_graph(part["graph"])
     return header
+
+
+def _check_meta(meta: Mapping[str, Any]) -> None:
+    """Refuse a camera that is none, and other kinds of values than those that are read of `meta`."""
+    if "camera" in meta:
+        Camera(**meta["camera"])
+    for key, kind in (("likelihood", dict), ("existence", dict), ("doubts", list)):
+        if not isinstance(meta.get(key, kind()), kind):
+            raise DerenderError(f"its {key} is {meta[key]!r}")
 
 
 def _check_graph(tree: Any) -> None:
@@ -60,8 +72,12 @@ def _check_graph(tree: Any) -> None:
 def _check_finite(name: str, *numbers: Mapping[str, Any]) -> None:
     for table in numbers:
         for key, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not _is_number(value) or abs(value) > LARGEST:
                 raise DerenderError(f"{name}.{key} is {value!r}")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def check_parts(parts: Sequence[Any]) -> None:
@@ -93,6 +109,10 @@ def check_parts(parts: Sequence[Any]) -> None:
             raise DerenderError("a period is no length")
         if not isinstance(part.weight, (int, float)) or not 0.0 <= part.weight <= 1.0 + WEIGHTS_SLIP:
             raise DerenderError(f"a structure has the weight {part.weight!r}")
+        interval = (0.0, 1.0) if part.weight_interval is None else part.weight_interval
+        for what, ends, count in (("error", (part.weight_error,), 1), ("range", interval, 2)):
+            if len(ends) != count or not all(map(_is_number, ends)):
+                raise DerenderError(f"the {what} of a structure's weight is {ends!r}")
         if not isinstance(part.extras, Mapping):
             raise DerenderError("its extras are no JSON object")
     if sum(part.weight for part in parts) > 1.0 + len(parts) * WEIGHTS_SLIP:
