@@ -136,7 +136,7 @@ def scores(sample: np.ndarray, normal: np.ndarray, offset: np.ndarray, tolerance
     Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have some,
     the side of a box has many. Where gravity is known only level planes have a score, if there is one.
     """
-    share, under = on_and_under(sample, normal, offset, tolerance).T / len(sample)
+    share, under = on_and_under(np.ascontiguousarray(sample.T), normal, offset, tolerance).T / len(sample)
     score = share - 0.3 * under
     if gravity is not None:
         level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
@@ -145,16 +145,19 @@ def scores(sample: np.ndarray, normal: np.ndarray, offset: np.ndarray, tolerance
 
 
 @njit(cache=True, nogil=True)
-def on_and_under(sample, normal, offset, tolerance):
-    """Return (N, 2) how many of the points (S, 3) lie on each plane, and how many far under it."""
+def on_and_under(points, normal, offset, tolerance):
+    """Return (N, 2) how many of the points (3, S) lie on each plane, and how many far under it."""
     found = np.zeros((len(offset), 2))
+    x, y, z = points[0], points[1], points[2]
+    near = tolerance * np.maximum(1.0, z * z)
     for k in range(len(offset)):
-        for point in sample:
-            distance = normal[k, 0] * point[0] + normal[k, 1] * point[1] + normal[k, 2] * point[2] - offset[k]
-            if abs(distance) < tolerance * max(1.0, point[2] ** 2):
-                found[k, 0] += 1.0
-            if distance < -3.0 * tolerance:
-                found[k, 1] += 1.0
+        a, b, c, d = normal[k, 0], normal[k, 1], normal[k, 2], offset[k]
+        on, under = 0, 0
+        for n in range(x.size):  # without a branch, so that it is vectorised
+            distance = a * x[n] + b * y[n] + c * z[n] - d
+            on += abs(distance) < near[n]
+            under += distance < -3.0 * tolerance
+        found[k, 0], found[k, 1] = on, under
     return found
 
 
@@ -201,27 +204,26 @@ def plane_through(
     scale : metres, the first guess of the noise across it, and the most that is taken for noise.
     weight : (H W,) float64, how much each pixel counts; None: all alike.
     """
-    flat = points.reshape(-1, 3)
     good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
+    flat = points.reshape(-1, 3)[good]
     weight = np.ones(len(good)) if weight is None else weight[good]
     most = scale
     for _ in range(6):
-        residual = flat[good] @ normal - offset
-        inner = np.abs(residual) < max(3 * scale, 0.001)
-        chosen = flat[good[inner]]
+        inner = np.abs(flat @ normal - offset) < max(3 * scale, 0.001)
+        chosen = flat[inner]
         if len(chosen) < max(20, 0.05 * len(good)):
             remedy = "say --floor none, give the plane with --floor, or crop the image"
             raise NoFloor("no plane holds a tenth of the pixels", remedy=remedy)
         worth = weight[inner] / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
-        centre = np.average(chosen, axis=0, weights=worth)
-        _, _, axes = np.linalg.svd(((chosen - centre) * np.sqrt(worth)[:, None]), full_matrices=False)
-        normal = axes[2] * np.sign(-axes[2] @ centre)
+        centre = worth @ chosen / worth.sum()
+        away = (chosen - centre) * np.sqrt(worth)[:, None]
+        normal = np.linalg.eigh(away.T @ away)[1][:, 0]
+        normal *= np.sign(-normal @ centre)
         offset = normal @ centre
         off = np.abs(chosen @ normal - offset)
         scale = np.clip(1.4826 * weighted_median(off, weight[inner]), 2e-4, most)
-    ray = flat[good] / flat[good][:, 2:3]
-    slope = np.abs(ray @ normal)
-    residual = (flat[good] @ normal - offset) / np.maximum(slope, 0.05)
+    slope = np.abs(flat @ normal) / flat[:, 2]
+    residual = (flat @ normal - offset) / np.maximum(slope, 0.05)
     inner = np.abs(residual) < 4 * scale / np.maximum(slope, 0.05)
     sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
     inliers = np.zeros(depth.size, bool)
@@ -238,6 +240,8 @@ def plane_through(
 
 def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
     """Return the value at which half of the weight lies below; between two such values, their mean."""
+    if (weight == weight[0]).all():
+        return float(np.median(values))
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
