@@ -27,6 +27,7 @@ FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8
 MOST_POINTS = 24  # of each pair
 ALONG, AROUND = 17, 48  # points along an edge of a box and around a rim of a cylinder
 RIDGE = 1e-2
+EVEN = 1e-10  # of the weight: forces and slopes up to it are rounding
 UNBALANCED = 0.2  # of the weight that no force holds: then the contacts that were seen do not explain why it rests
 
 
@@ -105,8 +106,6 @@ def shares_of_load(
     ----------
     rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching. friction : see the head.
     """
-    from scipy.optimize import nnls
-
     row = rows[k]
     columns, carriers = [], []
     for other in (FLOOR, *(j for j in range(len(rows)) if j != k)):
@@ -126,8 +125,7 @@ def shares_of_load(
     if not columns:
         return {}
     matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    ridge = np.sqrt(RIDGE) * np.eye(matrix.shape[1])
-    forces, _ = nnls(np.vstack([matrix, ridge]), np.concatenate([weight, np.zeros(len(ridge))]))
+    forces = non_negative(matrix.T @ matrix + RIDGE * np.eye(matrix.shape[1]), weight @ matrix)
     # the ridge alone lets a share of the weight go
     held = matrix @ forces
     if np.linalg.norm(held / max(held[2], 1e-9) - weight) > UNBALANCED:
@@ -250,6 +248,28 @@ def standing_on(state: State, i: int, reach: float = 0.012) -> tuple[int, float]
         (-penetration(row, other), j) for j, other in enumerate(state.rows) if j != i and touches(row, other, reach)
     ]
     return (min(leaning)[1] if leaning else FLOOR), np.nan
+
+
+def non_negative(gram: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return the x >= 0 (N,) with the least x . gram . x / 2 - target . x, gram (N, N) positive definite.
+
+    By the active sets of Lawson and Hanson (1974), as in scipy, whose import takes longer than an image.
+    """
+    found, free = np.zeros(len(target)), np.zeros(len(target), bool)
+    while True:
+        slope = np.where(free, 0.0, target - gram @ found)
+        if slope.max() <= EVEN:
+            return found
+        free[np.argmax(slope)] = True
+        while True:
+            trial = np.zeros(len(target))
+            trial[free] = np.linalg.solve(gram[np.ix_(free, free)], target[free])
+            under = free & (trial <= 0.0)
+            if not under.any():
+                break
+            found += (found[under] / (found[under] - trial[under])).min() * (trial - found)
+            free &= found > EVEN
+        found = trial
 
 
 def final_parents(state: State) -> list[int]:
