@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 KIND, ROTATION, CENTRE, SIZE, ROW = 0, 1, 10, 13, 16
 FAR = 1e9
+NEAREST = 1e6  # 1 / metres: nothing is nearer
 LEAST_TAP = 1e-3  # what the blur brings over from further away is left out of the search
 
 
@@ -144,12 +145,7 @@ def in_axes(row, x, y, z):
 
 @njit(cache=True, nogil=True, inline="always", borrows=True)
 def hit(kind, row, ox, oy, oz, dx, dy, dz):
-    """Return the depth of a ray's first hit, or FAR. Origin (o) and direction (d) in the solid's axes."""
-    if kind == BOX:
-        near, far = between(ox, dx, 0.5 * row[13], 1e-6, FAR)
-        near, far = between(oy, dy, 0.5 * row[14], near, far)
-        near, far = between(oz, dz, 0.5 * row[15], near, far)
-        return near if near <= far else FAR
+    """Return the depth of a ray's first hit of a sphere or cylinder, or FAR. Origin (o), direction (d) in its axes."""
     if kind == SPHERE:
         radius = 0.5 * row[13]
         a = dx * dx + dy * dy + dz * dz
@@ -179,6 +175,65 @@ def hit(kind, row, ox, oy, oz, dx, dy, dz):
 
 
 @njit(cache=True, nogil=True, borrows=True)
+def box_faces(image, row, i0, faces):
+    """Write the inverse depths of a box's faces as affine functions of the pixel (i0 + n, j): a + b n + c j.
+
+    faces : (9, 3) of a, b, c; the first three are what the box's inverse depth is the least of, the others what it has
+    to be at least. NEAREST and 1 / FAR stand for faces that do not count.
+    """
+    for axis in range(3):
+        ux, uy, uz = row[1 + axis], row[4 + axis], row[7 + axis]
+        offset = ux * (image.origin[0] - row[10]) + uy * (image.origin[1] - row[11]) + uz * (image.origin[2] - row[12])
+        here, along, down = image.direction[0, 0], image.direction[0, 1], image.direction[1, 0]
+        a = ux * here[0] + uy * here[1] + uz * here[2]
+        b = ux * (along[0] - here[0]) + uy * (along[1] - here[1]) + uz * (along[2] - here[2])
+        c = ux * (down[0] - here[0]) + uy * (down[1] - here[1]) + uz * (down[2] - here[2])
+        a += b * i0
+        half = 0.5 * row[13 + axis]
+        faces[axis, 0], faces[axis, 1], faces[axis, 2] = NEAREST, 0.0, 0.0
+        for side in range(2):
+            away = (half if side == 0 else -half) - offset
+            if abs(away) < 1e-12:
+                away = 1e-12
+            front = (offset > half and side == 0) or (offset < -half and side == 1)
+            k = axis if front else 3 + 2 * axis + side
+            faces[k, 0], faces[k, 1], faces[k, 2] = a / away, b / away, c / away
+            if front:
+                k = 3 + 2 * axis + side
+                faces[k, 0], faces[k, 1], faces[k, 2] = 1.0 / FAR, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # a check for zero in the loop would keep it from being vectorised
+def box_depths(faces, j, out):
+    """Write the depths of a box in a row of the image, FAR where it is not hit, into out (n,). faces : `box_faces`."""
+    a0, a1, a2 = faces[0, 0] + faces[0, 2] * j, faces[1, 0] + faces[1, 2] * j, faces[2, 0] + faces[2, 2] * j
+    a3, a4, a5 = faces[3, 0] + faces[3, 2] * j, faces[4, 0] + faces[4, 2] * j, faces[5, 0] + faces[5, 2] * j
+    a6, a7, a8 = faces[6, 0] + faces[6, 2] * j, faces[7, 0] + faces[7, 2] * j, faces[8, 0] + faces[8, 2] * j
+    b0, b1, b2, b3, b4, b5 = faces[0, 1], faces[1, 1], faces[2, 1], faces[3, 1], faces[4, 1], faces[5, 1]
+    b6, b7, b8 = faces[6, 1], faces[7, 1], faces[8, 1]
+    for n in range(out.size):
+        x = float(n)
+        upper = min(min(a0 + b0 * x, a1 + b1 * x), a2 + b2 * x)
+        lower = max(max(max(a3 + b3 * x, a4 + b4 * x), max(a5 + b5 * x, a6 + b6 * x)), max(a7 + b7 * x, a8 + b8 * x))
+        depth = 1.0 / upper
+        out[n] = depth if upper >= lower else FAR
+
+
+@njit(cache=True, nogil=True, borrows=True)
+def depths_of(image, row, i0, j, faces, out):
+    """Write the depths of a solid in pixels i0.. of a row of the image, FAR where it is not hit, into out (n,)."""
+    kind = int(row[KIND])
+    if kind == BOX:
+        box_depths(faces, j, out)
+        return
+    ox, oy, oz = in_axes(row, image.origin[0] - row[10], image.origin[1] - row[11], image.origin[2] - row[12])
+    for n in range(out.size):
+        ray = image.direction[j, i0 + n]
+        dx, dy, dz = in_axes(row, ray[0], ray[1], ray[2])
+        out[n] = hit(kind, row, ox, oy, oz, dx, dy, dz)
+
+
+@njit(cache=True, nogil=True)
 def draw(image, rows, skip, depth, label):
     """Draw the floor (label -1; -2 nothing) and all solids but number `skip` into depth and label, in place."""
     height, width = image.depth.shape
@@ -191,20 +246,20 @@ def draw(image, rows, skip, depth, label):
             draw_one(image, rows[index], index, depth, label)
 
 
-@njit(cache=True, nogil=True, borrows=True)
+@njit(cache=True, nogil=True)
 def draw_one(image, row, index, depth, label):
     """Draw one solid into depth and label, in place."""
     height, width = image.depth.shape
-    kind = int(row[KIND])
     i0, i1, j0, j1 = bounding_rectangle(row, image.projection, height, width)
-    ox, oy, oz = in_axes(row, image.origin[0] - row[10], image.origin[1] - row[11], image.origin[2] - row[12])
+    drawn, faces = np.empty(i1 - i0), np.empty((9, 3))
+    if int(row[KIND]) == BOX:
+        box_faces(image, row, i0, faces)
     for j in range(j0, j1):
-        for i in range(i0, i1):
-            dx, dy, dz = in_axes(row, image.direction[j, i, 0], image.direction[j, i, 1], image.direction[j, i, 2])
-            t = hit(kind, row, ox, oy, oz, dx, dy, dz)
-            if t < depth[j, i]:
-                depth[j, i] = t
-                label[j, i] = index
+        depths_of(image, row, i0, j, faces, drawn)
+        for n in range(drawn.size):
+            if drawn[n] < depth[j, i0 + n]:
+                depth[j, i0 + n] = drawn[n]
+                label[j, i0 + n] = index
 
 
 def make_row(kind: Any, rotation: Any, centre: Any, size: Any) -> np.ndarray:
