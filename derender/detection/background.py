@@ -13,6 +13,7 @@ import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
 from derender.detection.local_planes import local_planes
+from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.segments import segments
 
@@ -192,7 +193,7 @@ def length(points: np.ndarray) -> float:
     """Return the greatest extent of points (K, 3) along the support, in metres."""
     angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
     along = points[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
-    low, high = np.quantile(along, [ENDS, 1.0 - ENDS], axis=0)
+    low, high = ends_of(along, ENDS)
     return float((high - low).max())
 
 

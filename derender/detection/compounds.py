@@ -10,6 +10,7 @@ import numpy as np
 
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.local_planes import local_planes
+from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
@@ -167,7 +168,7 @@ def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> Any:
     mask : (H, W) bool, the thing's pixels.
     """
     points = seen.points[mask]
-    ends = np.quantile(points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], [ENDS, 1.0 - ENDS], axis=0)
+    ends = ends_of(points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], ENDS)
     low, size = ends[0, 2], np.ptp(ends, axis=0)
     bottom, slack = support_of(points, state)[1], HANGS * size[2]
     if low - bottom < slack or hidden_share(seen, mask) > HIDDEN:

@@ -9,6 +9,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.local_planes import local_planes
+from derender.detection.outline import ends_of
 from derender.detection.segments import TIGHT, joined, segments
 
 REACH = 6  # pixels within which what lies beyond an outline is looked for: what a silhouette leaves without returns
@@ -49,7 +50,7 @@ def freestanding(
             break
         if not free[k]:
             continue
-        low, high = np.quantile(points[piece == k] @ principal_axes(points[piece == k]), [ENDS, 1.0 - ENDS], axis=0)
+        low, high = ends_of(points[piece == k] @ principal_axes(points[piece == k]), ENDS)
         extents = np.sort(high - low)
         if extents[2] < LARGEST and extents[1] > SMALLEST:
             found.append(piece == k)

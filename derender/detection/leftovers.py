@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.detection.compounds import goes_on, goes_on_from, joined
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
+from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
@@ -55,7 +56,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
     shows = seen.mask & ~left & (image.floor > depth)
     for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
         mask = piece == k
-        low, high = np.quantile(seen.points[mask], [ENDS, 1.0 - ENDS], axis=0)
+        low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
         if (
             existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE

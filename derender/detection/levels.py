@@ -10,6 +10,7 @@ import numpy as np
 
 from derender.detection.floor import LEVEL, back_project
 from derender.detection.local_planes import local_planes
+from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.search.proposals import smallest_rectangle
@@ -90,6 +91,6 @@ def patch_of(seen: Observation) -> Any:
         return None
     turn = float(smallest_rectangle(flat))
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    low, high = np.quantile(flat @ axes, [ENDS, 1.0 - ENDS], axis=0)
+    low, high = ends_of(flat @ axes, ENDS)
     x, y = axes @ (0.5 * (low + high))
     return [float(x), float(y), *map(float, high - low + 2.0 * RIM), turn]

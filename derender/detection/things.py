@@ -15,6 +15,7 @@ from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.local_planes import local_planes, separation
+from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
@@ -256,7 +257,7 @@ def pieces_of(
     for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > 0.0)):
         mask = thing == k
         points = seen.points[mask]
-        low, high = np.quantile(points, [ENDS, 1.0 - ENDS], axis=0)
+        low, high = ends_of(points, ENDS)
         if high[2] < max(LEAST_HEIGHT * seen.scale, settings.uneven) or max(high[:2] - low[:2]) > LARGEST:
             continue
         found.append((mask, float(gain[k])))
@@ -375,7 +376,7 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
         circle = axis[0] + max(axis[1], THINNEST) * np.column_stack([np.cos(around), np.sin(around)])
         outline = np.vstack([np.repeat(circle, max(1, int(4.0 * ENDS * len(points))), axis=0), outline])
     upright = rotation_z(smallest_rectangle(outline))[:3, :3]
-    wide = np.quantile(outline @ upright[:2, :2], [ENDS, 1.0 - ENDS], axis=0) + [[-rim], [rim]]
+    wide = ends_of(outline @ upright[:2, :2], ENDS) + [[-rim], [rim]]
     high = np.quantile(points[:, 2], ENDS), np.quantile(seen.points[mask, 2], 1.0 - ENDS)
     ends = np.column_stack([wide, high])
     if not seen.no_floor:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from derender.detection.outline import convex_outline, outline_planes
+from derender.detection.outline import convex_outline, ends_of, outline_planes
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -44,3 +44,9 @@ def test_pixels_of_a_floor_lie_within_their_outline(seed):
     flat = np.stack([points[:, 0], points @ along], axis=-1)
     planes = outline_planes(convex_outline(flat))
     assert (flat @ planes[:, :2].T + planes[:, 2]).max() < 1e-9 * np.ptp(flat)
+
+
+@pytest.mark.parametrize("shape", [(1,), (2, 3), (3,), (50, 3), (333, 2)])
+def test_the_ends_of_points_are_numpys_quantiles(shape):
+    values = np.random.default_rng(3).normal(size=shape)
+    np.testing.assert_allclose(ends_of(values, 0.02), np.quantile(values, [0.02, 0.98], axis=0))

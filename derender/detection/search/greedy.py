@@ -188,11 +188,7 @@ def sweep(
 
 
 def try_cubes(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    settings: Settings,
-    only: set[int] | None = None,
+    rng: np.random.Generator, image: Image, state: State, settings: Settings, only: set[int] | None = None
 ) -> State:
     """Make a cube of each box (or those in `only`) where the image allows it; return a new state."""
     state = state.copy()

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from derender.detection.outline import convex_outline
+from derender.detection.outline import convex_outline, ends_of
 from derender.detection.search.round_proposals import clusters, cylinders, spheres
 from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import BOX
+
+BEYOND = 0.01  # share of a patch's points beyond the ends of its extents: flying pixels
 
 
 def snap(normal: np.ndarray, level: Any = 0.16) -> tuple[np.ndarray, str]:
@@ -149,7 +151,7 @@ def boxes_along(surface: Any, group: Any, rotation: Any, form: Any) -> Iterator[
             fixed_high[axis] = plane
         else:
             fixed_low[axis] = plane
-        ends.append((np.quantile(along, 0.01, axis=0) - margin, np.quantile(along, 0.99, axis=0) + margin))
+        ends.append(ends_of(along, BEYOND) + [[-margin], [margin]])
     intervals = []
     for axis in range(3):
         seen_by = [e for e, other in zip(ends, across, strict=True) if other != axis]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.detection.outline import convex_outline
+from derender.detection.outline import convex_outline, ends_of
 from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -90,7 +90,7 @@ def cylinders(surface: Any, group: Any) -> Iterator[Any]:
             choices.append((flat.mean(axis=0), np.sqrt(2 * flat.var(axis=0).mean()) + 0.25 * surface.footprint))
             choices.extend(rim_circle(flat, surface.footprint))
         heights = points @ axis
-        low, high = np.quantile(heights, [0.01, 0.99]) + 0.25 * surface.footprint * np.array([-1, 1])
+        low, high = ends_of(heights, 0.01) + 0.25 * surface.footprint * np.array([-1, 1])
         if form == UPRIGHT and (low < max(0.02, 2 * surface.footprint) or not side):
             low = 0.0
         for centre, radius in choices:
