@@ -13,7 +13,7 @@ from derender.compilation.cache import njit
 from derender.detection.local_planes import separation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.search.round_proposals import fit_sphere, lying_circle
-from derender.detection.search.surface import THINNEST, UP, Hypothesis
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, cross
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.pose import rotation_z
@@ -109,7 +109,7 @@ def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hy
     """Return the cylinder on the floor along the longer side of the rectangle about points (N, 3)."""
     longer = int(np.argmax(wide))
     axis = np.array([*turn[:, longer], 0.0])
-    across = np.cross(UP, axis)
+    across = cross(UP, axis)
     centre, radius = lying_circle(points @ np.column_stack([across, UP]), np.column_stack([across, UP]))
     along = points @ axis
     middle = centre[0] * across + centre[1] * UP + 0.5 * (along.min() + along.max()) * axis

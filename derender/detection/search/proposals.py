@@ -8,7 +8,7 @@ import numpy as np
 
 from derender.detection.outline import convex_outline, ends_of
 from derender.detection.search.round_proposals import clusters, cylinders, spheres
-from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, cross, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import BOX
@@ -83,12 +83,15 @@ def leans(surface: Surface, k: int) -> bool:
     return snapped @ surface.normal[k] < np.cos(max(np.radians(1.0), 4.0 * accuracy))
 
 
-def axes_of(surface: Any, group: Any) -> Iterator[Any]:
-    """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other."""
+def axes_of(surface: Any, group: Any, leaning: list[bool]) -> Iterator[Any]:
+    """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other.
+
+    leaning : of each patch, see `leans`.
+    """
     level = all(snap(surface.normal[k])[1] != "tilted" for k in group)
     if level:
         yield box_axes(surface, group, UPRIGHT)
-    if not level or any(leans(surface, k) for k in group):
+    if not level or any(leaning[k] for k in group):
         yield box_axes(surface, group, FREE)
 
 
@@ -117,21 +120,21 @@ def box_axes(surface, group, form):
     else:
         second = surface.normal[order[1]] - (surface.normal[order[1]] @ first) * first
         second /= np.linalg.norm(second)
-    third = np.cross(first, second)
+    third = cross(first, second)
     axes = [first, second, third]
     up = int(np.argmax([abs(a[2]) for a in axes]))  # name the axis nearest the vertical z
     z = axes[up] * np.sign(axes[up][2])
     x = axes[(up + 1) % 3]
-    return np.column_stack([x, np.cross(z, x), z]), FREE
+    return np.column_stack([x, cross(z, x), z]), FREE
 
 
-def boxes(surface: Any, group: Any) -> Iterator[Any]:
+def boxes(surface: Any, group: Any, leaning: list[bool]) -> Iterator[Any]:
     """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it.
 
     A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
     each is tried as well as that of all of them.
     """
-    for rotation, form in axes_of(surface, group):
+    for rotation, form in axes_of(surface, group, leaning):
         yield from boxes_along(surface, group, rotation, form)
 
 
@@ -216,8 +219,9 @@ def all_hypotheses(surface: Surface, shapes: Any) -> list[Hypothesis]:
     found = []
     if "box" in shapes or "cube" in shapes:
         triples, pairs, singles = groups_of_faces(surface)
+        leaning = [leans(surface, k) for k in range(len(surface.pixels))]
         for group in triples + pairs + singles:
-            found.extend(boxes(surface, group))
+            found.extend(boxes(surface, group, leaning))
     if "cylinder" in shapes or "sphere" in shapes:
         for group in clusters(surface):
             if "sphere" in shapes:

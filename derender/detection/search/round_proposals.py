@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from derender.detection.outline import convex_outline, ends_of
-from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, tangent
+from derender.detection.search.surface import THINNEST, UP, Hypothesis, Surface, convex, cross, tangent
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import CYLINDER, SPHERE
@@ -44,7 +44,7 @@ def cylinder_axes(surface: Surface, group: tuple[int, ...], most: Any = 3) -> li
     normals = surface.normal[list(group)]
     weight = surface.pixels[list(group)].astype(float)
     candidates = [UP, *normals]
-    candidates += [np.cross(a, b) for a, b in combinations(normals, 2) if abs(a @ b) < 0.98]
+    candidates += [cross(a, b) for a, b in combinations(normals, 2) if abs(a @ b) < 0.98]
     found = []
     for axis in candidates:
         axis = axis / np.linalg.norm(axis)

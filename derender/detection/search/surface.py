@@ -7,7 +7,7 @@ import numpy as np
 if TYPE_CHECKING:
     from derender.detection.patches import Patches
 
-UP = np.array([0.0, 0.0, 1.0])
+ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 THINNEST = 0.008
 
 
@@ -64,6 +64,12 @@ def convex(surface: Surface, a: int, b: int) -> bool:
 
 def tangent(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors that make a right-handed frame with the normal."""
-    first = np.cross(UP, normal) if abs(normal[2]) < 0.9 else np.cross([1.0, 0, 0], normal)
-    first = first / np.linalg.norm(first)
-    return first, np.cross(normal, first)
+    first = cross(UP if abs(normal[2]) < 0.9 else ALONG, normal)
+    first /= np.linalg.norm(first)
+    return first, cross(normal, first)
+
+
+def cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the cross product of two vectors (3,), without what numpy.cross does for arrays of them: 3 us, not 40."""
+    (a, b, c), (x, y, z) = one.tolist(), other.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
