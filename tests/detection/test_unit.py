@@ -29,7 +29,7 @@ def test_the_unit_is_the_metre_for_what_is_as_far_off_as_a_table():
     assert unit_of(np.full((4, 5), 10 * farthest)) == pytest.approx(10.0)
     assert unit_of(np.full((4, 5), 0.1 * nearest)) == pytest.approx(0.1)
     assert unit_of(np.full((4, 5), np.nan)) == 1.0
-    coins = loose.unit.type(0.1, 0.5)  # a file whose lengths are those of coins
+    coins = type(loose.unit)(0.1, 0.5)  # a file whose lengths are those of coins
     assert detection_unit.unit_of(np.full((4, 5), 0.1), replace(loose, unit=coins)) == pytest.approx(0.1)
     table_in_a_hall = np.where(np.arange(100) < 40, 0.8, 9.0)[None]
     assert unit_of(table_in_a_hall) == 1.0
