@@ -18,8 +18,11 @@ from derender.scene.solids import CYLINDER, PLANE, SPHERE, Solids
 
 PROJECTIONS = 300  # of alternating projection, at most; polyhedra need a handful
 FLAT_AXES = 15  # that may part two boxes: three faces of either, and nine products of their edges
+ROUND_AXES = 9  # directions that may free a round side besides, see `round_axis`
 STARTS = 5  # of the search over directions with a cylinder: gaps have several local maxima
 CONVERGED = 1e-10  # metres between the upper and the lower bound of a distance
+FIRST_STEP, LAST_STEP = 0.3, 1e-6  # radians of the search: the sectors that STARTS leave; 1e-7 m on a solid of 10 cm
+POINT = 1e-9  # metres: a shorter axis has no direction
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -39,7 +42,7 @@ def reach(kind, pose, size, x, y, z):
 def gap_along(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z):
     """Return the gap between two shadows on the axis (x, y, z) of any length; -inf for an axis of none."""
     length = math.sqrt(x * x + y * y + z * z)
-    if length < 1e-9:
+    if length < POINT:
         return -math.inf
     x, y, z = x / length, y / length, z / length
     apart = x * (pose_b[0, 3] - pose_a[0, 3]) + y * (pose_b[1, 3] - pose_a[1, 3]) + z * (pose_b[2, 3] - pose_a[2, 3])
@@ -112,8 +115,8 @@ def _refined(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z, best):
     """Return the greatest gap near the direction (x, y, z): a pattern search whose step grows or is halved."""
     length = math.sqrt(x * x + y * y + z * z)
     x, y, z = x / length, y / length, z / length
-    step = 0.3
-    while step > 1e-6:
+    step = FIRST_STEP
+    while step > LAST_STEP:
         # Two directions square to n and to each other.
         if abs(x) < 0.6:
             u, v, w = 0.0, z, -y
@@ -191,8 +194,9 @@ def separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b):
         return away - 0.5 * size_b[0]
     best = -math.inf
     round_side = kind_a == CYLINDER or kind_b == CYLINDER
-    gaps, axes = np.empty(24), np.empty((24, 3))
-    for k in range(24 if round_side else FLAT_AXES):
+    count = FLAT_AXES + ROUND_AXES if round_side else FLAT_AXES
+    gaps, axes = np.empty(count), np.empty((count, 3))
+    for k in range(count):
         if k < FLAT_AXES:
             x, y, z = flat_axis(k, pose_a, pose_b)
         else:

@@ -19,6 +19,7 @@ ROOT = "root"
 
 # What is left of a slack number after a pose went through matrices: below this it is none.
 ROUNDING = 1e-11
+RADIUS = 0.1  # metres at which the angles of what has no extent count
 
 
 def is_name(name: object) -> bool:
@@ -108,7 +109,7 @@ def nearest_contact(
     """
     kind = contacts[type]
     reach = child.size()
-    radius = 0.1 if reach is None else 0.5 * float(np.linalg.norm(reach))
+    radius = RADIUS if reach is None else 0.5 * float(np.linalg.norm(reach))
     best: tuple[float, Contact, Inverse] | None = None
     for on, by in kind.choices(parent.shape, child.shape):
         if (parent_face is not None and on != parent_face) or (child_face is not None and by != child_face):
