@@ -20,6 +20,7 @@ import numpy as np  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import document_from, read_prior_document  # noqa: E402
+from derender.posterior.compiled.backend import backend_of  # noqa: E402
 from derender.posterior.kernels import mixture  # noqa: E402
 from derender.posterior.kernels.base import first_tuning  # noqa: E402
 from derender.posterior.settings import read_settings  # noqa: E402
@@ -78,7 +79,7 @@ def steps_a_second(size: tuple[int, int]) -> float:
     document = boxes_document(*size)
     image, truth = drawn(document, 0)
     target = targets(document, image, document.camera, 0)[0][0]
-    backend = target.backend(mixture(target.space, [{"drift": {}}]))
+    backend = backend_of(target, mixture(target.space, [{"drift": {}}]))
     tuning = first_tuning(target.space, truth)
     rng = np.random.default_rng(0)
     backend.sweep(rng, truth, tuning, 1, 1000)

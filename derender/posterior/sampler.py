@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.layout import Stretch
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
@@ -40,7 +40,7 @@ class MixtureSampler:
 
     Parameters
     ----------
-    target : the posterior; if it has `backend(parts, cycle)`, that runs the kernels, else Python does.
+    target : the posterior.
     parts : the mixture.
     thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
     particles : draws from the prior of which importance resampling takes the start.
@@ -66,12 +66,7 @@ class MixtureSampler:
 
     @functools.cached_property
     def _first(self) -> Backend:
-        return self._made(self.parts)
-
-    def _made(self, parts: list[Part]) -> Backend:
-        """Return what runs some kernels: compiled where the target has that."""
-        make = getattr(self.target, "backend", None)
-        return make(parts, self.cycle) if make else InterpretedBackend(self.target, parts, self.cycle)
+        return backend_of(self.target, self.parts, self.cycle)
 
     def backend(self) -> Backend:
         """Return what runs the mixture, for one thread and one stretch."""
@@ -88,8 +83,9 @@ class MixtureSampler:
         for block in (block for block in space.blocks if block.name in space.relocations):
             own = [part for part in self.parts if part.type in ALONE and part.block.name == block.name]
             if own:
-                alone[block.objects[0]] = self._made(own)
-        local = self._made([part for part in self.parts if part.type in LOCAL] or self.parts)
+                alone[block.objects[0]] = backend_of(self.target, own, self.cycle)
+        walking = [part for part in self.parts if part.type in LOCAL] or self.parts
+        local = backend_of(self.target, walking, self.cycle)
         backends = [self.backend() for _ in range(chains)]
         movers = [local.twin() for _ in range(chains)]
         singles = [{name: one.twin() for name, one in alone.items()} for _ in range(chains)]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from derender.compilation.cache import interpreted
-from derender.posterior.kernels.base import Part
 from derender.posterior.scene_space import bases_of, fold, scene_space, theta_fold
 from derender.posterior.space import Block, wrap
 from derender.scene import polygon
@@ -98,21 +97,9 @@ class SceneTarget:
             if unknown.address.endswith(".contact.theta")
         }
         self.bases = bases_of(graph, self.space.relocations, set(self.space.addresses))
-        self.uncompiled = ""  # what had no compiled form when a backend was asked for
+        self.uncompiled = ""  # what had no compiled form when a backend was asked for, see `backend_of`
         self._placements: dict[bytes, dict[str, np.ndarray]] = {}
         self._root_free = any(unknown.address.startswith("root.") for unknown in self.space.unknowns)
-
-    def backend(self, parts: list[Part], cycle: bool = False) -> Any:
-        """Return the compiled backend, or the interpreted one where something of the model has no compiled form."""
-        from derender.posterior.compiled.backend import CompiledBackend
-        from derender.posterior.compiled.interpreted import InterpretedBackend
-        from derender.posterior.compiled.model import NotCompiled
-
-        try:
-            return CompiledBackend(self, parts, cycle)
-        except NotCompiled as reason:
-            self.uncompiled = str(reason)
-            return InterpretedBackend(self, parts, cycle)
 
     def by_address(self, values: Sequence[float] | np.ndarray) -> dict[str, float]:
         """Return the values by address."""

@@ -21,6 +21,7 @@ from derender.camera.intrinsics import Camera
 from derender.compilation.threads import in_threads
 from derender.document import Document, LikelihoodPrior
 from derender.errors import DerenderError
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
 from derender.posterior.sampler import MixtureSampler
@@ -80,7 +81,7 @@ def structure_weights(
         nonlocal done
         entries = settings.kernels if settings.kernels is not None else default_parts()
         mixed = mixture(target.space, entries, settings.where)
-        population = tempered(rng, target.space, target.backend(mixed), mixed, PARTICLES, STEPS, settings.particles)
+        population = tempered(rng, target.space, backend_of(target, mixed), mixed, PARTICLES, STEPS, settings.particles)
         done += 1
         tell(done / len(found), "weighing structures")
         return log_prior + population.log_evidence
@@ -251,7 +252,7 @@ def infer_scene(
         if method == "smc":
             parts.append(_particles(target, mixed, settings, seed, number, weight, tell))
             continue
-        target.backend(mixed)
+        backend_of(target, mixed)
         if target.uncompiled and warn is not None and not parts:
             warn(f"chains run uncompiled, a hundred times slower: there is no compiled form of {target.uncompiled}")
         sampler = MixtureSampler(target, mixed, settings.thin, settings.cycle, settings.particles, settings.population)
@@ -365,7 +366,7 @@ def _particles(
     for chain in range(settings.chains):
         tell(chain / settings.chains, "tempering")
         rng = stream(seed, POPULATIONS, number, chain)
-        backend = target.backend(mixed)
+        backend = backend_of(target, mixed)
         populations.append(tempered(rng, target.space, backend, mixed, SMC_PARTICLES, SMC_STEPS))
     densities = np.stack([population.densities for population in populations])
     extras = {"log_evidence": [population.log_evidence for population in populations]}

@@ -7,7 +7,7 @@ import pytest
 from invariance import State, bound, verdict
 from small_scenes import SCENES, TOWER, SceneWorld
 
-from derender.posterior.compiled.backend import CompiledBackend
+from derender.posterior.compiled.backend import CompiledBackend, backend_of
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.model import NotCompiled
 from derender.posterior.kernels.base import first_tuning, kernels, mixture
@@ -134,7 +134,7 @@ def test_likelihood_numbers_change_in_between(text):
         moved += int(slow.counts[:, 1].sum())
         values = slow.values[-1]
     assert moved > 30
-    assert isinstance(target.backend(parts), CompiledBackend)
+    assert isinstance(backend_of(target, parts), CompiledBackend)
 
 
 def test_what_has_no_compiled_form_says_so(monkeypatch):
@@ -147,7 +147,7 @@ def test_what_has_no_compiled_form_says_so(monkeypatch):
     monkeypatch.setattr(contacts["face-to-face"], "compiled_code", None)
     with pytest.raises(NotCompiled, match="the contact type face-to-face"):
         CompiledBackend(world.blank, parts)
-    assert isinstance(world.blank.backend(parts), InterpretedBackend)
+    assert isinstance(backend_of(world.blank, parts), InterpretedBackend)
     told = []
     settings = Settings(kernels=[{"resimulate": {}}], draws=5, warmup=0, chains=1, population=1)
     image = np.full((18, 24), 0.7)

@@ -7,6 +7,7 @@ from toy_worlds import World
 
 from derender import data_path
 from derender.posterior import pilots
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
@@ -56,7 +57,7 @@ def test_restarts_turn_an_object_back():
     for name in ("green", "yellow"):
         wrong = target.put(wrong, {name: target.placement(wrong, name) + [np.pi / 4, 0.0, 0.0]})[0]
     singles = {
-        name: target.backend([part for part in parts if part.block.objects == (name,)])
+        name: backend_of(target, [part for part in parts if part.block.objects == (name,)])
         for name in ("blue", "green", "red", "yellow")
     }
     density = np.array(singles["red"].evaluate(wrong))

@@ -7,6 +7,7 @@ from small_scenes import LOOKED_AT, OPENING, TOWER, SceneWorld, read
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
+from derender.posterior.compiled.backend import backend_of
 from derender.posterior.forward import observe
 from derender.posterior.kernels import mixture
 from derender.posterior.settings import Settings, read_settings
@@ -42,7 +43,7 @@ def test_posterior_of_two_numbers_by_quadrature(method):
     thetas = (np.arange(160) + 0.5) * np.pi / 160
     places = np.linspace(-0.2, 0.2, 160)
     logs = np.empty((160, 160))
-    backend = target.backend(mixture(world.space, [{"resimulate": {}}]))
+    backend = backend_of(target, mixture(world.space, [{"resimulate": {}}]))
     for i, theta in enumerate(thetas):
         for j, x in enumerate(places):
             logs[i, j] = sum(backend.evaluate(np.array([theta, x])))

@@ -10,6 +10,7 @@ from derender.posterior.compiled.evaluate import load
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels, Stretch
 from derender.posterior.compiled.model import (
+    NotCompiled,
     calls_of,
     chain_of,
     held,
@@ -22,6 +23,7 @@ from derender.posterior.compiled.model import (
 )
 from derender.posterior.compiled.steps import sweep
 from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.target import SceneTarget
 
 
 class LoadedTarget:
@@ -151,6 +153,16 @@ class CompiledBackend:
                 if done % thin == 0:
                     kept[done // thin - 1] = now
         return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
+
+
+def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> CompiledBackend | InterpretedBackend:
+    """Return what runs a mixture: compiled, or interpreted where something of the target has no compiled form."""
+    if isinstance(target, SceneTarget):
+        try:
+            return CompiledBackend(target, parts, cycle)
+        except NotCompiled as reason:
+            target.uncompiled = str(reason)
+    return InterpretedBackend(target, parts, cycle)
 
 
 def _only(rng: np.random.Generator, table: Any, numbers: Any, flags: Any) -> int:
