@@ -11,7 +11,6 @@ from derender.scene.solids import MESH, Solids
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
-    from derender.render.raycast.state import EngineState
 
 
 class FlatMeshes:
@@ -86,16 +85,12 @@ def bound_address() -> int:
     return address_of(prepare_solid, index, pose, size, bounds, index, index, bounds, rectangle)
 
 
-def rasterise_address(meshes: "FlatMeshes | EngineState", buffer: np.ndarray) -> int:
-    """Return the address of `draw_mesh` for an image of inverse depths; 0 where there is no mesh.
-
-    meshes : FlatMeshes, or what else has its arrays.
-    """
-    if len(meshes.starts) == 1:
+def rasterise_address(vertices: np.ndarray, triangles: np.ndarray, starts: np.ndarray, buffer: np.ndarray) -> int:
+    """Return the address of `draw_mesh` for FlatMeshes' arrays and an image of inverse depths; 0 without meshes."""
+    if len(starts) == 1:
         return 0
-    pose, size, starts, points = np.eye(4), np.ones(3), meshes.starts[0], np.zeros((1, 3))
-    return address_of(draw_mesh, buffer, meshes.vertices, meshes.triangles, starts, starts, size, size, pose, size,
-                      starts, points)  # fmt: skip
+    pose, size, first, points = np.eye(4), np.ones(3), starts[0], np.zeros((1, 3))
+    return address_of(draw_mesh, buffer, vertices, triangles, first, first, size, size, pose, size, first, points)
 
 
 def camera_array(camera: "Camera") -> np.ndarray:
@@ -134,7 +129,7 @@ def render_depth(
     label = np.zeros((height, width), np.int32)
     meshes = FlatMeshes(solids.meshes)
     draw(
-        np.array([bound_address(), rasterise_address(meshes, inverse)]),
+        np.array([bound_address(), rasterise_address(meshes.vertices, meshes.triangles, meshes.starts, inverse)]),
         np.ascontiguousarray(solids.kind, np.int64),
         np.ascontiguousarray(solids.pose, np.float64),
         np.ascontiguousarray(solids.size, np.float64),

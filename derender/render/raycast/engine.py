@@ -275,7 +275,8 @@ def new_engine(
     """
     state = new_state(camera, observed, solids, kind, parameters, blur)
     settings, images, index = state.settings, state.images, CURRENT
-    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(state, images[0])
+    meshes = state.vertices, state.triangles, state.starts
+    settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(*meshes, images[0])
     settings[DRAW] = address_of(
         draw_region,
         settings,
