@@ -4,12 +4,15 @@ Another package adds a type by an entry point in the registry's group; naming it
 """
 
 import difflib
+import functools
+import inspect
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 from derender.errors import DerenderError
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -101,6 +104,20 @@ class Registry(Generic[T]):
     def names(self) -> list[str]:
         """Return the registered names, sorted."""
         return list(self)
+
+
+def only_its_keywords(function: Callable[P, T]) -> Callable[P, T]:
+    """Return the function with a TypeError that says "did you mean" for a keyword that it does not have."""
+    names = list(inspect.signature(function).parameters)
+
+    @functools.wraps(function)
+    def checked(*arguments: P.args, **keywords: P.kwargs) -> T:
+        for key in keywords:
+            if key not in names:
+                raise TypeError(f"{function.__name__}() has no keyword {key!r}; {suggest(key, names)}")
+        return function(*arguments, **keywords)
+
+    return checked
 
 
 def suggest(name: object, choices: Any) -> str:

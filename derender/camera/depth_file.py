@@ -36,6 +36,7 @@ from derender.camera.image_files import (
 from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera, unit_vector
 from derender.camera.ros_bag import is_bag, read_frame
 from derender.errors import DerenderError
+from derender.registry import only_its_keywords
 
 TURNS = (0, 90, 180, 270)  # degrees clockwise
 FARTHEST = 1000.0  # metres; farther than any depth camera sees
@@ -61,6 +62,7 @@ class DepthImage(NamedTuple):
     meta: dict[str, Any] = {}
 
 
+@only_its_keywords
 def read_depth(
     path: str | Path | np.ndarray | Sequence[Sequence[float]],
     camera: Camera | Mapping[str, Any] | np.ndarray | str | Path | None = None,

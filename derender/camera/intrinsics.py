@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
+from derender.registry import only_its_keywords
 
 FALLBACK_FIELD_OF_VIEW = 60.0  # degrees, horizontal: between a Kinect's 57 and a RealSense D435's 69
 MOST_PIXELS = 2**28
@@ -70,6 +71,7 @@ class Camera:
             raise DerenderError(f"an image of {self.width} x {self.height} pixels is too large", "camera")
 
     @classmethod
+    @only_its_keywords
     def from_field_of_view(cls, width: int, height: int, degrees: float = FALLBACK_FIELD_OF_VIEW) -> "Camera":
         """Return a camera with square pixels, a centred principal point and this horizontal field of view."""
         focal = width / (2 * math.tan(math.radians(degrees) / 2))

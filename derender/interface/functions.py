@@ -1,11 +1,9 @@
 """The functions of `import derender`: read, draw, render and infer, in plain Python."""
 
-import functools
-import inspect
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -15,26 +13,9 @@ from derender.document import Document, LikelihoodPrior, read_document, read_pri
 from derender.errors import DerenderError
 from derender.interface.posterior import Posterior
 from derender.interface.scene import HEIGHT, WIDTH, Scene
-from derender.registry import suggest
+from derender.registry import only_its_keywords
 from derender.results import posterior as kept
 from derender.scene.graph import SceneGraph
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def only_its_keywords(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the function with a TypeError that says "did you mean" for a keyword that it does not have."""
-    names = list(inspect.signature(function).parameters)
-
-    @functools.wraps(function)
-    def checked(*arguments: P.args, **keywords: P.kwargs) -> R:
-        for key in keywords:
-            if key not in names:
-                raise TypeError(f"{function.__name__}() has no keyword {key!r}; {suggest(key, names)}")
-        return function(*arguments, **keywords)
-
-    return checked
 
 
 @only_its_keywords

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
-from derender.interface.functions import as_scene, load, only_its_keywords
+from derender.interface.functions import as_scene, load
 from derender.interface.posterior import Posterior
 from derender.interface.scene import Scene
 from derender.physics.intervention import intervention
 from derender.physics.outcome import Chance, Outcome, probability, simulate_scene
+from derender.registry import only_its_keywords
 from derender.scene.graph import SceneGraph
 
 MOST_DRAWS, AT_ONCE = 100_000, 100  # simulated where an error is asked for, and made ready at a time

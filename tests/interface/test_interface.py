@@ -52,7 +52,7 @@ def posterior(image):
     return derender.infer(image, prior="stack", seed=1, draws=100, warmup=50)
 
 
-@pytest.mark.parametrize("name", ["infer", "load", "render", "sample", "simulate"])
+@pytest.mark.parametrize("name", ["infer", "load", "read_depth", "render", "sample", "simulate"])
 def test_a_wrong_keyword_says_what_was_meant(name):
     with pytest.raises(TypeError, match=rf"{name}\(\) has no keyword 'sead'; (did you mean 'seed'|choose from)"):
         getattr(derender, name)("tabletop", sead=1)
