@@ -66,9 +66,10 @@ def test_without_outliers_it_is_the_normal_density_of_a_matrix():
         spread = GAUSSIAN["sigma"] + GAUSSIAN["sigma_growth"] * depth**2
         seen = rng.random(depth.shape) > 0.15
         observed = np.where(seen, depth + spread * rng.normal(size=depth.shape), np.nan)
-        residual = ((observed - depth) / spread)[seen]
+        about = GAUSSIAN["sigma"] + GAUSSIAN["sigma_growth"] * depth * observed  # by the depth, and by the observed one
+        residual = ((observed - depth) / about)[seen]
         expected = stats.multivariate_normal(cov=dense(depth, seen, GAUSSIAN)).logpdf(residual)
-        expected -= np.log(spread[seen]).sum()
+        expected += np.log(spread[seen] / about[seen] ** 2).sum()
         assert NOISE.log_density(observed, depth, GAUSSIAN) == pytest.approx(expected, rel=1e-9)
         assert np.all(NOISE.per_pixel(observed, depth, GAUSSIAN)[~seen] == 0.0)
 
@@ -84,14 +85,17 @@ def test_neighbours_correlate_as_the_field_does():
         assert found[middle, middle + 9 * rows + columns] == pytest.approx(expected, abs=0.1)
 
 
+EDGES = {**VALUES, "edge": 1.6, "flying": 0.25}  # where either surface may show
+
+
 def integral(values, before, row, column, depth):
     """Return the integral over the value of a pixel, given those before it in the order of reading."""
     prefix = before.copy()
     prefix.ravel()[row * depth.shape[1] + column :] = np.nan
     known, total = NOISE.log_density(prefix, depth, values), 0.0
     nodes, weights = leggauss(4)
-    near = depth[row, column] + np.linspace(-0.35, 0.35, 71)
-    breaks = np.unique(np.concatenate([[0.05, 0.1, 10.0], near]))
+    near = np.concatenate([side + np.linspace(-0.35, 0.35, 71) for side in np.unique(depth)])
+    breaks = np.unique(np.concatenate([[0.05, 0.1, 10.0], near, np.unique(depth)]))
     for low, high in zip(breaks, breaks[1:], strict=False):
         for node, weight in zip(nodes, weights, strict=True):
             prefix[row, column] = 0.5 * (low + high) + 0.5 * (high - low) * node
@@ -104,14 +108,15 @@ def test_each_pixel_integrates_to_one_given_all_before_it():
     rng = np.random.default_rng(1)
     observed = NOISE.sample(rng, STEP, VALUES)
     observed[1, 5], observed[3, 1], observed[2, 2] = np.nan, 3.0, 0.7
-    for row, column in ((0, 1), (1, 4), (2, 3), (3, 2), (3, 3), (4, 6), (4, 4)):
-        assert integral(VALUES, observed, row, column, STEP) == pytest.approx(1.0, abs=1e-5)
+    for values in (VALUES, EDGES):
+        for row, column in ((0, 1), (1, 4), (2, 3), (3, 2), (3, 3), (4, 6), (4, 4)):
+            assert integral(values, observed, row, column, STEP) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_two_pixels_integrate_to_one():
     """Both at once, so that what the first tells of the second, or as an outlier does not, is integrated over too."""
     (nodes, weights), spread = leggauss(6), VALUES["sigma"] + VALUES["sigma_growth"] * 0.8**2
-    outlier = 4.0 * np.hypot(1.0, VALUES["bias"]) * spread  # a jump of the density: the first tells the second nothing
+    outlier = 12.0 * np.hypot(1.0, VALUES["bias"]) * spread  # a jump of the density: the first tells the second nothing
     breaks = np.unique([0.1, 0.5, 1.5, 10.0, *(0.8 + np.linspace(-0.2, 0.2, 41)), 0.8 - outlier, 0.8 + outlier])
     parts = list(zip(breaks, breaks[1:], strict=False))
     x = np.concatenate([0.5 * (a + b) + 0.5 * (b - a) * nodes for a, b in parts])
@@ -143,17 +148,64 @@ def test_draws_are_of_the_density():
         assert fits < 1e-3 or shared > 4.0 / np.sqrt(depth.size), wrong  # the broken twins
 
 
+def test_draws_beside_a_jump_show_either_surface_as_the_density_says():
+    depth = np.where(np.arange(160) % 16 < 8, 0.8, 1.2)[None].repeat(120, axis=0)
+    observed = NOISE.sample(np.random.default_rng(4), depth, EDGES)
+    beside = (np.abs(depth - np.roll(depth, 1, axis=1)) + np.abs(depth - np.roll(depth, -1, axis=1)))[:, 1:-1] > 0.1
+    other = (np.abs(observed - depth) > 0.25)[:, 1:-1]
+    expected = 0.9 * (0.5 * (0.75 + 0.25 * 0.4)) + 0.1 * 0.95  # half of them, a quarter of these between; outliers
+    assert other[beside].mean() == pytest.approx(expected, abs=0.03) and other[~beside].mean() < 0.25
+
+    def fits(values):
+        white = NOISE.whitened(observed, depth, values)[:, 1:-1]
+        return stats.kstest(white[beside], "norm").pvalue
+
+    assert fits(EDGES) > 1e-3
+    for wrong in ({"edge": 0.0}, {"edge": 0.6}, {"flying": 0.0}):
+        assert fits({**EDGES, **wrong}) < 1e-3, wrong
+
+
+def test_a_silhouette_that_is_a_pixel_off_costs_little_where_either_surface_may_show():
+    """As little as the pixels beside it are worth, not what outliers cost."""
+    depth = np.where(np.arange(64) < 30, 0.8, 1.2)[None].repeat(48, axis=0)
+    observed = np.where(np.arange(64) < 31, 0.8, 1.2) + 0.0 * depth
+    off, at = ([NOISE.log_density(observed, d, {**VALUES, "edge": e}) for e in (0.0, 1.0)]
+               for d in (depth, observed))  # fmt: skip
+    assert at[0] - off[0] > 6.0 * 48 and at[1] - off[1] < 3.0 * 48
+
+
+def test_of_what_may_be_hidden_no_neighbour_tells():
+    """It is as probable whatever the surface before it does; one that is seen is not."""
+    for held, alike in ((-0.5, True), (0.8, False)):
+        found = []
+        for level in (0.8, 0.82):
+            observed = np.full((7, 7), level)
+            observed[3, 3] = held
+            found.append(NOISE.per_pixel(observed, np.full((7, 7), 0.8), VALUES)[3, 3])
+        assert (found[0] == pytest.approx(found[1], abs=1e-9)) == alike
+
+
+def test_a_surface_that_bends_off_costs_at_its_rim_alone():
+    """So that no level wins by which more of it lies within some limit: eight deviations inside cost what none do."""
+    depth, at = np.full((48, 48), 0.8), np.s_[16:32, 16:32]
+    bump = depth.copy()
+    bump[at] += 8.0 * (VALUES["sigma"] + VALUES["sigma_growth"] * 0.8**2)
+    inside = (slice(20, 30), slice(20, 30))
+    flat, bent = (NOISE.per_pixel(image, depth, VALUES)[inside].mean() for image in (depth, bump))
+    assert flat - bent < 0.5
+
+
 def test_whitened_noise_is_the_density_s_own():
     """Its derivative by a pixel's depth is the density over the normal's: the quantiles are not of something else."""
     rng = np.random.default_rng(3)
-    observed, step = NOISE.sample(rng, STEP, VALUES), 1e-7
-    for row, column in ((0, 0), (2, 2), (2, 5), (4, 6)):
+    observed, step = NOISE.sample(rng, STEP, EDGES), 1e-7
+    for row, column in ((0, 0), (2, 2), (2, 3), (2, 5), (4, 6)):
         ahead, last = observed.copy(), np.zeros(observed.shape, bool)
         ahead.ravel()[row * 7 + column + 1 :] = np.nan
         last[row, column] = True
-        at = [NOISE.whitened(np.where(last, ahead + h, ahead), STEP, VALUES)[row, column] for h in (-step, 0.0, step)]
+        at = [NOISE.whitened(np.where(last, ahead + h, ahead), STEP, EDGES)[row, column] for h in (-step, 0.0, step)]
         density = stats.norm.pdf(at[1]) * (at[2] - at[0]) / (2.0 * step)
-        assert np.log(density) == pytest.approx(NOISE.per_pixel(ahead, STEP, VALUES)[row, column], abs=1e-4)
+        assert np.log(density) == pytest.approx(NOISE.per_pixel(ahead, STEP, EDGES)[row, column], abs=1e-4)
 
 
 def test_a_slow_bias_costs_little_and_a_step_keeps_its_evidence():

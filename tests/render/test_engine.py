@@ -24,6 +24,7 @@ CASES = [
     ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0, "missing": 0.1, "missing_edge": 0.1}),
     ("correlated", {"blur": 0.6, "sigma_growth": 0.002, "outlier": 0.05}),
     ("correlated", {"blur": 0.0, "reach": 2.0, "jump": 0.1}),
+    ("correlated", {"blur": 0.4, "sigma_growth": 0.002, "edge": 1.6, "flying": 0.3}),
 ]
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.registry import Parameter
 from derender.render.likelihoods.base import BACKGROUND, BLUR, SIGMA, Likelihood, blurred_depth, likelihoods, with_wall
@@ -27,36 +28,50 @@ RATE = (1e-30, 0.5)  # of outliers
 # Times as wide as the others are the heavy tails' innovations, about those of rounded disparities on real frames; the
 # compiled score counts on it
 WIDER = 4.0
-LIMIT = 4.0  # standard deviations of a residual from which a pixel is an outlier, and tells the next ones nothing
+# Standard deviations of a residual from which a pixel is an outlier, and tells the next ones nothing: three of the
+# heavy tails'. A nearer limit breaks off what only bends, where a level that spares a few hundred pixels that wins.
+LIMIT = 3.0 * WIDER
+WIDEST = 2  # pixels from a jump within which, at most, either surface may show
+EITHER = 0.5  # probability of the other one there: which of two it is nothing tells
 
 
 class Factors(NamedTuple):
     """Of each pixel (H, W): the residual in standard deviations, its mean given earlier ones, and the deviation about
-    that; the inverse of the noise's standard deviation in metres; whether it holds a depth."""
+    that; by how much a metre changes the residual; whether it holds a depth."""
 
     residual: np.ndarray
     mean: np.ndarray
     deviation: np.ndarray
-    inverse: np.ndarray
+    slope: np.ndarray
     seen: np.ndarray
 
 
 @likelihoods.register("correlated")
 class Correlated(Likelihood):
-    """With m the blurred depth and g = sigma + sigma_growth m^2, the noise (observed - m) / g is a Gaussian field with
+    """With m the blurred depth and x the observed one, (x - m) / (sigma + sigma_growth m x) is a Gaussian field with
 
         covariance = white [same pixel] + (1 - white) (1 + h) exp(-h) + bias^2,
         h^2 = (columns apart / reach)^2 + (rows apart / reach_down)^2:
 
     each pixel's own noise, what neighbours share (a Matern field of smoothness 3/2), and a slow bias that spans the
-    frame. Each pixel has the normal density that this gives it given those of its earlier neighbours that tell of it:
+    frame. In metres it is sigma + sigma_growth m^2 where it is small: a part that is even in depth, and one in its
+    inverse, as disparities have it. (Were it a function of m alone, the amplitudes of all pixels would tell how far
+    away a surface is, against what its depths say: those are no more than a few independent numbers.)
+
+    Each pixel has the normal density that this gives it given those of its earlier neighbours that tell of it:
     the one to the left, the one above, and the four beyond (both diagonals, two to the left, two above) together. None
-    tells that has no return, is an outlier (over four standard deviations off), or lies across a jump in the clean
+    tells that has no return, is an outlier (over twelve standard deviations off), or lies across a jump in the clean
     depth of more than `jump` of it; four of which one does not tell do not tell at all. The order is that of reading,
     so the product of all pixels' densities integrates to one for each set of pixels that return.
 
     Files in data/sensors give it under `likelihood:`. So may a scene, or a copy of the prior bare-image: then draws and
     weights of structures are under it.
+
+    Real sensors fatten things, or lose their rims: a pixel up to `edge` pixels from a jump, along its row or column,
+    shows the surface beyond as likely as its own. (A jump is where the clean depth's second difference over one pixel,
+    or over two, is more than `jump` of it; the farthest pixel there shows the other surface. Of a width of 1.3 a pixel
+    one away may, and one two away with .3 of that probability.) A share `flying` of those that do not show their own
+    lies anywhere between both.
 
     Innovations of real sensors have heavy tails: a share `tail` of them is four times as wide, and `outlier` of the
     pixels are Uniform(near, far). A pixel without a return is evidence of nothing. One that holds minus a depth shows
@@ -77,6 +92,8 @@ class Correlated(Likelihood):
         Parameter("near", "m", 0.0, 1000.0, 0.1),
         Parameter("far", "m", 0.0, 1000.0, 10.0),
         Parameter("jump", "", 1e-4, 100.0, 0.04),
+        Parameter("edge", "", 0.0, float(WIDEST), 0.0),
+        Parameter("flying", "", 0.0, SHARE[1], 0.1),
     )
     code = 2
 
@@ -91,19 +108,23 @@ class Correlated(Likelihood):
         weights, deviations = prediction(values)
         numbers = [values[name] for name in ("sigma_growth", "outlier", "near", "far", "tail")]
         numbers = [values["sigma"], values["background"], 1.0, 0.0, *numbers, values["jump"], most(values)]
-        return np.concatenate([numbers, weights.ravel(), 1.0 / deviations])
+        beside = [*edge_shares(values), values["flying"]]
+        return np.concatenate([numbers, weights.ravel(), 1.0 / deviations, beside])
 
     def factors(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]) -> Factors:
         """Return the Factors of an image under complete values."""
         value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
         seen, model = value > 0.0, blurred_depth(depth, values)
         model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
-        inverse = 1.0 / (values["sigma"] + values["sigma_growth"] * model**2)
-        residual = np.where(seen, (value - model) * inverse, 0.0)
+        sigma, growth = values["sigma"], values["sigma_growth"]
+        inverse = 1.0 / (sigma + growth * model * value)
+        slope, residual = (sigma + growth * model**2) * inverse**2, np.where(seen, (value - model) * inverse, 0.0)
         tells = links(depth, values)
         telling = seen & (observed > 0.0) & (np.abs(residual) <= tells.limit)
         mean, deviation = tells.predict(np.pad(residual, 2), np.pad(telling, 2), *np.indices(depth.shape))
-        return Factors(residual, mean, deviation, inverse, seen)
+        alone = observed < 0.0  # of what may be hidden no neighbour tells
+        mean, deviation = np.where(alone, 0.0, mean), np.where(alone, tells.deviations[0], deviation)
+        return Factors(residual, mean, deviation, slope, seen)
 
     def per_pixel(
         self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
@@ -113,8 +134,14 @@ class Correlated(Likelihood):
         z = (found.residual - found.mean) / found.deviation
         narrow, wide = np.exp(-0.5 * z**2), np.exp(-0.5 * (z / WIDER) ** 2) / WIDER
         surface = (1.0 - values["tail"]) * narrow + values["tail"] * wide
-        surface *= found.inverse / (found.deviation * math.sqrt(2.0 * math.pi))
+        surface *= found.slope / (found.deviation * math.sqrt(2.0 * math.pi))
         depths = np.abs(np.where(found.seen, observed, 0.0))
+        sides = sides_of(depth, values)
+        z = sides.off(depths, observed < 0.0)
+        other = np.exp(-0.5 * z**2) / (sides.deviation * math.sqrt(2.0 * math.pi))
+        between = np.where((depths >= sides.near) & (depths <= sides.far), 1.0 / sides.extent, 0.0)
+        other = (1.0 - values["flying"]) * other + values["flying"] * between
+        surface = (1.0 - sides.share) * surface + sides.share * other
         inside = (depths >= values["near"]) & (depths <= values["far"])
         floor = values["outlier"] / (values["far"] - values["near"])
         density = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
@@ -133,7 +160,11 @@ class Correlated(Likelihood):
         z = (found.residual - found.mean) / found.deviation
         below = (1.0 - values["tail"]) * ndtr(z) + values["tail"] * ndtr(z / WIDER)
         extent = values["far"] - values["near"]
-        nearer = np.clip((np.abs(np.where(found.seen, observed, 0.0)) - values["near"]) / extent, 0.0, 1.0)
+        depths, sides = np.abs(np.where(found.seen, observed, 0.0)), sides_of(depth, values)
+        other = (1.0 - values["flying"]) * ndtr(sides.off(depths, observed < 0.0))
+        other += values["flying"] * np.clip((depths - sides.near) / sides.extent, 0.0, 1.0)
+        below = (1.0 - sides.share) * below + sides.share * other
+        nearer = np.clip((depths - values["near"]) / extent, 0.0, 1.0)
         below = (1.0 - values["outlier"]) * below + values["outlier"] * nearer
         return np.where(found.seen, ndtri(np.clip(below, 1e-15, 1.0 - 1e-15)), np.nan)
 
@@ -142,24 +173,43 @@ class Correlated(Likelihood):
     ) -> np.ndarray:
         values = self.complete(values)
         model = blurred_depth(depth, values)
-        deviation = values["sigma"] + values["sigma_growth"] * model**2
+        sigma, growth = values["sigma"], values["sigma_growth"]
         noise = rng.standard_normal(depth.shape)
         noise = np.where(rng.random(depth.shape) < values["tail"], WIDER * noise, noise)
         outliers = rng.random(depth.shape) < values["outlier"]
-        anywhere = (rng.uniform(values["near"], values["far"], depth.shape) - model) / deviation
-        tells, residual = links(depth, values), np.zeros([side + 4 for side in depth.shape])
-        telling = np.zeros(residual.shape, bool)
-        rows, columns = np.indices(depth.shape).reshape(2, -1)
-        front = columns + 2 * rows  # a pixel's neighbours lie on earlier fronts, so those of one are drawn together
-        order = np.argsort(front, kind="stable")
-        for at in np.split(order, np.cumsum(np.bincount(front))[:-1]):
-            pixel = rows[at], columns[at]
-            mean, spread = tells.predict(residual, telling, *pixel)
-            drawn = np.where(outliers[pixel], anywhere[pixel], mean + spread * noise[pixel])
-            place = rows[at] + 2, columns[at] + 2
-            residual[place], telling[place] = drawn, np.abs(drawn) <= tells.limit
-        result = model + deviation * residual[2:-2, 2:-2]
-        return np.where(result > 0.0, result, np.nan)
+        sides = sides_of(depth, values)
+        anywhere = sides.other + sides.deviation * rng.standard_normal(depth.shape)
+        flying = rng.random(depth.shape) < values["flying"]
+        anywhere = np.where(flying, sides.near + sides.extent * rng.random(depth.shape), anywhere)
+        anywhere = np.where(outliers, rng.uniform(values["near"], values["far"], depth.shape), anywhere)
+        anywhere = (anywhere - model) / (sigma + growth * model * anywhere)
+        outliers |= rng.random(depth.shape) < sides.share
+        tells, residual = links(depth, values), np.full([side + 4 for side in depth.shape], np.inf)
+        draw(residual, np.where(outliers, anywhere, np.nan), noise, *tells)
+        unit = residual[2:-2, 2:-2]
+        result = (model + sigma * unit) / np.maximum(1.0 - growth * model * unit, 0.0)
+        return np.where((result > 0.0) & np.isfinite(result), result, np.nan)
+
+
+@njit(cache=True, nogil=True)
+def draw(residual, anywhere, noise, same, weights, deviations, limit):
+    """Write unit noise into `residual` (H + 4, W + 4), two pixels wider than the image all round, in order of reading.
+
+    anywhere : (H, W), where it is not NaN it is this. noise : (H, W), each pixel's own. The others are those of Links.
+    """
+    for row in range(noise.shape[0]):
+        for column in range(noise.shape[1]):
+            some, mean = len(deviations) - 1, 0.0
+            for k in range(len(weights)):
+                there = residual[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]]
+                if not (same[k, row, column] and abs(there) <= limit):
+                    some &= ~(1 << GROUPS[k])
+            for k in range(len(weights)):
+                if some >> GROUPS[k] & 1:
+                    there = residual[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]]
+                    mean += weights[k, some] * there
+            drawn = mean + deviations[some] * noise[row, column]
+            residual[row + 2, column + 2] = drawn if np.isnan(anywhere[row, column]) else anywhere[row, column]
 
 
 def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
@@ -186,6 +236,50 @@ def prediction(values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     with_it = np.where(MEMBERS, matrix[1:, 0], 0.0)
     weights = np.linalg.solve(among, with_it[..., None])[..., 0]
     return weights.T, np.sqrt(matrix[0, 0] - np.sum(weights * with_it, axis=1))
+
+
+def edge_shares(values: Mapping[str, float]) -> list[float]:
+    """Return the probabilities with which a pixel one and two pixels from a jump shows the surface beyond."""
+    return [EITHER * min(max(values["edge"] - away, 0.0), 1.0) for away in range(WIDEST)]
+
+
+class Sides(NamedTuple):
+    """Which other surface pixels (H, W) may show. share : with what probability. other : its depth in metres.
+    deviation : of what is seen of it. near, extent : metres, where the depths between both begin, and how many."""
+
+    share: np.ndarray
+    other: np.ndarray
+    deviation: np.ndarray
+    near: np.ndarray
+    extent: np.ndarray
+
+    @property
+    def far(self) -> np.ndarray:
+        """Where the depths between both surfaces end."""
+        return self.near + self.extent
+
+    def off(self, depths: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+        """Return by how many deviations depths are off it; hidden : where what is no part of the scene may hide it."""
+        return (depths - np.where(hidden, np.minimum(self.other, depths), self.other)) / self.deviation
+
+
+def sides_of(depth: np.ndarray, values: Mapping[str, float]) -> Sides:
+    """Return the Sides of a clean depth image (H, W)."""
+    clean = with_wall(depth, values["background"])
+    (height, width), padded = clean.shape, np.pad(clean, WIDEST, mode="edge")
+    share, other = np.zeros(clean.shape), clean.copy()
+    for away, probability in reversed(list(enumerate(edge_shares(values), start=1))):
+        first, last = WIDEST - away, WIDEST + away
+        west, east = (padded[WIDEST : WIDEST + height, at : at + width] for at in (first, last))
+        north, south = (padded[at : at + height, WIDEST : WIDEST + width] for at in (first, last))
+        bend = np.maximum(np.abs(west + east - 2.0 * clean), np.abs(north + south - 2.0 * clean))
+        deepest, nearest = (pick.reduce([west, east, north, south]) for pick in (np.maximum, np.minimum))
+        beyond = np.where(deepest - clean >= clean - nearest, deepest, nearest)
+        at_jump = bend > values["jump"] * clean
+        share, other = np.where(at_jump, probability, share), np.where(at_jump, beyond, other)
+    spread = math.hypot(1.0, values["bias"]) * (values["sigma"] + values["sigma_growth"] * other**2)
+    extent = np.where(share > 0.0, np.abs(other - clean), 1.0)
+    return Sides(share, other, spread, np.minimum(clean, other), extent)
 
 
 class Links(NamedTuple):

@@ -15,6 +15,7 @@ from derender.render.raycast.lane_names import (
     accumulate,
     add,
     all_at_least,
+    divide,
     exponential,
     load,
     load_table,
@@ -46,7 +47,8 @@ from derender.render.raycast.state import (
 # entries of `parameters`, as `Correlated.row` lays them out; the last are tables of eight, by which neighbours tell
 GROWTH, OUTLIER, NEAR, FAR, TAIL, JUMP, LIMIT = range(LIKELIHOOD_PARAMETERS, LIKELIHOOD_PARAMETERS + 7)
 WEST, NORTH, NORTH_WEST, NORTH_EAST, WEST_2, NORTH_2, SHARPNESS = range(LIMIT + 1, LIMIT + 1 + 56, 8)
-WIDER = 4.0  # of the likelihood, whose sixteenth power of a density is taken below
+EDGE, EDGE_2, FLYING = range(SHARPNESS + 8, SHARPNESS + 11)  # probabilities, one and two pixels from a jump; a share
+WIDER, DEVIATIONS = 4.0, 12.0  # of the likelihood, whose sixteenth power of a density is taken below; in its limit
 # Added to the residual of what is no part of the scene: beyond any limit for its neighbours, taken off for itself. A
 # float32 keeps 1e-4 of a standard deviation beside it.
 APART = np.float32(1024.0)
@@ -77,20 +79,27 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
     weight_west, weight_north = look_up(by_west, seven), look_up(by_north, seven)
     weight_north_west, weight_north_east = look_up(by_north_west, seven), look_up(by_north_east, seven)
     weight_west_2, weight_north_2 = look_up(by_west_2, seven), look_up(by_north_2, seven)
-    sharpest = look_up(sharpness, seven)
+    sharpest, alone = look_up(sharpness, seven), look_up(sharpness, splat(np.float32(0)))
     zero, nothing, apart, none = (splat(np.float32(0)), splat(np.float32(1e-30)), splat(APART), splat(NO_RESIDUAL))
     one, two, four = splat(np.float32(1)), splat(np.float32(2)), splat(np.float32(4))
     limit = splat(reach)
+    edges = parameters[EDGE] > 0.0
+    beside, beside_2 = splat(np.float32(parameters[EDGE])), splat(np.float32(parameters[EDGE_2]))
+    flies = splat(np.float32(parameters[FLYING] * (1.0 - outlier)))
+    shows = splat(np.float32((1.0 - parameters[FLYING]) * (1.0 - outlier) / math.sqrt(2.0 * math.pi)))
+    blunt = splat(np.float32(DEVIATIONS / parameters[LIMIT]))  # of what the noise scatters by, its bias included
+    half_less = splat(np.float32(-0.5))
     for row in range(top, bottom):
         for column in range(left, right, LANES):
             told, model = load(observed, row, column), load(score, row, column)
             value = absolute(told)
             model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
-            inverse = reciprocal(multiply_add(growth, multiply(model, model), sigma))
+            grown = multiply(growth, model)
+            inverse = reciprocal(multiply_add(grown, value, sigma))
             z = multiply(subtract(value, model), inverse)
             z = where_at_least(told, zero, z, add(z, apart))
             store(residuals, row, column, where_at_least(value, nothing, z, none))  # not where it is 0 or NaN
-            store(score, row, column, inverse)
+            store(score, row, column, multiply(multiply(inverse, inverse), multiply_add(grown, model, sigma)))
         above, above_2 = max(row - 1, 0), max(row - 2, 0)
         # no residual is below -1, so rows that are not there tell nothing
         limit_1 = limit if row >= 1 else splat(np.float32(-1))
@@ -142,6 +151,7 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
             told = load(observed, row, column)
             value = absolute(told)
             own = where_at_least(told, zero, at, subtract(at, apart))
+            mean, sharp = where_at_least(told, zero, mean, zero), where_at_least(told, zero, sharp, alone)
             z = multiply(subtract(own, mean), sharp)
             wide = exponential(multiply(falls, multiply(z, z)))
             square = multiply(wide, wide)
@@ -151,6 +161,46 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
             surface = multiply(
                 multiply(sharp, load(score, row, column)), multiply_add(peak, narrow, multiply(flat, wide))
             )
+            if edges:
+                below, below_2 = min(row + 1, height - 1), min(row + 2, height - 1)
+                depth_east, depth_south = load(depth, row, column + 1), load(depth, below, column)
+                depth_east_2, depth_south_2 = load(depth, row, column + 2), load(depth, below_2, column)
+                twice = add(here, here)
+                bend = maximum(
+                    absolute(subtract(add(depth_west, depth_east), twice)),
+                    absolute(subtract(add(depth_north, depth_south), twice)),
+                )
+                bend_2 = maximum(
+                    absolute(subtract(add(depth_west_2, depth_east_2), twice)),
+                    absolute(subtract(add(depth_north_2, depth_south_2), twice)),
+                )
+                if not all_at_least(same, maximum(bend, bend_2)):
+                    far_4 = maximum(maximum(depth_west, depth_east), maximum(depth_north, depth_south))
+                    near_4 = minimum(minimum(depth_west, depth_east), minimum(depth_north, depth_south))
+                    beyond = where_at_least(add(far_4, near_4), twice, far_4, near_4)
+                    far_4 = maximum(maximum(depth_west_2, depth_east_2), maximum(depth_north_2, depth_south_2))
+                    near_4 = minimum(minimum(depth_west_2, depth_east_2), minimum(depth_north_2, depth_south_2))
+                    other = where_at_least(add(far_4, near_4), twice, far_4, near_4)
+                    other = where_at_least(same, bend, other, beyond)
+                    share = where_at_least(same, bend, where_at_least(same, bend_2, zero, beside_2), beside)
+                    # between both: anywhere, as likely
+                    between = where_at_least(
+                        value,
+                        minimum(here, other),
+                        where_at_least(
+                            maximum(here, other), value, divide(flies, absolute(subtract(other, here))), zero
+                        ),
+                        zero,
+                    )
+                    across = multiply(blunt, reciprocal(multiply_add(growth, multiply(other, other), sigma)))
+                    z = subtract(value, where_at_least(told, zero, other, minimum(other, value)))
+                    z = multiply(z, across)
+                    there = multiply(multiply(shows, across), exponential(multiply(half_less, multiply(z, z))))
+                    # no difference of both is multiplied: a share of nothing may be of what is no number
+                    surface = add(
+                        multiply(subtract(one, share), surface),
+                        where_at_least(zero, share, zero, multiply(share, add(there, between))),
+                    )
             inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
             result = logarithm(add(surface, inside))
             result = where_at_least(value, nothing, result, zero)

@@ -24,7 +24,8 @@ SHARED, ROUNDS = ("reach", "reach_down", "white", "tail"), 150  # what neighbour
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
-UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
+EDGE_STEP, MOST_EDGE = 0.5, 2.0  # pixels from a jump within which either surface may show: steps, and at most
+UNKNOWN = ("edge", "sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
 RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
 STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
@@ -209,15 +210,16 @@ def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
         return image.set_values(values) + believed(values)
 
     height = density(best)
-    for step in STEPS:
-        for name in ("blur", "outlier"):
-            for _ in range(0 if name in held else WALKED):
-                trials = (best[name] - step, best[name] + step) if name == "blur" else RATES
-                values = [{**best, name: trial} for trial in trials if 0.0 <= trial <= MOST_BLUR]
-                heights = [density(each) for each in values]
-                if max(heights) <= height:
-                    break
-                height, best = max(heights), values[int(np.argmax(heights))]
+    sides = [("edge", EDGE_STEP, (0.0, MOST_EDGE))] if "edge" in given else []
+    for name, step, (low, high) in (*sides, *(("blur", step, (0.0, MOST_BLUR)) for step in STEPS)):
+        for _ in range(0 if name in held else WALKED):
+            trials = [{**best, name: at} for at in (best[name] - step, best[name] + step) if low <= at <= high]
+            heights = [density(trial) for trial in trials]
+            if max(heights) <= height:
+                break
+            height, best = max(heights), trials[int(np.argmax(heights))]
+    if "outlier" not in held:
+        best = max((best, *({**best, "outlier": rate} for rate in RATES if rate != best["outlier"])), key=density)
     return sensor.changed("correlated", **best)
 
 
@@ -366,13 +368,13 @@ def image_likelihood(
     unless what is believed of the sensor (prior, see Sensor) is that neighbours share noise.
     """
     clean, _ = render_depth(solids, camera, background=BACKGROUND)
+    every = max(1, camera.width // LOOKED_AT)
     if shares_noise(prior):
         clean = np.minimum(clean, BACKGROUND)
         found = robust_fit(observed, clean, 0.0, FIRST_OUTLIERS)[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
-        found = under_shared_noise(sensor, clean, ROUNDS)
+        found = under_shared_noise(sensor, clean, ROUNDS // every)
         return found.likelihood.name, found.values
-    every = max(1, camera.width // LOOKED_AT)
     numbers: dict[str, float]
     _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),
                                 (0.25, 0.1), every)  # fmt: skip
