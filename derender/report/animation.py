@@ -16,6 +16,7 @@ from derender.scene.solids import PLANE, Solids
 
 FRAMES_PER_SECOND = 20
 WIDTH = 320
+STILL = 2e-4  # metres, and sines of turns: a tenth of a pixel or less; a picture takes a fifth of a second to draw
 
 
 def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camera: Camera) -> list[np.ndarray]:
@@ -34,11 +35,16 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
     duration = float(trajectory.times[-1])
     wanted = np.arange(0, duration + 0.5 / FRAMES_PER_SECOND, 1 / FRAMES_PER_SECOND)
     colours = colours_of(solids, names)
-    pictures = []
+    pictures: list[np.ndarray] = []
+    drawn = np.full_like(solids.pose, np.inf)  # poses of the last picture
     for step in np.searchsorted(trajectory.times, wanted).clip(max=len(trajectory.times) - 1):
         pose = solids.pose.copy()
         pose[index] = trajectory.poses[step, moving]
+        if np.abs(pose - drawn).max() < STILL:
+            pictures.append(pictures[-1])
+            continue
         pictures.append(draw_preview(render_depth, solids._replace(pose=pose), eye, colours))
+        drawn = pose
     return pictures
 
 

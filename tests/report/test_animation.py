@@ -1,12 +1,29 @@
-"""Films that ffmpeg cannot write are one line, and leave nothing."""
+"""Films: what does not move is drawn once; those that ffmpeg cannot write are one line, and leave nothing."""
 
 import shutil
 
 import numpy as np
 import pytest
+from on_floor import cube, on_floor
 
+from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.report.animation import write_animation
+from derender.physics.verdict import Trajectory
+from derender.render.renderers import preview
+from derender.report.animation import frames, write_animation
+
+
+def test_what_does_not_move_is_drawn_once(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(preview, "draw_preview", lambda *_: drawn.append(0) or np.zeros((2, 2, 3), np.uint8))
+    graph = on_floor(cube("red", side=0.1))
+    solids, times = graph.solids(), np.arange(0.0, 1.001, 0.05)
+    poses = np.repeat(solids.pose[None, [graph.solid_names.index("red")]], len(times), axis=0)
+    poses[5:8, 0, 0, 3] += [0.01, 0.02, 0.03]  # it slides for three pictures, and then lies
+    poses[8:, 0, 0, 3] += 0.03
+    trajectory = Trajectory(("red",), np.full((1, 3), 0.1), times, poses)
+    pictures = frames(solids, graph.solid_names, trajectory, Camera.from_field_of_view(320, 240))
+    assert len(pictures) == 21 and len(drawn) == 4
 
 
 def test_an_ffmpeg_that_fails_is_one_line(tmp_path, monkeypatch):
