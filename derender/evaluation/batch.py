@@ -29,14 +29,17 @@ def paired(predicted: str | Path, truth: str | Path) -> list[tuple[str, Path, Pa
             raise DerenderError("there is no such file or folder", path, "check the path")
     if _is_single(left) and _is_single(right):
         return [(left.stem if left.is_file() else left.name, left, right)]
+    kinds = ((left, SCENE_SUFFIXES), (right, (*SCENE_SUFFIXES, *LABEL_SUFFIXES)))
+    found, true = ({} if _is_single(path) else _scenes_in(path, suffixes) for path, suffixes in kinds)
+    for path, inside in ((left, found), (right, true)):
+        if not inside and not _is_single(path):
+            raise DerenderError(
+                "there is no scene in this folder", path, "scenes are .yaml or .json, label images .png"
+            )
     if _is_single(left) != _is_single(right):
         raise DerenderError(
             "one is a folder of scenes, the other a single scene", left, "give two files or two folders"
         )
-    found = _scenes_in(left, (*SCENE_SUFFIXES,))
-    true = _scenes_in(right, (*SCENE_SUFFIXES, *LABEL_SUFFIXES))
-    if not true:
-        raise DerenderError("there is no scene in this folder", right, "scenes are .yaml or .json, label images .png")
     missing = sorted(set(true) - set(found))
     if missing:
         some = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")

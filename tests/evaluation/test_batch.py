@@ -35,6 +35,7 @@ def test_pairs_that_cannot_be(tmp_path):
         (left, right, "1 of 2 scenes have no prediction: b"),
         (left / "a.yaml", right, "two files or two folders"),
         (left, empty, "no scene"),
+        (left / "a.yaml", empty, "no scene"),
         (left, tmp_path / "nowhere", "no such"),
     ):
         with pytest.raises(DerenderError, match=words):
