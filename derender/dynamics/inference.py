@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from derender.physics.mujoco_model import Diverged
 FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), 3.0, 2
 # Where something may be struck: pairs of restitution and contact time (seconds), and fewer frictions, on which films of
 # impacts depend less.
-BOUNCES = [(restitution, time) for restitution in (0.1, 0.35, 0.55, 0.75) for time in (0.002, 0.006)]
+RESTITUTIONS, CONTACT_TIMES = (0.1, 0.35, 0.55, 0.75), (0.002, 0.006)
 FRICTIONS_STRUCK = (0.15, 0.45)
 # Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
 NEAR, NEAR_SPEED = 0.02, 0.2
@@ -192,12 +193,15 @@ def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
     ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(ratios[0])) for sign in (-1, 1)]
     found = []
     frictions = FRICTIONS_STRUCK if shooting.struck else FRICTIONS
-    for restitution, time in BOUNCES if shooting.struck else [(middle[1], math.exp(middle[2]))]:
+    bounces: list[tuple[float, float]] = [(middle[1], math.exp(middle[2]))]
+    if shooting.struck:
+        told = shooting.restitution()
+        bounces = list(product((*RESTITUTIONS, *([] if told is None else [told])), CONTACT_TIMES))
+    for restitution, time in bounces:
         tried = []
         for friction in frictions:
             for ratio in ratios:
-                told = [math.log(friction), restitution, math.log(time)]
-                coordinates = np.array([*told, *(middle[ALWAYS:] + ratio)])
+                coordinates = np.array([math.log(friction), restitution, math.log(time), *(middle[ALWAYS:] + ratio)])
                 path = shooting.first_path(coordinates)
                 residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
                 far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2

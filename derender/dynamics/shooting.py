@@ -14,10 +14,11 @@ import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import SLIDING_RESTITUTION, Engine, Material
-from derender.dynamics.errors import LATE, LEVER, STEADY, Scales, impulses, velocity_errors
+from derender.dynamics.errors import LATE, LEVER, Scales, impulses, velocity_errors
+from derender.dynamics.impacts import BOUNCE, Impacts
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.states import CHANGE, difference, from_poses, moved
+from derender.dynamics.states import CHANGE, difference, moved
 from derender.dynamics.support import FREE, flush, plane_under, ways_of
 
 # Difference steps are fixed: relative ones vanish where a number is near zero, and narrow ones measure how a contact's
@@ -34,21 +35,11 @@ LEAST_POSITION, LEAST_ROTATION = 2e-4, 2e-3
 # A tracked pose whose squared error, in its standard errors, is beyond this (1 in 1000 of six normal numbers) was lost
 # for a frame: it counts as if it erred by just so much.
 LOST = 22.5
-# A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
-# shows an impact.
-JUMP = 4.0
-# Frames that tell the velocity from which a start sets out.
-FITTED = 4
-# What rested has been struck where its centre is further off than this, metres: tracking wanders by half as much.
-STRUCK = 0.004
 # Slower than this a body rests, m / s (rad / s by its size), and an error of its velocity is not carried on.
 RESTS = 0.02
 # Where nothing moved by more than this from one frame to the next, and nothing is faster, all stays as it is: metres
 # and m / s (turns by the size). What begins to slide at a hundredth of gravity is faster after one frame.
 STAYS, STAYS_SPEED = 1e-5, 1e-3
-# An impact that tells restitution changes a velocity by so much more than resting contacts do, m / s: less is a box
-# that tilts onto its other edge.
-BOUNCE = 0.3
 
 
 class Path(NamedTuple):
@@ -83,21 +74,13 @@ class Errors(NamedTuple):
     log_determinant: float
 
 
-class Shooting:
+class Shooting(Impacts):
     """Residuals of one film and their derivatives."""
 
     def __init__(self, motion: Motion, parameters: Parameters, engine: Engine) -> None:
-        self.motion, self.parameters, self.engine = motion, parameters, engine
-        self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen = motion.fresh
-        self.bodies = [motion.body(name) for name in motion.names]
-        self.sizes = np.array([float(np.mean(body.size)) for body in self.bodies])
-        known = motion.seen[..., None, None]
-        self.tracked = from_poses(np.where(known, motion.poses, np.eye(4)))
-        self.spread = np.where(known, motion.covariances, np.eye(6))
+        super().__init__(motion)
+        self.parameters, self.engine = parameters, engine
         self.noise = [motion.noise(k) for k in range(self.count)]
-        self.is_cut = self._cuts()
-        self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
         states, planes = self.filled(), [body.pose for body in motion.matter.bodies if body.kind == "plane"]
         # what was struck may rock: only in the first frame is a body held to the plane on which it lies
         self.planes = [
@@ -125,56 +108,13 @@ class Shooting:
         """(12 N, S), changes of the states in the first frame by the S unknowns of their cuts."""
         return block_diag(*self.ways[: self.count])
 
-    def _cuts(self) -> np.ndarray:
-        """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
-        step, gravity = self.motion.step, self.engine.gravity
-        states = self.filled()
-        change = np.diff(difference(states[:-1], states[1:])[..., :6], axis=0) / step  # (T - 2, N, 6)
-        linear = np.linalg.norm(change[..., :3] - gravity * step, axis=-1)
-        turning = np.linalg.norm(change[..., 3:], axis=-1)
-        variance = np.diagonal(self.spread, axis1=2, axis2=3)
-        error = np.sqrt(variance[:-2] + 4 * variance[1:-1] + variance[2:]) / step
-        limit = STEADY * float(np.linalg.norm(gravity)) * step
-        jumps = (linear > np.maximum(limit, JUMP * error[..., :3].max(axis=-1))) | (
-            turning > np.maximum(LEVER * limit / self.sizes, JUMP * error[..., 3:].max(axis=-1))
-        )
-        seen = self.motion.seen
-        jumps &= seen[:-2] & seen[1:-1] & seen[2:]
-        result = np.zeros((self.frames, self.count), bool)
-        # A kink shows in the second differences about the frames before and after it, or, near a frame, in that about
-        # it alone: the frame after the last of these is after the kink in any case.
-        result[2:] = jumps
-        result[2:-1] &= ~jumps[1:]
-        # What rested and is struck shows when: whatever else moves may be what struck it.
-        shift = np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK
-        for begun in np.argmax(shift, axis=0) if self.count > 1 else ():
-            if begun > 1:
-                result[begun - 1 : begun + 3] = False
-                result[begun] = True
-        result[-2:] = False
-        result[0] = True
-        return result
-
-    def filled(self) -> np.ndarray:
-        """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""
-        times = self.motion.times
-        states = self.tracked.copy()
-        for k in range(self.count):
-            known = np.flatnonzero(self.seen[:, k])
-            for frame in np.flatnonzero(~self.seen[:, k]):
-                after = np.searchsorted(known, frame)
-                a, b = known[max(after - 1, 0)], known[min(after, len(known) - 1)]
-                share = 0.0 if a == b else (times[frame] - times[a]) / (times[b] - times[a])
-                states[frame, k] = moved(states[a, k], share * difference(states[a, k], states[b, k]))
-        return states
-
     def first_path(self, coordinates: np.ndarray) -> Path:
         """Return a path whose states at the cuts are tracked, with velocities of the frames that follow."""
         states = self.filled()
         offsets = np.zeros((self.count, 3))
         up = -self.engine.gravity / max(float(np.linalg.norm(self.engine.gravity)), 1e-9)
         for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
-            states[frame, k, 7:] = self._first_speed(states, frame, k)
+            states[frame, k, 7:] = self.first_speed(states, frame, k)
             if plane is not None:
                 states[frame, k] = flush(self.bodies[k], plane, states[frame, k])[0]
                 if frame == 0:
@@ -185,17 +125,6 @@ class Shooting:
             if frame == 0:
                 offsets[k] = -raised * up
         return self.rolled(Path(states, states, offsets, np.asarray(coordinates, float)))
-
-    def _first_speed(self, states: np.ndarray, frame: int, k: int) -> np.ndarray:
-        """Return velocity and angular velocity (6,) of body k at a cut, by a parabola through the frames that follow.
-
-        A mean over them would tell a slide's first speed too low, and so its friction.
-        """
-        later = np.flatnonzero(self.is_cut[frame + 1 :, k])
-        count = min(FITTED, len(states) - frame, 1 + int(later[0]) if len(later) else FITTED)
-        powers = np.vander(self.motion.step * np.arange(count), min(count, 3), increasing=True)[:, 1:]
-        way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]
-        return np.linalg.lstsq(powers, way, rcond=None)[0][0] if count > 1 else np.zeros(6)
 
     def rolled(self, path: Path, first: int = 0, untold: Material | None = None) -> Path:
         """Return the path that the engine runs from the states at the cuts, anew from frame `first`.

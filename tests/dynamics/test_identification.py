@@ -196,3 +196,26 @@ def test_a_longer_contact_delays_what_follows_a_bounce_and_leaves_its_speed():
     assert 0.004 < late < 0.008
     energy = [end[9] ** 2 / 2 + GRAVITY * end[2] for end in ends]
     assert abs(energy[1] / energy[0] - 1) < 0.03
+
+
+def test_restitution_is_the_same_wherever_between_two_frames_an_impact_lies():
+    """A frame amid an impact once changed its stiffness there: up to .19 was gained or lost."""
+    ball = Body("ball", "sphere", np.full(3, 0.08), np.eye(4))
+    engine = Engine(Matter((FLOOR, ball), np.array([0.0, 0.0, -GRAVITY]), ()), ("ball",), STEP)
+    for time in (0.002, 0.008):
+        engine.tell(Material(0.4, 0.7, engine.masses, time))
+        for height in np.linspace(0.06, 0.14, 7):
+            path = engine.roll(from_poses(translation(0, 0, 0.04 + height)[None]), 9)[:, 0]
+            first = np.flatnonzero((path[:, 9] > 0) & (path[:, 2] > 0.04))[0]  # it has left the floor
+            speed = np.sqrt(path[first, 9] ** 2 + 2 * GRAVITY * (path[first, 2] - 0.04))
+            assert abs(speed / np.sqrt(2 * GRAVITY * height) - 0.7) < 0.03
+
+
+@pytest.mark.parametrize("restitution", [0.5, 0.65, 0.85])
+def test_flights_about_an_impact_tell_restitution_in_closed_form(restitution):
+    film = bounce(restitution, np.random.default_rng(0))
+    engine = Engine(film.matter, film.names, STEP)
+    shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
+    assert abs(shooting.restitution() - restitution) < 0.02
+    film = slide(0.3, 1.0, np.random.default_rng(0))
+    assert Shooting(film, shooting.parameters, Engine(film.matter, film.names, STEP)).restitution() is None

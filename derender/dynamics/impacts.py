@@ -1,0 +1,137 @@
+"""Where tracking shows impacts, and what the poses about them tell before any film of the engine.
+
+A film of the engine begins anew after each impact: with which speed, and with which restitution to start, is told by
+parabolas through the tracked centres.
+"""
+
+import numpy as np
+
+from derender.dynamics.errors import LEVER, STEADY
+from derender.dynamics.motion import Motion
+from derender.dynamics.states import difference, from_poses, moved
+
+# A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
+# shows an impact.
+JUMP = 4.0
+# Frames that tell the velocity from which a start sets out.
+FITTED = 4
+# They show free flight where the squares of what it leaves of them sum to so many of tracking's variances: 1 in 100 of
+# nine normal numbers.
+FLIES = 21.7
+# What rested has been struck where its centre is further off than this, metres: tracking wanders by half as much.
+STRUCK = 0.004
+# An impact that tells restitution changes a velocity by so much more than resting contacts do, m / s: less is a box
+# that tilts onto its other edge.
+BOUNCE = 0.3
+
+
+class Impacts:
+    """Tracked poses of one film, cut at impacts.
+
+    Attributes
+    ----------
+    motion : the film, of `frames` frames and `count` bodies. seen : (T, N) bool, where a pose tells something.
+    tracked : (T, N, 13), states at rest at the tracked poses. spread : (T, N, 6, 6), their covariances.
+    is_cut : (T, N) bool, the first frame and the first one after each impact; cuts : their (frame, body).
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion, self.gravity = motion, np.asarray(motion.matter.gravity, float)
+        self.count, self.frames = len(motion.names), len(motion.times)
+        self.seen = motion.fresh
+        self.bodies = [motion.body(name) for name in motion.names]
+        self.sizes = np.array([float(np.mean(body.size)) for body in self.bodies])
+        known = motion.seen[..., None, None]
+        self.tracked = from_poses(np.where(known, motion.poses, np.eye(4)))
+        self.spread = np.where(known, motion.covariances, np.eye(6))
+        self.is_cut = self._cuts()
+        self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
+
+    def _cuts(self) -> np.ndarray:
+        """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
+        step, gravity = self.motion.step, self.gravity
+        states = self.filled()
+        change = np.diff(difference(states[:-1], states[1:])[..., :6], axis=0) / step  # (T - 2, N, 6)
+        linear = np.linalg.norm(change[..., :3] - gravity * step, axis=-1)
+        turning = np.linalg.norm(change[..., 3:], axis=-1)
+        variance = np.diagonal(self.spread, axis1=2, axis2=3)
+        error = np.sqrt(variance[:-2] + 4 * variance[1:-1] + variance[2:]) / step
+        limit = STEADY * float(np.linalg.norm(gravity)) * step
+        jumps = (linear > np.maximum(limit, JUMP * error[..., :3].max(axis=-1))) | (
+            turning > np.maximum(LEVER * limit / self.sizes, JUMP * error[..., 3:].max(axis=-1))
+        )
+        seen = self.motion.seen
+        jumps &= seen[:-2] & seen[1:-1] & seen[2:]
+        result = np.zeros((self.frames, self.count), bool)
+        # A kink shows in the second differences about the frames before and after it, or, near a frame, in that about
+        # it alone: the frame after the last of these is after the kink in any case.
+        result[2:] = jumps
+        result[2:-1] &= ~jumps[1:]
+        # What rested and is struck shows when: whatever else moves may be what struck it.
+        shift = np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK
+        for begun in np.argmax(shift, axis=0) if self.count > 1 else ():
+            if begun > 1:
+                result[begun - 1 : begun + 3] = False
+                result[begun] = True
+        result[-2:] = False
+        result[0] = True
+        return result
+
+    def filled(self) -> np.ndarray:
+        """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""
+        times = self.motion.times
+        states = self.tracked.copy()
+        for k in range(self.count):
+            known = np.flatnonzero(self.seen[:, k])
+            for frame in np.flatnonzero(~self.seen[:, k]):
+                after = np.searchsorted(known, frame)
+                a, b = known[max(after - 1, 0)], known[min(after, len(known) - 1)]
+                share = 0.0 if a == b else (times[frame] - times[a]) / (times[b] - times[a])
+                states[frame, k] = moved(states[a, k], share * difference(states[a, k], states[b, k]))
+        return states
+
+    def first_speed(self, states: np.ndarray, frame: int, k: int) -> np.ndarray:
+        """Return velocity and angular velocity (6,) of body k at a cut, from the frames that follow.
+
+        What flies falls as gravity says, and two frames tell its speed; where that does not explain them, a parabola
+        does: a mean over frames would tell a slide's first speed too low, and so its friction. The frame before the
+        next cut may be after the impact already: it is left out where there are others.
+        """
+        later = np.flatnonzero(self.is_cut[frame + 1 :, k])
+        count = min(FITTED, len(states) - frame)
+        if len(later):
+            count = min(count, max(int(later[0]), min(2, int(later[0]) + 1)))
+        if count < 2:
+            return np.zeros(6)
+        time = self.motion.step * np.arange(count)
+        way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]
+        fall = 0.5 * np.outer(time**2, np.concatenate([self.gravity, np.zeros(3)]))
+        speed = time @ (way - fall) / (time @ time)
+        error = np.sqrt(np.diagonal(self.spread[frame : frame + count, k], axis1=1, axis2=2)[:, :3].mean())
+        if count == 2 or np.sum((way - fall - np.outer(time, speed))[:, :3] ** 2) < FLIES * error**2:
+            return speed
+        return np.linalg.lstsq(np.stack([time, time**2], axis=1), way, rcond=None)[0][0]
+
+    def restitution(self) -> float | None:
+        """Return which share of its speed downward a body kept at the fastest impact that has free flight about it.
+
+        The difference of two parabolas under gravity is a line, which says when they meet. None: there is no impact of
+        that kind.
+        """
+        states, found = self.filled(), []
+        strength = float(np.linalg.norm(self.gravity))
+        up = -self.gravity / max(strength, 1e-9)
+        for k in range(self.count):
+            cuts = [frame for frame, body in self.cuts if body == k]
+            flights = [(self.first_speed(states, frame, k)[:3] @ up, states[frame, k, :3] @ up) for frame in cuts]
+            for (speed, height), (next_speed, next_height), frames in zip(
+                flights[:-1], flights[1:], np.diff(cuts), strict=True
+            ):
+                between = frames * self.motion.step
+                fallen = next_height - next_speed * between - strength * between**2 / 2 - height
+                gained = next_speed + strength * between - speed
+                meet = -fallen / gained if abs(gained) > BOUNCE else np.nan
+                before, after = speed - strength * meet, next_speed - strength * (meet - between)
+                if 0 < meet < between and before < -BOUNCE and 0 < after < -before:
+                    found.append((float(before), float(-after / before)))
+        return min(found)[1] if found else None
