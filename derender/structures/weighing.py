@@ -19,7 +19,7 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import Rules
-from derender.detection.solids.image import ROW
+from derender.detection.solids.image import ROW, rotation_of
 from derender.detection.solids.state import State
 from derender.detection.solids.support import log_standing
 from derender.sampling.evidence import Evidence, evidence_of
@@ -44,6 +44,7 @@ DRAWS, STANDING = 150, 30  # from which an integral is taken, and from which wha
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES = 4  # of the rest, drawn for odds that are close
+NOTHING = 20.0  # nats below another at which a ratio is 0 beside it: a two-billionth
 SETTLING = 30  # steps of each temperature for each solid that changes, where the rest is drawn
 
 
@@ -184,10 +185,12 @@ def integrals(
 
 
 def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float]:
-    """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); minus infinity: it is 0."""
-    count, possible = len(logs), logs[np.isfinite(logs)]
-    if not len(possible):
+    """Return {odds, error} of the mean of ratios by their logarithms (n,) with errors (n,); what is NOTHING beside the
+    greatest is 0."""
+    count, most = len(logs), logs.max()
+    if most == -np.inf:
         return {"odds": -np.inf, "error": 0.0}
+    possible, errors = logs[logs > most - NOTHING], errors[logs > most - NOTHING]
     odds = float(np.logaddexp.reduce(possible) - math.log(count))
     spread = float(np.var(possible, ddof=1)) if len(possible) > 1 else 0.0
     spread += count / len(possible) - 1.0  # of how often it is not 0
@@ -209,6 +212,8 @@ def odds_at(
     shared = [k for k in range(len(best.state)) if k not in own_places]
     for k, row in zip([k for k in range(len(state)) if k not in places], shared, strict=True):
         state.rows[k] = rows[row]
+    for k, own_place in zip(places, own_places, strict=False):
+        state.rows[k] = carried(state.rows[k], best.state.rows[own_place], rows[own_place])
     chart, start = make_chart(state, floor_pose_of(here), rules)
     if places:
         found = climb(rng, state, chart, start, trial.sensor, SETTLING * len(places), members_of(chart, places), ())
@@ -218,6 +223,19 @@ def odds_at(
         return -np.inf, 0.0
     other = evidence_over(rng, found, rules, places)
     return other.log - own.log, math.hypot(other.standard_error, own.standard_error)
+
+
+def carried(row: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the row of a solid in another's place, moved, turned and grown as that was from one row to another.
+
+    Solids that touch move together: left where it was, what stands on it would lie millimetres off the image.
+    """
+    new = row.copy()
+    new[1:10] = (rotation_of(after) @ rotation_of(before).T @ rotation_of(row)).ravel()
+    new[10:13] += after[10:13] - before[10:13]
+    if int(row[0]) == int(before[0]):
+        new[13:16] = np.maximum(row[13:16] + after[13:16] - before[13:16], 0.5 * row[13:16])
+    return new
 
 
 def with_own_sensor(rng: np.random.Generator, trial: Refined, places: Any, least: float) -> Refined:

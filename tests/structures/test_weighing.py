@@ -26,6 +26,7 @@ from derender.structures.weighing import (
     Block,
     Weighed,
     averaged,
+    carried,
     made_sure,
     of_block,
     surest,
@@ -156,6 +157,8 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
     assert found["error"] == pytest.approx(math.sqrt((0.01 + np.var([0.0, 0.4, -0.4, 0.2], ddof=1)) / 4.0))
     impossible = averaged(np.array([0.0, -np.inf, 0.0, -np.inf]), np.zeros(4))  # at half of the draws
     assert impossible == pytest.approx({"odds": math.log(0.5), "error": 0.5})
+    failed = averaged(np.array([0.0, -2750.0, 0.0, -30.0]), np.array([0.0, 9.0, 0.0, 9.0]))  # an error of 690 once
+    assert failed == pytest.approx(impossible)
     rng = np.random.default_rng(3)
     sensor, chart, values = observe(
         rng, solid(BOX, (0.08,) * 3, cube=True), {"sigma": 0.01, "blur": 0.5}, camera(32, 24)
@@ -166,6 +169,18 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
     draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
     again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
     assert same is far and abs(again.odds - first.odds) < 4.0 * math.hypot(again.error, first.error) + 0.3
+
+
+def test_a_rival_goes_with_what_touches_it():
+    """Where all that it shares with the best is drawn: a rival that stayed would be out of the drawn solids' way."""
+    before, after = row(BOX, 0.2, 0.1, 0.0, 0.05, (0.1,) * 3), row(BOX, 0.25, 0.103, -0.002, 0.0505, (0.101,) * 3)
+    assert carried(before, before, after) == pytest.approx(after)
+    can = row(CYLINDER, 0.2, 0.1, 0.0, 0.04, (0.07, 0.07, 0.08))
+    moved = carried(can, before, after)
+    assert moved[13:16] == pytest.approx(can[13:16])
+    assert moved[10:13] - can[10:13] == pytest.approx(after[10:13] - before[10:13])
+    back = carried(moved, after, before)
+    assert back == pytest.approx(can)
 
 
 def test_a_structure_that_others_noise_and_blur_speak_against_is_weighed_by_its_own():

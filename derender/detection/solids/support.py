@@ -115,17 +115,21 @@ def shares_of_load(
         normal = np.array([0.0, 0.0, 1.0]) if other == FLOOR else push_on(row, rows[other])
         if normal[2] < -0.5:  # it is what stands on the solid
             continue
-        across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
-        across /= np.linalg.norm(across)
-        other_way = np.cross(normal, across)
-        force = np.tile(normal + friction * np.array([across, -across, other_way, -other_way]), (len(points), 1))
-        turning = np.cross(np.repeat(points - row[10:13], 4, axis=0), force) / row[13:16].max()
+        pyramid = normal[None]
+        if friction > 0.0:
+            across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
+            across /= np.linalg.norm(across)
+            other_way = np.cross(normal, across)
+            pyramid = normal + friction * np.array([across, -across, other_way, -other_way])
+        force = np.tile(pyramid, (len(points), 1))
+        turning = np.cross(np.repeat(points - row[10:13], len(pyramid), axis=0), force) / row[13:16].max()
         columns.append(np.hstack([force, turning]))
         carriers += [other] * len(force)
     if not columns:
         return {}
     matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    forces = non_negative(matrix.T @ matrix + RIDGE * np.eye(matrix.shape[1]), weight @ matrix)
+    ridge = RIDGE if friction > 0.0 else RIDGE / 4  # each stands for the four of a pyramid without width
+    forces = non_negative(matrix.T @ matrix + ridge * np.eye(matrix.shape[1]), weight @ matrix)
     # the ridge alone lets a share of the weight go
     held = matrix @ forces
     if np.linalg.norm(held / max(held[2], 1e-9) - weight) > UNBALANCED:

@@ -365,7 +365,8 @@ def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarr
 
     The scales are the geometric means of those to which each walker's adapted.
     """
-    proposals = [make_proposals(steps) for _ in walkers]
+    made = make_proposals(steps)
+    proposals = [made._replace(scale=made.scale.copy()) for _ in walkers]
     drawn = in_threads(rng, [
         partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
                 count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
