@@ -3,7 +3,7 @@
 Regions of pixels on one plane grow from the best pixels on, then are mended at their borders.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -209,13 +209,11 @@ def touching_pixels(points, label, regions, jump):
     return touching
 
 
+SMALLEST = 8  # pixels that a patch must have, and half of them when its pixels were assigned anew
+
+
 def find_patches(
-    points: np.ndarray,
-    mask: np.ndarray,
-    origin: np.ndarray,
-    sigma: np.ndarray,
-    footprint: np.ndarray,
-    smallest: Any = 8,
+    points: np.ndarray, mask: np.ndarray, origin: np.ndarray, sigma: np.ndarray, footprint: np.ndarray
 ) -> Patches:
     """Segment the surface into planar patches.
 
@@ -223,7 +221,6 @@ def find_patches(
     ----------
     points : (H, W, 3) float64, floor frame (any finite numbers where mask is False).
     mask : (H, W) bool, pixels to segment; sigma : (H, W) noise in metres; footprint : (H, W) size of a pixel in metres.
-    smallest : pixels that a patch must have.
     """
     jump = np.ascontiguousarray(2.5 * footprint + 3 * sigma)
     tolerance = np.ascontiguousarray(3.0 * sigma)
@@ -231,12 +228,12 @@ def find_patches(
     normal, quality = sharpen(points, mask, normal, offset, error, 2, tolerance)
     order = np.argsort(quality.ravel(), kind="stable")
     order = order[quality.ravel()[order] < 1e8].astype(np.int64)
-    label, regions = grow(points, mask, normal, quality, order, tolerance, jump, np.cos(np.radians(22)), smallest)
+    label, regions = grow(points, mask, normal, quality, order, tolerance, jump, np.cos(np.radians(22)), SMALLEST)
     for _ in range(2):
         plane_normal, plane_offset, count, centre, residual = fit_regions(points, label, regions, origin)
         reassign(points, mask, label, plane_normal, plane_offset, tolerance, jump, 4)
     # reassignment can leave a region with next to nothing: number the others anew
-    alive = np.bincount(label[label >= 0], minlength=regions) >= max(smallest // 2, 4)
+    alive = np.bincount(label[label >= 0], minlength=regions) >= SMALLEST // 2
     number = np.append(np.where(alive, np.cumsum(alive) - 1, -1), -1).astype(np.int32)
     label, regions = np.ascontiguousarray(number[label]), int(alive.sum())
     plane_normal, plane_offset, count, centre, residual = fit_regions(points, label, regions, origin)

@@ -12,14 +12,14 @@ from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.materials import LEAST_MASS
 from derender.physics.outcome import Chance, Outcome, chance_of
-from derender.physics.statics import WIDEST_GAP, WIDEST_GAP_METRES, Contacts, find_contacts, unit_of_length
+from derender.physics.statics import WIDEST_GAP, WIDEST_GAP_METRES, find_contacts, unit_of_length
 from derender.physics.verdict import FALLS, SETTLES, STANDS
 
 # Bodies that are so many times longer than wide are needles: their verdicts hang on the last tenth of a millimetre.
 NEEDLE = 200.0
 
 
-def assumptions(matter: Matter, contacts: Contacts | None = None) -> list[str]:
+def assumptions(matter: Matter) -> list[str]:
     """Return what is assumed of a scene beyond what it says; [] where nothing is.
 
     Raises
@@ -33,7 +33,7 @@ def assumptions(matter: Matter, contacts: Contacts | None = None) -> list[str]:
     said = []
     length = unit_of_length(matter)
     deepest = max(WIDEST_GAP * length, WIDEST_GAP_METRES)
-    contacts = find_contacts(matter) if contacts is None else contacts
+    contacts = find_contacts(matter)
     seen = set()
     for first, second, gap in zip(contacts.first, contacts.second, contacts.gap, strict=True):
         pair = matter.bodies[first].name, matter.bodies[second].name

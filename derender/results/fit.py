@@ -18,8 +18,6 @@ from derender.render.raycast.depth import render_depth
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
-# Three standard deviations of what depth cameras are off by at a depth z, from planes before consumer sensors (white
-# noise, slow bias and edges together): 12 mm at 1 m, 32 mm at 2 m.  A depth within it is explained.
 PATCHES_ABREAST, SMALLEST = 40, 6  # patches in a row of the image; pixels of a patch's side at least
 FLAT = 0.25  # share of the patches that surely show one flat surface and nothing else
 LEAST_PATCHES = 8  # fewer tell nothing
@@ -71,6 +69,8 @@ def flat_noise(observed: np.ndarray) -> Noise:
     return Noise(float(sigma_0 + growth * np.median(middle) ** 2), sigma_0, growth)
 
 
+# Three standard deviations of what depth cameras are off by at a depth z, from planes before consumer sensors (white
+# noise, slow bias and edges together): 12 mm at 1 m, 32 mm at 2 m.  A depth within it is explained.
 SENSOR_PER_DEPTH, SENSOR_PER_SQUARE = 0.008, 0.004  # metres by metre, by square metre
 DEVIATIONS = 4.0  # of the noise that the image's own flat patches show, where that is more
 MOST_TOLERANCE = 0.05  # of the depth: whatever the noise, a depth that is farther off is not explained

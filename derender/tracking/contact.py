@@ -5,8 +5,6 @@ gap to it but for the error of both poses, and keeps it from frame to frame; wha
 anywhere. Contact is with what lies below: where lowering the thing by a little would press it in.
 """
 
-from typing import Any
-
 import numpy as np
 
 from derender.detection.solids.image import ROW, make_row
@@ -80,17 +78,14 @@ def evidence(gaps: np.ndarray, spread: np.ndarray, resting: np.ndarray) -> np.nd
     return told
 
 
-def smoothed(told: np.ndarray, start: Any = None) -> np.ndarray:
-    """Return (T, M) probabilities of a chain's states given all of its log densities (T, M): forward and backward.
-
-    start : (M,) probabilities in the first frame before its image, or None.
-    """
+def smoothed(told: np.ndarray) -> np.ndarray:
+    """Return (T, M) probabilities of a chain's states given all of its log densities (T, M): forward and backward."""
     frames, states = told.shape
     likelihood = np.exp(told - told.max(axis=1, keepdims=True))
     step = np.full((states, states), CHANGE / max(states - 1, 1))
     np.fill_diagonal(step, 1.0 - CHANGE)
     forward, backward = np.empty((frames, states)), np.ones((frames, states))
-    now = np.full(states, 1.0 / states) if start is None else np.asarray(start, float)
+    now = np.full(states, 1.0 / states)
     for t in range(frames):
         now = (now if t == 0 else now @ step) * likelihood[t]
         now = now / now.sum()

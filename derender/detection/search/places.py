@@ -40,10 +40,13 @@ class Places(NamedTuple):
         return self.blame.sum() < settings.clean
 
 
-def find_places(image: Any, state: Any, limit: Any = 4.5) -> Places:
+MISFIT = 4.5  # nats of a pixel, as of three standard deviations: more is badly explained
+
+
+def find_places(image: Any, state: Any) -> Places:
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
     depth, label, misfit, _ = held_out(image, state, -1)
-    bad = misfit > limit
+    bad = misfit > MISFIT
     crowded = np.zeros(bad.shape, bool)
     crowded[1:] |= bad[:-1]
     crowded[:-1] |= bad[1:]

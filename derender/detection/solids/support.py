@@ -8,7 +8,7 @@ slightly soft contact would share the load.
 Whether what stands would fall off its supports, did no friction hold it, is a term of every structure's density.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -147,11 +147,14 @@ LEVEL = 0.997  # cosine of the tilt at which a face no longer counts as level
 BESIDE = 2  # pixels between the rectangles of solids that may hide parts of each other
 
 
-def shadows_overlap(row: np.ndarray, other: np.ndarray, margin: Any = 0.002) -> bool:
-    """Whether two solids overlap when seen from above, by more than the margin."""
+OVERLAP = 0.002  # metres by which flush neighbours may seem to overlap from above
+
+
+def shadows_overlap(row: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two solids overlap when seen from above, by more than OVERLAP."""
     lifted = row.copy()
     lifted[12] = other[12]
-    return penetration(lifted, other) > margin
+    return penetration(lifted, other) > OVERLAP
 
 
 def flat_top(row: np.ndarray) -> bool:

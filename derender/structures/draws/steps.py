@@ -109,14 +109,10 @@ def size_of(chart: Chart) -> int:
     return 1 + int(chart.slots.max(initial=-1)) + FLOOR_WAYS
 
 
-def touched_by(chart: Chart, members: list[int], matrix: Any = None) -> Any:
-    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do.
-
-    matrix : (len(members), R), how they move together; None: each by itself.
-    """
-    matrix = np.eye(len(members)) if matrix is None else matrix
-    moves = np.zeros((size_of(chart), matrix.shape[1]))
-    moves[members] = matrix
+def touched_by(chart: Chart, members: list[int]) -> Any:
+    """Return (1 + N,) bool: which of the floor and the solids move when these coordinates do."""
+    moves = np.zeros((size_of(chart), len(members)))
+    moves[members] = np.eye(len(members))
     return touched_by_each(chart, moves).any(axis=0)
 
 
@@ -238,11 +234,13 @@ def unseen_steps(chart: Chart, sensor: "Sensor", only: list[int] | None = None) 
     return [step._replace(weight=weight) for step in found]
 
 
-def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
+SHRINK = 1e-6  # metres added to every spread, so that few draws do not make a factor singular
+
+
+def block_steps(chart, covariance, only=None, center=None):
     """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay.
 
     only : the coordinates that may move at all: then the covariance is theirs alone, (len(only), len(only)).
-    shrink : metres added to every spread, so that few draws do not make a factor singular.
     center : (D,) the mean that goes with it: steps are drawn to what both let expect, but for those of what the image
         does not hold, whose density is far from normal.
     """
@@ -255,7 +253,7 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
     turns = chart.slots[:, TURN:SIZE]
     loose[turns[turns >= 0]] = loose[size - FLOOR_WAYS :] = LOOSE_TURN
     held = np.sqrt(np.diag(covariance)) < loose[members]
-    precision = back.T @ np.linalg.inv(covariance + shrink**2 * np.eye(len(members))) @ back
+    precision = back.T @ np.linalg.inv(covariance + SHRINK**2 * np.eye(len(members))) @ back
     blocks = {tuple(m for m in block if m in place): None for block in blocks_of(chart)}
     indices = [[place[m] for m in block] for block in blocks if block]
     factors = [factor_of_inverse(precision[np.ix_(index, index)]) for index in indices]
@@ -273,7 +271,7 @@ def block_steps(chart, covariance, only=None, shrink=1e-6, center=None):
             step = step._replace(matrix=WIDER * step.matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
         steps.append(step)
     if place.keys() > set(blocks_of(chart)[-1]):
-        steps.append(floor_step(covariance + shrink**2 * np.eye(size), len(chart.flags), center))
+        steps.append(floor_step(covariance + SHRINK**2 * np.eye(size), len(chart.flags), center))
     return weighted(steps, 2.0)
 
 
