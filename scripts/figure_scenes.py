@@ -9,7 +9,7 @@ import numpy as np
 from derender import data_path
 from derender.camera.intrinsics import Camera
 from derender.document import read_document
-from derender.evaluation import intersection_volume
+from derender.evaluation.convex import intersection_volume
 from derender.render.renderers.preview import enlarged
 from derender.report.pictures import shade
 from derender.scene.contacts import contacts

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from derender.evaluation import compare_scenes, edges_of, mask_f1, match_planes
 from derender.evaluation.convex import distance_to_surface, surface_points
-from derender.evaluation.metrics import add_s, assign, pose_and_size_errors, relabellings
+from derender.evaluation.metrics import (
+    add_s,
+    assign,
+    compare_scenes,
+    edges_of,
+    mask_f1,
+    match_planes,
+    pose_and_size_errors,
+    relabellings,
+)
 
 
 def turn(axis, angle):
