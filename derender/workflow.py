@@ -301,7 +301,7 @@ def _given(
     seen: Any, document: Any, options: Any, gradient: str, progress: Any, warn: Any, command: str
 ) -> tuple[Posterior, LikelihoodPrior]:
     """Infer the unknown numbers of objects that are given."""
-    from derender.posterior.settings import read_settings
+    from derender.posterior.sampler import read_settings
     from derender.structures.given import infer_scene
 
     precompile("steps")

@@ -27,7 +27,7 @@ import numpy as np  # noqa: E402
 
 from derender.cli import status_of  # noqa: E402
 from derender.document import read_prior_document  # noqa: E402
-from derender.posterior.settings import Settings, read_settings  # noqa: E402
+from derender.posterior.sampler import Settings, read_settings  # noqa: E402
 from derender.render.likelihoods import likelihoods  # noqa: E402
 from derender.render.raycast.depth import render_depth  # noqa: E402
 from derender.sampling.diagnostics import bulk_ess  # noqa: E402

@@ -14,7 +14,7 @@ from derender.physics.outcome import probability
 from derender.physics.simulate import judge, simulate
 from derender.posterior.forward import draw_documents, observe
 from derender.posterior.map import MapProblem
-from derender.posterior.settings import read_settings
+from derender.posterior.sampler import read_settings
 from derender.render.raycast.depth import render_depth
 from derender.report.animation import frames
 from derender.report.contents import likelihood_numbers

@@ -23,7 +23,7 @@ from derender.document import document_from, read_prior_document  # noqa: E402
 from derender.posterior.compiled.backend import backend_of  # noqa: E402
 from derender.posterior.kernels import mixture  # noqa: E402
 from derender.posterior.kernels.base import first_tuning  # noqa: E402
-from derender.posterior.settings import read_settings  # noqa: E402
+from derender.posterior.sampler import read_settings  # noqa: E402
 from derender.render.likelihoods import likelihoods  # noqa: E402
 from derender.render.raycast.depth import render_depth  # noqa: E402
 from derender.sampling.diagnostics import bulk_ess, r_hat, unwrap  # noqa: E402

@@ -24,9 +24,8 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
-from derender.posterior.sampler import MixtureSampler
+from derender.posterior.sampler import MixtureSampler, Settings
 from derender.posterior.scene_space import period_of
-from derender.posterior.settings import Settings
 from derender.posterior.smc import tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.render.likelihoods import likelihoods

@@ -11,7 +11,7 @@ from derender.posterior.compiled.backend import CompiledBackend, backend_of
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.model import NotCompiled
 from derender.posterior.kernels.base import first_tuning, kernels, mixture
-from derender.posterior.settings import Settings
+from derender.posterior.sampler import Settings
 from derender.scene.contacts import contacts
 from derender.structures.given import infer_scene
 

@@ -12,8 +12,7 @@ from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
 from derender.posterior.kernels.relocate import fitted, mixture_density
-from derender.posterior.sampler import MixtureSampler
-from derender.posterior.settings import Settings
+from derender.posterior.sampler import MixtureSampler, Settings
 from derender.posterior.space import Block, Unknown
 from derender.posterior.target import default_parts
 from derender.scene.distributions import distributions

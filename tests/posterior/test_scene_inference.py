@@ -10,7 +10,7 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.forward import observe
 from derender.posterior.kernels import mixture
-from derender.posterior.settings import Settings, read_settings
+from derender.posterior.sampler import Settings, read_settings
 from derender.sampling import diagnostics
 from derender.structures import given
 from derender.structures.given import infer_scene, targets

@@ -9,7 +9,7 @@ from small_scenes import OPENING, SceneWorld, read
 
 from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
-from derender.posterior.settings import Settings
+from derender.posterior.sampler import Settings
 from derender.render.raycast.depth import render_depth
 from derender.scene.priors.terms import RestsOn, total_log_density
 from derender.scene.separation import rest_residual, separation
