@@ -1,13 +1,11 @@
 """Local steps: drift of a block or of all unknowns, choice from a row of places; both also under what stands on top."""
 
-from typing import Any
-
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.layout import DIRECTION, NEXT, NOW
 from derender.posterior.compiled.prior import directions, move, shaped
-from derender.posterior.kernels.base import ROW, KernelType, kernels
+from derender.posterior.kernels.base import ROW, KernelType, Part, Tuning, kernels
 from derender.posterior.space import Block, Space
 
 
@@ -46,10 +44,10 @@ class DriftType(KernelType):
     adapts = True
     proposal = drifted
 
-    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
+    def factor(self, space: Space, part: Part, tuning: Tuning) -> np.ndarray:
         return factor_of(tuning.covariance, directions_of(space, part.block))
 
-    def scale(self, space: Any, part: Any, tuning: Any) -> float:
+    def scale(self, space: Space, part: Part, tuning: Tuning) -> float:
         # 2.4 / sqrt(D): best for a normal posterior (Roberts, Gelman, Gilks 1997)
         return part.options["scale"] * tuning.scale.get(part.name, 1.0) * 2.4 / np.sqrt(space.size(part.block))
 
@@ -82,10 +80,10 @@ class SlideType(DriftType):
 
     keeps_children = True
 
-    def applies(self, space: Any, block: Any) -> bool:
+    def applies(self, space: Space, block: Block) -> bool:
         return block.name in space.slides
 
-    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
+    def factor(self, space: Space, part: Part, tuning: Tuning) -> np.ndarray:
         """Return the factor of the spread of the block's directions, whatever the others do: here they give way."""
         directions = directions_of(space, part.block)
         return np.linalg.cholesky(tuning.covariance[np.ix_(directions, directions)])
@@ -147,5 +145,5 @@ class SlideWindowType(WindowType):
 
     keeps_children = True
 
-    def applies(self, space: Any, block: Any) -> bool:
+    def applies(self, space: Space, block: Block) -> bool:
         return block.name in space.slides

@@ -6,15 +6,14 @@ its angle jumps by half a period, it does so alone or with length and width exch
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.layout import CODE, NEXT, NOW, OFFSET, PERIOD, ROTATION
 from derender.posterior.compiled.prior import difference, directions, log_prior, move, resample, shaped, wrap
-from derender.posterior.kernels.base import KernelType, kernels
-from derender.posterior.space import Space
+from derender.posterior.kernels.base import KernelType, Part, Tuning, kernels
+from derender.posterior.space import Block, Space
 
 DEGREES = 5  # of freedom of the t distribution: heavier tails than any posterior that it has to cover
 
@@ -83,7 +82,7 @@ class IndependenceType(KernelType):
     per_block = False
     proposal = independent
 
-    def factor(self, space: Any, part: Any, tuning: Any) -> np.ndarray:
+    def factor(self, space: Space, part: Part, tuning: Tuning) -> np.ndarray:
         return part.options["inflation"] * np.linalg.cholesky(tuning.covariance)
 
 
@@ -130,13 +129,13 @@ class JumpType(KernelType):
 
     proposal = jumped
 
-    def applies(self, space: Any, block: Any) -> bool:
+    def applies(self, space: Space, block: Block) -> bool:
         return bool(self.members(space, block))
 
-    def moves(self, space: Any, block: Any) -> Sequence[int]:
+    def moves(self, space: Space, block: Block) -> Sequence[int]:
         return ()  # half periods alone reach two places
 
-    def members(self, space: Any, block: Any) -> Sequence[int]:
+    def members(self, space: Space, block: Block) -> Sequence[int]:
         return [i for i in block.unknowns if space.unknowns[i].period is not None]
 
 
@@ -175,11 +174,11 @@ class FlipType(KernelType):
     per_block = False
     proposal = flipped
 
-    def applies(self, space: Any, block: Any) -> bool:
+    def applies(self, space: Space, block: Block) -> bool:
         return bool(flips_of(space))
 
-    def moves(self, space: Any, block: Any) -> Sequence[int]:
+    def moves(self, space: Space, block: Block) -> Sequence[int]:
         return ()
 
-    def members(self, space: Any, block: Any) -> Sequence[int]:
+    def members(self, space: Space, block: Block) -> Sequence[int]:
         return [unknown for triple in flips_of(space) for unknown in triple]

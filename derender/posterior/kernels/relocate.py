@@ -7,14 +7,14 @@ narrow.
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.posterior.compiled.prior import wrap
 from derender.posterior.kernels.base import PLACING, KernelType, kernels
-from derender.posterior.space import Block
+from derender.posterior.space import Block, Space
 
 if TYPE_CHECKING:
     from derender.posterior.target import SceneTarget
@@ -193,7 +193,7 @@ class PlacingType(KernelType):
     keeps_children = True
     form = PLACING
 
-    def applies(self, space: Any, block: Block) -> bool:
+    def applies(self, space: Space, block: Block) -> bool:
         return block.name in space.relocations
 
 
@@ -214,7 +214,7 @@ class RelocateStackType(RelocateType):
 
     options = {"objects": 2}
 
-    def blocks(self, space: Any, options: Mapping[str, float]) -> Sequence[Block]:
+    def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:
         contacts = {block.objects[0]: block for block in space.blocks if block.name in space.relocations}
         found = []
         for name in contacts:
