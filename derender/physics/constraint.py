@@ -16,7 +16,7 @@ from derender.physics.bodies import matter_of_graph
 from derender.physics.statics import judge_statics
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import SceneGraph
-from derender.scene.priors.terms import TermType, term_types
+from derender.scene.priors.terms import term_types
 
 if TYPE_CHECKING:
     from derender.scene.codec.yaml_tree import Node
@@ -25,23 +25,20 @@ if TYPE_CHECKING:
 ALIKE = 0.5
 
 
+@term_types.register("stands")
 class Stands:
-    """The scene stands by itself: forces at its contacts can balance every weight."""
+    """Contact forces can hold the whole scene at rest: `stands: true`."""
 
-    name = "stands"
+    name: str
 
     def log_density(self, graph: SceneGraph) -> float:
         return 0.0 if judge_statics(matter_of_graph(graph)).stands else -math.inf
 
-
-@term_types.register("stands")
-class StandsType(TermType):
-    """Contact forces can hold the whole scene at rest: `stands: true`."""
-
-    def read(self, node: "Node | None", names: tuple[str, ...]) -> Stands:
+    @classmethod
+    def read(cls, node: "Node | None", names: tuple[str, ...]) -> "Stands":
         if node is not None and not node.boolean():
             raise node.fault("a scene that need not stand needs no constraint", "write stands: true, or leave it out")
-        return Stands()
+        return cls()
 
 
 def without_stands(prior: Any) -> tuple[Any, bool]:

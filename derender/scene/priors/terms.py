@@ -7,7 +7,7 @@ A prior with terms samples by rejection, exactly; its log density is then known 
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,11 +20,16 @@ from derender.scene.shapes import shapes
 MOST_TRIES = 10_000
 ROUNDING = 1e-9  # metres to which an exact contact holds
 
-term_types: Registry["TermType"] = Registry("constraint", "derender.constraints", late=("derender.physics.constraint",))
+term_types: Registry[Any] = Registry(
+    "constraint", "derender.constraints", late=("derender.physics.constraint",), make=lambda term: term
+)
 
 
 class Term(Protocol):
-    """One term.
+    """One term. A kind of them is a class under `@term_types.register(name)` that also has `read(node, names)`.
+
+    `read`, a class method, returns the term that a node of the file describes (None: no more was said than its name);
+    names : the objects that it may speak of.
 
     Attributes
     ----------
@@ -36,16 +41,6 @@ class Term(Protocol):
     def log_density(self, graph: SceneGraph) -> float:
         """Return the term's log density, at most 0; -inf where the scene is ruled out."""
         ...
-
-
-class TermType:
-    """A kind of term, as it is named under `constraints:`."""
-
-    name: str
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        """Return the term that `node` describes (None: no more was said than its name)."""
-        raise NotImplementedError
 
 
 def total_log_density(terms: tuple[Term, ...], graph: SceneGraph) -> float:
@@ -83,8 +78,11 @@ def sample_until_allowed(rng: np.random.Generator, sample: Callable, terms: tupl
     )
 
 
+@term_types.register("no-overlap")
 class NoOverlap:
-    """No two solids share more than a sliver, whether or not an edge joins them.
+    """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`.
+
+    It does not matter whether an edge joins them.
 
     Parameters
     ----------
@@ -92,7 +90,7 @@ class NoOverlap:
     scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
     """
 
-    name = "no-overlap"
+    name: str
 
     def __init__(self, depth: float = 0.0005, scale: float | None = None) -> None:
         self.depth = depth
@@ -108,16 +106,26 @@ class NoOverlap:
             -0.25 * float(np.sum(np.square(np.maximum(excess, 0.0)))) / self.scale**2
         )  # every pair stands there twice
 
+    @classmethod
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
+        if node is None:
+            return cls()
+        section = node.section().allow("depth", "scale")
+        depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
+        scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
+        return cls(depth, scale)
 
+
+@term_types.register("does-not-touch")
 class DoesNotTouch:
-    """Two named objects keep a distance.
+    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`.
 
     Parameters
     ----------
     relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
     """
 
-    name = "does-not-touch"
+    name: str
 
     def __init__(self, relation: Constraint) -> None:
         self.relation = relation
@@ -137,19 +145,26 @@ class DoesNotTouch:
         apart = separation(graph.solids(), first, second)
         return 0.0 if apart > self.least else -math.inf
 
+    @classmethod
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
+        first, second, margin = _read_pair(node, names, "does-not-touch", "margin", 0.0)
+        return cls(Constraint(first, second, margin=margin or 0.0))
 
+
+@term_types.register("rests-on")
 class RestsOn:
-    """An object rests on another one besides its parent, as a bridge on its second pier.
+    """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
 
-    The log density is -(residual / slack)^2 / 2, see `separation.rest_residual`: up is the normal of the face that it
-    rests on, so its other support ends at the same height and lies below it.
+    `supports: [pier]` in an object's entry says the same, with a slack of 1 mm. The log density is
+    -(residual / slack)^2 / 2, see `separation.rest_residual`: up is the normal of the face that it rests on, so its
+    other support ends at the same height and lies below it.
 
     Parameters
     ----------
     name, support : of the two. slack : metres.
     """
 
-    name = "rests-on"
+    name: str
 
     def __init__(self, child: str, support: str, slack: float = 0.001) -> None:
         self.child, self.support, self.slack = child, support, slack
@@ -174,16 +189,17 @@ class RestsOn:
                              int(solids.kind[b]), solids.pose[b], solids.size[b], *up)  # fmt: skip
         return -0.5 * (away / self.slack) ** 2
 
+    @classmethod
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
+        child, support, slack = _read_pair(node, names, "rests-on", "slack", 1e-6)
+        return cls(child, support, 0.001 if slack is None else slack)
 
+
+@term_types.register("at-most")
 class AtMost:
-    """No more than so many objects of finite size.
+    """No more than so many objects, floors and frames not counted: `at-most: 4`."""
 
-    Parameters
-    ----------
-    count : how many.
-    """
-
-    name = "at-most"
+    name: str
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -192,69 +208,28 @@ class AtMost:
         bounded = sum(shapes[vertex.shape].bounded for vertex in graph.vertices)
         return 0.0 if bounded <= self.count else -math.inf
 
+    @classmethod
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
+        if node is None:
+            raise DerenderError("at-most says no number", remedy="write at-most: 4")
+        return cls(node.integer(lower=0))
 
+
+@term_types.register("no-floating")
 class NoFloating:
-    """Every solid of finite size rests on something: none is placed freely (`6dof`)."""
+    """No solid hangs in the air, placed freely (`6dof`): `no-floating`."""
 
-    name = "no-floating"
+    name: str
 
     def log_density(self, graph: SceneGraph) -> float:
         free = any(vertex.contact.type == "6dof" and shapes[vertex.shape].bounded for vertex in graph.vertices)
         return -math.inf if free else 0.0
 
-
-@term_types.register("at-most")
-class AtMostType(TermType):
-    """No more than so many objects, floors and frames not counted: `at-most: 4`."""
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        if node is None:
-            raise DerenderError("at-most says no number", remedy="write at-most: 4")
-        return AtMost(node.integer(lower=0))
-
-
-@term_types.register("no-overlap")
-class NoOverlapType(TermType):
-    """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`."""
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        if node is None:
-            return NoOverlap()
-        section = node.section().allow("depth", "scale")
-        depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
-        scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
-        return NoOverlap(depth, scale)
-
-
-@term_types.register("no-floating")
-class NoFloatingType(TermType):
-    """No solid hangs in the air, placed freely (`6dof`): `no-floating`."""
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
+    @classmethod
+    def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is not None:
             raise node.fault("no-floating takes no value", "write no-floating alone")
-        return NoFloating()
-
-
-@term_types.register("rests-on")
-class RestsOnType(TermType):
-    """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
-
-    `supports: [pier]` in an object's entry says the same, with a slack of 1 mm.
-    """
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        child, support, slack = _read_pair(node, names, "rests-on", "slack", 1e-6)
-        return RestsOn(child, support, 0.001 if slack is None else slack)
-
-
-@term_types.register("does-not-touch")
-class DoesNotTouchType(TermType):
-    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
-
-    def read(self, node: Node | None, names: tuple[str, ...]) -> Term:
-        first, second, margin = _read_pair(node, names, "does-not-touch", "margin", 0.0)
-        return DoesNotTouch(Constraint(first, second, margin=margin or 0.0))
+        return cls()
 
 
 def _read_pair(
