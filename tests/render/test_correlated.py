@@ -11,7 +11,7 @@ from derender.cli import group
 from derender.detection.calibration import ON_TABLE, Fit, correlation, fit_sensor, log_density, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import prediction
+from derender.render.likelihoods.correlated import independent_share, prediction
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
@@ -172,6 +172,14 @@ def test_a_silhouette_that_is_a_pixel_off_costs_little_where_either_surface_may_
     off, at = ([NOISE.log_density(observed, d, {**VALUES, "edge": e}) for e in (0.0, 1.0)]
                for d in (depth, observed))  # fmt: skip
     assert at[0] - off[0] > 6.0 * 48 and at[1] - off[1] < 3.0 * 48
+
+
+def test_the_mean_of_many_pixels_is_as_sure_as_that_of_so_many_independent_ones():
+    values = {**GAUSSIAN, "bias": 0.0, "sigma_growth": 0.0, "outlier": 1e-9}
+    rng, depth = np.random.default_rng(6), np.full((80, 100), 0.8)
+    means = [NOISE.sample(rng, depth, values).mean() for _ in range(100)]
+    expected = values["sigma"] ** 2 / (independent_share(values) * depth.size)
+    assert 0.7 < np.var(means) / expected < 2.0  # a third more: six neighbours do not tell all; and chance, a seventh
 
 
 def test_of_what_may_be_hidden_no_neighbour_tells():

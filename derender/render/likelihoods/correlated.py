@@ -219,6 +219,16 @@ def covariance(rows: np.ndarray, columns: np.ndarray, values: Mapping[str, float
     return own + (1.0 - values["white"]) * (1.0 + h) * np.exp(-h) + values["bias"] ** 2
 
 
+def independent_share(values: Mapping[str, float]) -> float:
+    """Return how many independent pixels one tells as much as, of the mean of many: at most 1.
+
+    The inverse of the sum of its correlations with all pixels. What neighbours share sums to 6 pi reach reach_down: the
+    field's integral over the plane. The bias, which no number of pixels tells, is left out.
+    """
+    shared = 6.0 * math.pi * values["reach"] * values["reach_down"]
+    return 1.0 / (values["white"] + (1.0 - values["white"]) * max(shared, 1.0))
+
+
 def most(values: Mapping[str, float]) -> float:
     """Return the unit noise beyond which a pixel is an outlier, which tells the next ones nothing."""
     return LIMIT * math.sqrt(1.0 + values["bias"] ** 2)

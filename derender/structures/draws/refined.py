@@ -153,9 +153,9 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
     first, *others = (
-        first_sensor(
-            view.camera, view.observed, chart, values, beliefs.sensor, view.into, view.effective_pixels
-        ).changed(effective_pixels=view.effective_pixels)
+        first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into).changed(
+            effective_pixels=view.effective_pixels
+        )
         for view in views
     )
     sensor = first._replace(others=tuple(others))

@@ -14,6 +14,7 @@ from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.base import temper
+from derender.render.likelihoods.correlated import independent_share
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
@@ -51,7 +52,6 @@ class Sensor(NamedTuple):
     prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
     into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
     others : Sensors of the other views, each of one.
-    share : how many independent pixels one tells as much as, where neighbours share noise.
     """
 
     camera: Camera
@@ -61,7 +61,6 @@ class Sensor(NamedTuple):
     prior: Any = None
     into: np.ndarray = np.eye(4)
     others: tuple["Sensor", ...] = ()
-    share: float = 1.0
 
     @property
     def returned(self) -> np.ndarray:
@@ -72,7 +71,7 @@ class Sensor(NamedTuple):
     def worth(self) -> float:
         """How many independent pixels one of the first view tells as much as: at most 1."""
         if self.likelihood.name == "correlated":
-            return self.share
+            return independent_share(self.values)
         return temper(self.values, self.likelihood.counted_pixels(self.observed))
 
     @property
@@ -163,7 +162,6 @@ def first_sensor(
     values: np.ndarray,
     prior: LikelihoodPrior | None = None,
     into: np.ndarray | None = None,
-    effective_pixels: float = np.inf,
 ) -> Sensor:
     """Return the robust Sensor of one view that explains it best given a first state. prior, into : see Sensor."""
     observed = np.where(too_far(observed), np.nan, observed)
@@ -173,8 +171,7 @@ def first_sensor(
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
         return sensor
-    share = min(1.0, effective_pixels / observed.size)
-    return under_shared_noise(sensor._replace(share=share), clean, ROUNDS)
+    return under_shared_noise(sensor, clean, ROUNDS)
 
 
 def density_of(fit: tuple[float, str, dict[str, float]]) -> float:
