@@ -23,9 +23,8 @@ from derender.atomic import make_folder
 from derender.dynamics.engine import Engine, Material
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
-from derender.dynamics.parameters import Parameters
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.prediction import Lesson, come_to_rest, in_region, lesson, pool, predict, predict_another
-from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.states import moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter

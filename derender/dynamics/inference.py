@@ -12,8 +12,7 @@ from scipy.special import logsumexp
 from derender.dynamics.engine import Engine
 from derender.dynamics.errors import Scales
 from derender.dynamics.motion import Motion
-from derender.dynamics.parameters import ALWAYS, Parameters
-from derender.dynamics.prior import Prior, read_dynamics_prior
+from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 

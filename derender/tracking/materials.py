@@ -8,7 +8,7 @@ import numpy as np
 from derender.atomic import write_text
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import Motion, motion_of
-from derender.dynamics.prior import read_dynamics_prior
+from derender.dynamics.parameters import read_dynamics_prior
 from derender.dynamics.result import Answer
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -117,7 +117,7 @@ def materials_to_folder(
 ) -> list[str]:
     """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
 
-    prior : a YAML file, or None; see dynamics.prior.
+    prior : a YAML file, or None; see dynamics.parameters.
 
     Raises
     ------

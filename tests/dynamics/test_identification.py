@@ -6,8 +6,7 @@ import pytest
 from derender.dynamics.engine import FIRMER, SLIDING_RESTITUTION, Engine, Material
 from derender.dynamics.inference import ENOUGH, identify, sample
 from derender.dynamics.motion import motion_of
-from derender.dynamics.parameters import Parameters
-from derender.dynamics.prior import read_dynamics_prior
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.result import Answer
 from derender.dynamics.shooting import Shooting
 from derender.dynamics.states import difference, from_poses, moved, to_poses

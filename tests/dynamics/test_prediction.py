@@ -8,9 +8,8 @@ from derender.dynamics.engine import Engine, Material
 from derender.dynamics.errors import Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
-from derender.dynamics.parameters import Parameters
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.prediction import Lesson, come_to_rest, in_region, pool, predict, predict_another
-from derender.dynamics.prior import read_dynamics_prior
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.physics.bodies import Body, Matter
 from derender.physics.mujoco_model import Diverged

@@ -5,8 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from derender.dynamics.parameters import Parameters
-from derender.dynamics.prior import read_dynamics_prior
+from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.errors import DerenderError
 
 
