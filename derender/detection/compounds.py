@@ -21,19 +21,22 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, shares_of_load
-from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, subset, support_of
+from derender.detection.symmetry import vertical_axis
+from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, subset, support_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 # Of its height, and in metres: a box so thin, with nothing to lean on, falls at a tilt of eleven degrees, and there are
 # few such things in a household.
 SHEET, THIN = 0.2, 0.015
-SUNK = 0.15  # share of a ball's diameter that lies in others, from which on it is none
+SUNK = 0.15  # of a ball's diameter, or a tilted box's least side, that lies in others, from which on it is none
 HELD = 0.01  # metres between solids that are parts of one
 TILTED = np.cos(np.radians(10.0))  # of a solid's axis nearest to the vertical: it stands on an edge or a corner
 # Of the lower one's diameter, and of its radius: a cylinder on another that is so narrow and so near its axis is the
 # neck of a bottle.
 NECK, COAXIAL = 0.6, 0.5
+PART = 0.05  # of a solid's pixels, in how many a part of it shows at least: sensors leave less along a silhouette
+SAME_WIDTH = 1.1  # of a cylinder's radius: what stands on it and is wider is no part of it
 HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
 NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
 HIDDEN = 0.05  # share of a thing's outline beyond which something nearer may hide its foot
@@ -56,7 +59,9 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
         state, found = joined(seen, state, parts)
         masks += found
     for k in range(len(masks)):
-        if (part := hangs_on(seen, state, masks[k][0])) is not None:
+        if (part := hangs_on(seen, state, masks[k][0])) is not None or (
+            part := below_cap(seen, state, masks[k][0], jump)
+        ) is not None:
             state, found = joined(seen, state, (part,), *masks[k])
             masks[k] = found[0]
     return state, masks
@@ -91,15 +96,15 @@ def falling(state: State) -> tuple[int, ...] | None:
     """Return (i,), a solid with nothing on it that could not be as it is; else None.
 
     A box on an edge or as a thin sheet: whatever shows so much of one face alone ends in another shape behind it. A
-    ball that is sunk in what it stands on: it is a dome.
+    ball or a tilted box that is sunk in what it stands on: it is a dome, or a slope.
     """
     for i, row in enumerate(state.rows):
         others = [k for k in range(len(state)) if k != i]
         if i in state.parents:
             continue
-        if int(row[0]) == SPHERE:
+        if int(row[0]) == SPHERE or (int(row[0]) == BOX and state.forms[i] == FREE):
             depths = [-lowest(row), *(penetration(row, state.rows[k]) for k in others)]
-            if max(depths) > max(SUNK * row[13], HELD):
+            if max(depths) > max(SUNK * row[13:16].min(), HELD):
                 return (i,)
         if int(row[0]) != BOX:
             continue
@@ -146,6 +151,29 @@ def neck(state: State) -> Any:
             ):
                 return i, j
     return None
+
+
+def belongs_to(seen: Observation, state: State, mask: np.ndarray) -> int | None:
+    """Return the solid, nothing on it, of which a piece that does not stand out enough to be an object is a part: that
+    which it goes on from, of which it shows too much to be a fault of the image; else None. An L's foot, a handle."""
+    part = goes_on_from(seen, state, mask)
+    if part is None or mask.sum() < PART * (held_out(seen.image, state, -1)[1] == part).sum():
+        return None
+    return part
+
+
+def below_cap(seen: Observation, state: State, mask: np.ndarray, jump: np.ndarray) -> int | None:
+    """Return the upright cylinder about whose axis alone a thing stands, no wider than it: a bottle's body, of which
+    the thing is shoulder and neck; else None."""
+    k, _ = standing(seen, state, mask)
+    if k == FLOOR or k in state.parents or int(state.rows[k][0]) != CYLINDER:
+        return None
+    clear = clear_of_edges(seen, mask)[0]
+    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0]
+    axis, radius = vertical_axis(seen.points[clear], normal[clear]), 0.5 * state.rows[k][13]
+    if axis is None or axis[1] > SAME_WIDTH * radius:
+        return None
+    return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < 0.5 * COAXIAL * radius else None
 
 
 def gable(seen: Observation, state: State, jump: Any) -> Any:

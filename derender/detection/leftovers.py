@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.detection.compounds import goes_on, goes_on_from, joined
+from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
@@ -59,17 +59,21 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
         if (
-            existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
-            and interior(mask).sum() >= INNER * mask.sum()
-            and high[2] > max(LEFT_HEIGHT * seen.scale, settings.uneven)
-            and max(high[:2] - low[:2]) < LARGEST
+            interior(mask).sum() < INNER * mask.sum()
+            or high[2] <= max(LEFT_HEIGHT * seen.scale, settings.uneven)
+            or max(high[:2] - low[:2]) >= LARGEST
         ):
-            if goes_on(seen.points, mask, shows, cost.normal, jump):
-                part = goes_on_from(seen, state, mask)
-                if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH:
-                    state, more = joined(seen, state, (part,), mask, gain)
-                    found += more
-                continue
+            continue
+        exists = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
+        part = None if exists else belongs_to(seen, state, mask)
+        if exists and goes_on(seen.points, mask, shows, cost.normal, jump):
+            exists, part = False, goes_on_from(seen, state, mask)
+            if part is not None and share_over(seen.points[mask], state.rows[part]) <= BENEATH:
+                part = None
+        if part is not None:
+            state, more = joined(seen, state, (part,), mask, gain)
+            found += more
+        elif exists:
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers[mask].sum())
             if cheaper > 0.0 and gained > settings.temper * LEFT_LEAST:

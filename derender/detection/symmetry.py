@@ -14,6 +14,20 @@ MISSED = 0.2  # of the radius by which a normal may miss the axis
 ROUND = 0.7  # share of the normals that meet it
 SPREAD = 0.04  # least over greatest eigenvalue of the equations: of fewer directions the axis is not told
 ROUNDS = 10
+BELT = 0.25  # of the height that is seen: the lowest two belts of it tell how the foot goes on
+WIDEST = 0.9  # quantile of the distances from the axis that is taken for a belt's radius: the inside of a cup is nearer
+
+
+def foot_radius(points: np.ndarray, centre: np.ndarray, bottom: float) -> float:
+    """Return the radius at a height `bottom` of what widens downwards about an upright axis, as the lowest two belts of
+    its points (K, 3) do: noise hides where it meets its support. 0 of what does not widen."""
+    low, high = np.quantile(points[:, 2], [0.005, 0.995])
+    away, belt = np.linalg.norm(points[:, :2] - centre, axis=1), BELT * (high - low)
+    lowest, next_one = (np.abs(points[:, 2] - low - (k + 0.5) * belt) < 0.5 * belt for k in (0, 1))
+    if min(lowest.sum(), next_one.sum()) < FEWEST or bottom > low:
+        return 0.0
+    radius, above = (float(np.quantile(away[part], WIDEST)) for part in (lowest, next_one))
+    return radius + (radius - above) * (low + 0.5 * belt - bottom) / belt if radius > above else 0.0
 
 
 def vertical_axis(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, float] | None:

@@ -27,7 +27,7 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top
-from derender.detection.symmetry import vertical_axis
+from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
@@ -47,6 +47,7 @@ ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying 
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
 AROUND = 36  # points of a circle
+BESIDE = 1.15  # of the radius of what is round: what lies farther from its axis is a handle, along which its box lies
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
 DEPTH, SHALLOW = 0.7, 0.35
 # Standard deviations of the blur within which a silhouette shows what is behind; the share of a mask's pixels that are
@@ -337,7 +338,8 @@ def standing(seen: Observation, state: State, mask: np.ndarray) -> tuple[int, fl
 def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int]:
     """Return (the pixels of a mask (H, W) that show nothing but its surface, how many pixels its edge lies beyond).
 
-    A blurred image shows depths between a silhouette and what is behind. Of what is narrow enough is left.
+    A blurred image shows depths between a silhouette and what is behind. What is too narrow to show anything else, such
+    as a handle, is kept.
     """
     taps = seen.image.taps
     blur = np.sqrt(2.0 * np.sum(taps * np.arange(taps.size) ** 2))
@@ -347,7 +349,7 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
         if inner.sum() < max(CLEAR * mask.sum(), FEWEST):
             break
         clear, reach = inner, reach + 1
-    return clear, reach
+    return clear | (mask & ~near(clear, reach + 1)), reach
 
 
 def share_over(points: np.ndarray, row: Any) -> Any:
@@ -370,12 +372,17 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][clear]
     axis = vertical_axis(points, normal)
-    outline = points[:, :2]
+    outline, yaw = points[:, :2], None
     if axis is not None:
         around = 2.0 * np.pi * np.arange(AROUND) / AROUND
-        circle = axis[0] + max(axis[1], THINNEST) * np.column_stack([np.cos(around), np.sin(around)])
+        radius = max(axis[1], foot_radius(points, axis[0], bottom), THINNEST)
+        rim = 0.0  # how far it is to the axis all points tell, not those on the silhouette
+        circle = axis[0] + radius * np.column_stack([np.cos(around), np.sin(around)])
         outline = np.vstack([np.repeat(circle, max(1, int(4.0 * ENDS * len(points))), axis=0), outline])
-    upright = rotation_z(smallest_rectangle(outline))[:3, :3]
+        handle = points[np.linalg.norm(points[:, :2] - axis[0], axis=1) > BESIDE * radius, :2] - axis[0]
+        if len(handle) >= FEWEST:
+            yaw = float(np.arctan2(*handle.mean(axis=0)[::-1]))
+    upright = rotation_z(smallest_rectangle(outline) if yaw is None else yaw)[:3, :3]
     wide = ends_of(outline @ upright[:2, :2], ENDS) + [[-rim], [rim]]
     high = np.quantile(points[:, 2], ENDS), np.quantile(seen.points[mask, 2], 1.0 - ENDS)
     ends = np.column_stack([wide, high])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
+SILHOUETTE = 0.4  # pixels that an extent is off because silhouettes lie anywhere between two
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
@@ -39,7 +40,8 @@ def with_things(
     jump = APART * seen.footprint + 3.0 * seen.sigma
     names = names_of(state)
     made = [(thing, *surface_of(seen.image, thing.mask, thing.row, jump)) for thing in seen.things]
-    return [_with_all(rng, part, state, names, made, float(np.median(seen.sigma))) for part in parts]
+    noise = float(np.median(np.hypot(seen.sigma, SILHOUETTE * seen.footprint)))
+    return [_with_all(rng, part, state, names, made, noise) for part in parts]
 
 
 def _with_all(

@@ -17,7 +17,7 @@ from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.symmetry import vertical_axis
+from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.detection.things import clear_of_edges, made_thing
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
@@ -223,6 +223,9 @@ def test_an_axis_is_that_of_what_was_turned_and_a_box_has_none():
     centre, widest = vertical_axis(points + 5e-4 * rng.standard_normal(points.shape), normal)
     assert np.allclose(centre, [0.3, -0.1], atol=0.002) and widest == pytest.approx(0.05, abs=0.002)
     assert vertical_axis(points[:10], normal[:10]) is None  # too few
+    seen = points[height > 0.02]  # noise hides where it meets the table
+    assert foot_radius(seen, centre, 0.0) == pytest.approx(0.05, abs=0.003)
+    assert foot_radius(seen * [1.0, 1.0, -1.0], centre, -0.2) == 0.0  # it widens upwards
     along = rng.uniform(-0.05, 0.05, 400)
     first = np.arange(400) < 200
     box = np.column_stack([np.where(first, along, 0.05), np.where(first, 0.05, along), height])
@@ -245,6 +248,7 @@ def test_a_box_that_could_not_stand_is_the_face_of_something_else():
     tilted = rotation_x(0.6)
     low = 0.5 * (0.1 * np.sin(0.6) + 0.01 * np.cos(0.6))
     assert alone(tilted, [0.1, 0.1, 0.01], low, FREE) == (0,)
+    assert alone(tilted, [0.1, 0.1, 0.04], low, FREE) == (0,)  # sunk in the floor
 
 
 def test_a_ball_sunk_in_what_it_stands_on_is_the_dome_of_something_else():
@@ -282,6 +286,19 @@ def test_a_small_box_on_another_is_found_in_what_a_phone_sees():
     small = np.array(scene.objects[2]["size"])
     (k,) = (k for k in range(len(state)) if state.parents[k] >= 0)
     assert np.prod(state.rows[k][13:16]) == pytest.approx(np.prod(small), rel=0.5)
+
+
+@pytest.mark.parametrize("number", [105, 108])
+def test_what_a_thing_goes_on_as_is_part_of_it(number):
+    """A bottle is no can with a cork, an L and a mug with its handle no solids with clutter beside them."""
+    scene = make(np.random.default_rng([number, list(KINDS).index("free")]), "free")
+    _, seen = point_estimate(np.random.default_rng(0), scene.depth, scene.camera)
+    assert len(seen.things) == len(scene.free) == 2
+    for k in scene.free:
+        thing = max(seen.things, key=lambda each: (each.mask & (scene.label == k)).sum())
+        said, true = thing.row[13:16], np.asarray(scene.objects[k]["size"])
+        assert np.sort(said[:2]) == pytest.approx(np.sort(true[:2]), rel=0.1)
+        assert said[2] == pytest.approx(true[2], rel=0.1)
 
 
 def test_the_edges_of_what_a_blurred_image_shows_are_not_its_surface():

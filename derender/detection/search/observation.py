@@ -32,6 +32,7 @@ from derender.detection.solids.image import FAR, Image, make_image
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
+MOST_SHARED = 0.98  # of the noise: of a bent floor neighbours would share all of it, and more
 AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
 GRAZING = 0.15  # sine of the angle at which rays meet the floor
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
@@ -185,7 +186,8 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
     correlation = 0.0 if drawn(depth, even, camera, rounding) else neighbour_correlation(depth, even, camera)
-    blur = estimate_blur(depth, sigma * np.sqrt(1.0 - max(correlation, 0.0)))  # shared noise hides no leak
+    own = np.sqrt(1.0 - np.clip(correlation, 0.0, MOST_SHARED))  # noise that neighbours share hides no leak
+    blur = estimate_blur(depth, own * sigma)
     if correlation > CORRELATED:
         sigma = np.hypot(sigma, np.fmin(bare_image().loose.faces, sensor_deviation(depth)))
     image = make_image(depth, sigma, camera, floor.pose, blur)
