@@ -44,6 +44,7 @@ WIDEST = 160  # columns of the image that is searched
 RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
 AGAIN = 2  # searches more, at most, of an image of independent noise that solids do not explain
 SPECKLED = 0.8  # share of the neighbours of pixels with a depth that have one too: of fewer no surfaces can be made
+EXPLAINED = 0.95  # share of the pixels that known objects explain at least, where nothing is taken to be missed
 FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
 
 
@@ -300,7 +301,9 @@ def infer_structure(image, camera, options=None, rng=None, progress=None):
         into = np.array(posterior.best_part.extras["into"])
         posterior.meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], frames, strict=True)]
     told = explanation_of(graph, observations, depth, camera)
-    missed = 0.0 if library else missed_by(observations, extras, loose.missed, told.share(depth))
+    if library:  # of whose answers no spots are counted
+        extras = {**extras, "unexplained": int(told.share(depth) < EXPLAINED)}
+    missed = missed_by(observations, extras, loose.missed, told.share(depth))
     posterior.meta.update(missed=missed, wrong_if_missed=loose.missed.wrong)
     parts = tuple(part.scaled(1.0 - missed) for part in posterior.parts)
     return replace(posterior, parts=parts, explanation=told)

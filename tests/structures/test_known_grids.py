@@ -61,3 +61,13 @@ def test_flush_cartons_of_known_size_are_told_apart():
     true = np.array([item["pose"][:3, 3] for item in scene.objects])
     assert len(said) == len(true)
     assert np.linalg.norm(said[:, None] - true, axis=2).min(axis=0).max() < 0.03
+
+
+@pytest.mark.slow
+def test_an_answer_that_leaves_much_unexplained_is_not_sure():
+    """27 cartons of which the topmost are out of the image, so that they are no whole multiple."""
+    scene = make(np.random.default_rng([200, list(KINDS).index("cartons")]), "cartons")
+    sides = dict(zip(("length", "width", "height"), map(float, scene.objects[0]["size"]), strict=True))
+    options = Options(seed=0, method="map", known=(Known("carton", "box", sides, {}),))
+    posterior = infer_structure(scene.depth, scene.camera, options)
+    assert posterior.explanation.share(scene.depth) < 0.95 and posterior.best_part.weight < 0.95
