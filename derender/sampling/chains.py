@@ -19,6 +19,7 @@ import numpy as np
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
 from derender.json_text import parse_json
+from derender.sampling.streams import stream
 
 FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
 
@@ -159,11 +160,6 @@ Stop = Callable[[], bool]
 Progress = Callable[[int, int, int], None]
 
 
-def chain_generator(seed: int, number: int) -> np.random.Generator:
-    """Return the random generator of chain `number`: the spawned child of the seed with that number."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(number,))))
-
-
 def chain(sampler: Sampler, rng: Any, warmup: int, draws: int, record: Record | None = None) -> Iterator[Record]:
     """Yield the chain's record after each segment, from the start or from `record`, until `draws` are there.
 
@@ -207,7 +203,7 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
     if path is not None:  # what a kill left behind in the midst of writing
         for torn in path.parent.glob(f".{path.stem}-*"):
             torn.unlink(missing_ok=True)
-    rng = chain_generator(plan.seed, number)
+    rng = stream(plan.seed, number)
     record = former = load_record(path, plan.run) if plan.resume and path is not None else None
     saved_at = time.monotonic()
     total = plan.warmup + plan.draws

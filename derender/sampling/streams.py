@@ -1,7 +1,7 @@
 """Random streams: each use of a seed has its own, so that no two seeds and no two uses share numbers.
 
 numpy takes a list such as [seed, 0] for the seed alone, and seed + 1 for the next seed: neither tells uses apart.
-Children of a SeedSequence do, whatever their seed.
+Children of a SeedSequence do, whatever their seed. A chain has the child of its own number, without a use before it.
 """
 
 import numpy as np

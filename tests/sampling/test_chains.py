@@ -12,7 +12,8 @@ from toy_samplers import Walk
 
 from derender.errors import DerenderError
 from derender.sampling import chains, workers
-from derender.sampling.chains import Plan, chain, chain_generator, run_chain
+from derender.sampling.chains import Plan, chain, run_chain
+from derender.sampling.streams import stream
 
 NEVER = lambda: False  # noqa: E731
 SILENT = lambda *_: None  # noqa: E731
@@ -150,5 +151,5 @@ def test_killed_at_random_fifty_times(tmp_path):
 
 
 def test_adaptation_ends_with_warm_up():
-    steps = [float(record.state["step"]) for record in chain(Walk(), chain_generator(1, 0), 25, 40)]
+    steps = [float(record.state["step"]) for record in chain(Walk(), stream(1, 0), 25, 40)]
     assert len(set(steps[:4])) > 1 and len(set(steps[3:])) == 1

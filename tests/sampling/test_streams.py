@@ -4,14 +4,13 @@ import itertools
 
 import numpy as np
 
-from derender.sampling.chains import chain_generator
 from derender.sampling.streams import POPULATIONS, SCENES, child_seed, stream
 
 
 def test_uses_and_numbers_share_nothing():
     seeds = range(4)
     firsts = [np.random.default_rng(seed).random() for seed in seeds]
-    firsts += [chain_generator(seed, number).random() for seed, number in itertools.product(seeds, range(4))]
+    firsts += [stream(seed, number).random() for seed, number in itertools.product(seeds, range(4))]
     for use, seed, number in itertools.product((SCENES, POPULATIONS), seeds, range(4)):
         firsts.append(stream(seed, use, number).random())
         firsts.append(np.random.default_rng(child_seed(seed, use, number)).random())
