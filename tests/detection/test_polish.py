@@ -3,13 +3,14 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.stats import kstest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search import searches
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import nearest_pixels, observe
-from derender.detection.solids.image import make_image, make_row
+from derender.detection.solids.image import make_image, make_row, render_floor_scene
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE, UPRIGHT, WALK_MOVES, walk
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, translation
@@ -85,3 +86,17 @@ def test_single_pixels_without_a_return_stay_without():
     depth[102, 102] = 0.0
     single = observe(depth, WHOLE).single
     assert np.isnan(single[50, 50]) and np.isnan(single[51, 51]) and np.isnan(single).sum() == 2
+
+
+@pytest.mark.parametrize("slip", [0.0, 1e-17, -1e-17])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_box_is_drawn_whose_side_the_camera_lies_in(side, slip):
+    """Whichever side of the plane rounding puts the camera on."""
+    camera = Camera.from_field_of_view(96, 72)
+    floor = translation(0.0, 0.0, 0.7) @ rotation_x(np.radians(125.0))
+    box = floor @ translation(0.03 * side + slip, 0.0, 0.03)
+    sizes = np.array([[0.0] * 3, [0.06] * 3])
+    solids = Solids(np.array([PLANE, BOX]), np.stack([floor, box]), sizes, np.array([-1, -1]))
+    expected, label = render_depth(solids, camera)
+    depth, _ = render_floor_scene(["box"], box[None], sizes[1:], floor, camera.to_dict())
+    assert (label == 1).sum() > 50 and np.abs(depth - expected)[label == 1].max() < 1e-4

@@ -193,9 +193,9 @@ def box_faces(image, row, i0, faces):
         faces[axis, 0], faces[axis, 1], faces[axis, 2] = NEAREST, 0.0, 0.0
         for side in range(2):
             away = (half if side == 0 else -half) - offset
-            if abs(away) < 1e-12:
-                away = 1e-12
             front = (offset > half and side == 0) or (offset < -half and side == 1)
+            if abs(away) < 1e-12:  # the camera is in the face's plane, on the side that `front` says
+                away = 1e-12 if (side == 0) != front else -1e-12
             k = axis if front else 3 + 2 * axis + side
             faces[k, 0], faces[k, 1], faces[k, 2] = a / away, b / away, c / away
             if front:
