@@ -301,7 +301,7 @@ def wall_behind(
     away = np.column_stack([np.cos(angle), np.sin(angle)])  # from the camera through the wall
     for _ in range(2):  # a second time finely about the first answer
         distance, all_distance = flat @ away.T, everything @ away.T
-        far = np.quantile(all_distance, 1.0 - BEHIND, axis=0)  # where a wall would be, were it across this direction
+        far = ends_of(all_distance, BEHIND)[1]  # where a wall would be, were it across this direction
         on = np.abs(distance - far) < tolerance
         best = int(np.argmax(np.where(far > 0, on.mean(axis=0), 0.0)))
         angle = angle[best] + np.linspace(-1.0, 1.0, 21) * np.pi / ANGLES

@@ -53,7 +53,11 @@ def spots(nearer: np.ndarray) -> list[Spot]:
     """Return the Spots of an image (H, W) of standard deviations, the strongest first, none beside another."""
     nearer, found = nearer.copy(), []
     while len(found) < SPOTS:
-        strength, side, row, column = max(strongest(nearer, side) for side in SIDES)
+        seen = np.isfinite(nearer)
+        filled = np.where(seen, nearer, 0.0)
+        tables = np.stack([filled, filled**2, seen], axis=-1).cumsum(axis=0).cumsum(axis=1)
+        tables = np.pad(tables, ((1, 0), (1, 0), (0, 0)))
+        strength, side, row, column = max(strongest(tables, side) for side in SIDES)
         if strength < FAINT:
             break
         about = slice(max(row - 1, 0), row + side + 1), slice(max(column - 1, 0), column + side + 1)
@@ -64,25 +68,20 @@ def spots(nearer: np.ndarray) -> list[Spot]:
     return found
 
 
-def strongest(nearer: np.ndarray, side: int) -> tuple[float, int, int, int]:
+def strongest(tables: np.ndarray, side: int) -> tuple[float, int, int, int]:
     """Return (strength, side, row, column) of the square window whose sum, or sum of squares, tells most.
 
     Squares by the cube root of their mean, which is nearly normal (Wilson and Hilferty, PNAS 1931).
+
+    tables : (H + 1, W + 1, 3) summed-area tables of the numbers, of their squares, and of how many are known.
     """
-    seen = np.isfinite(nearer)
-    filled = np.where(seen, nearer, 0.0)
-    total, squares, count = (window_sums(each, side) for each in (filled, filled**2, seen.astype(float)))
+    sums = tables[side:, side:] - tables[:-side, side:] - tables[side:, :-side] + tables[:-side, :-side]
+    total, squares, count = np.moveaxis(sums, -1, 0)
     count = np.maximum(count, 1.0)
     spread = 2.0 / (9.0 * count)
     strength = np.maximum(total / np.sqrt(count), (np.cbrt(squares / count) - 1.0 + spread) / np.sqrt(spread))
     row, column = np.unravel_index(np.argmax(strength), strength.shape)
     return float(strength[row, column]), side, int(row), int(column)
-
-
-def window_sums(image: np.ndarray, side: int) -> np.ndarray:
-    """Return (H - side + 1, W - side + 1) the sums of an image (H, W) over square windows."""
-    sums = np.pad(image, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
-    return sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
 
 
 def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> list[Weighed]:
