@@ -15,7 +15,7 @@ from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit, added_misfits
-from derender.detection.solids.polish import FREE, SLACK, UPRIGHT, size_energy, tilt_energy
+from derender.detection.solids.polish import FREE, SETTLED, SLACK, TRIED, UPRIGHT, size_energy, tilt_energy
 from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE
@@ -147,7 +147,7 @@ def greedy(
         row, energy, h = min((tried_out(h, row, KEEPING, 0.002) for row, _, h in sifted[:KEPT]), key=energy_of)
         if energy > 0:
             break
-        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, 300, 0.002)
+        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, SETTLED, 0.002)
         state = state.add(row, h.form, h.cube)
         alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -200]
     return state
@@ -261,7 +261,7 @@ def settle(
     image: Any,
     state: State,
     settings: Settings,
-    rounds: int = 200,
+    rounds: int = TRIED,
     only: set[int] | None = None,
 ) -> State:
     """Put every solid on its support, polish, make cubes, and prune; return a new state.

@@ -115,7 +115,7 @@ def split(
     for k in (i, last) if rng.random() < 0.5 else (last, i):
         view = held_out(image, new, k)
         row, form = new.rows[k], new.forms[k]
-        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings)
     return new, {i, last}
 
 
@@ -199,7 +199,7 @@ def merge_pair(
     new = new.without(j)
     i -= j < i
     view = held_out(image, new, i)
-    new.rows[i], _, _ = run_polish(rng, image, new, i, whole, new.forms[i], False, view, np.nan, settings, 300)
+    new.rows[i], _, _ = run_polish(rng, image, new, i, whole, new.forms[i], False, view, np.nan, settings)
     return new, {i}
 
 
@@ -242,7 +242,7 @@ def recut_pair(
     for k in (i, j) if rng.random() < 0.5 else (j, i):
         view = held_out(image, new, k)
         row, form = new.rows[k], new.forms[k]
-        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings, 250)
+        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings)
     return new, {i, j}
 
 

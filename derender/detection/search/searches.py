@@ -20,7 +20,7 @@ from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
-from derender.detection.solids.polish import UPRIGHT
+from derender.detection.solids.polish import SETTLED, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.scene.solids import BOX
 
@@ -52,7 +52,9 @@ def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, floa
 ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
-ON_REPAIRS = 48  # moves between structures of a search that goes on where free-form things are known
+# Moves between structures of a search that goes on where free-form things are known: some settings.repairs take a whole
+# search there, and this one begins with most of the structure.
+ON_REPAIRS = 48
 PRUNE_THRESHOLD = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
@@ -177,10 +179,10 @@ def one_search(
     state = support_all(rng, image, state, settings)
     state = merge_all(rng, image, state, settings)
     state = unite_few(rng, image, state, settings)
-    again = settle(rng, image, state, settings, 300)
+    again = settle(rng, image, state, settings, SETTLED)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
-    sweep(rng, image, state, settings, 300, 0.001, 0.0)
+    sweep(rng, image, state, settings, SETTLED, 0.001, 0.0)
     state = prune(image, state, settings)
     return Found(state, total_energy(image, state, settings), image, pool)
 
@@ -209,7 +211,7 @@ def repair(rng, image, state, hypotheses, settings, pool):
         if proposed is None:
             continue
         _, new, changed = proposed
-        new = settle(rng, image, new, settings, 150, changed)
+        new = settle(rng, image, new, settings, only=changed)
         value = total_energy(image, new, settings)
         pool.append((new, value))
         if value < best:
@@ -236,7 +238,7 @@ def explain_otherwise(
         was_box, fewer = int(state.rows[k][0]) == BOX, state.without(int(k))
         others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
         new = greedy(rng, image, others, settings, fewer)
-        new = settle(rng, image, new, settings, 150, set(range(len(fewer), len(new))))
+        new = settle(rng, image, new, settings, only=set(range(len(fewer), len(new))))
         value = total_energy(image, new, settings)
         pool.append((new, value))
         if value < best:
@@ -255,7 +257,7 @@ def support_all(rng: np.random.Generator, image: Image, state: State, settings: 
         if proposed is None:
             continue
         new, changed = proposed
-        new = settle(rng, image, new, settings, 200, changed)
+        new = settle(rng, image, new, settings, only=changed)
         value = total_energy(image, new, settings)
         if value < best:
             state, best, tries = new, value, 0
@@ -287,13 +289,13 @@ def unite_few(rng: np.random.Generator, image: Image, state: State, settings: Se
             view, tries = held_out(image, fewer, -1), []
             for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
                 row = box_about(points, yaw, bottom)
-                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings, 300, 0.006,
-                                        4.0))  # fmt: skip
+                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings, step=0.006,
+                                        heat=4.0))  # fmt: skip
             row, _, _ = min(tries, key=lambda tried: tried[1])
             new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
             if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                 continue
-            new = settle(rng, image, new, settings, 200, {len(fewer)})
+            new = settle(rng, image, new, settings, only={len(fewer)})
             value = total_energy(image, new, settings)
             if value < best:
                 state, best, united = new, value, True
@@ -329,7 +331,7 @@ def merge_all(rng: np.random.Generator, image: Image, state: State, settings: Se
                 new, changed = merge_pair(rng, image, state, settings, i, j, spread)
                 if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                     continue
-                new = settle(rng, image, new, settings, 200, changed)
+                new = settle(rng, image, new, settings, only=changed)
                 value = total_energy(image, new, settings)
                 if value < best:
                     state, best, merged = new, value, True

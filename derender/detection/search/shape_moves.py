@@ -13,7 +13,7 @@ from derender.detection.search.places import Places, pick
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, reach
-from derender.detection.solids.polish import FREE, UPRIGHT, turn
+from derender.detection.solids.polish import FREE, MOVED, UPRIGHT, turn
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -62,7 +62,7 @@ def with_box_under(
     box[15] = ceiling - bottom
     box[12] = 0.5 * (ceiling + bottom)
     view = held_out(image, state, -1)
-    box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, 300, 0.006)
+    box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, step=0.006)
     return state.add(box, UPRIGHT, False, FLOOR, bottom)
 
 
@@ -83,8 +83,8 @@ def stand(rng: np.random.Generator, image: Any, state: Any, hypotheses: Any, set
     whole = make_row(kind, [[c, -s, 0], [s, c, 0], [0, 0, 1]], [row[10], row[11], 0.5 * (bottom + top)],
                      [wide, deep, top - bottom])  # fmt: skip
     view = held_out(image, new, -1)
-    whole, _, _ = run_polish(rng, image, new, -1, whole, UPRIGHT, False, view, bottom, settings, 500, 0.005,
-                             2.0 * settings.temper)  # fmt: skip
+    whole, _, _ = run_polish(rng, image, new, -1, whole, UPRIGHT, False, view, bottom, settings,
+                             2 * MOVED, 0.005, 2.0 * settings.temper)  # fmt: skip
     return new.add(whole, UPRIGHT, False, FLOOR, bottom), {len(new)}
 
 
@@ -109,7 +109,7 @@ def lift(
     new.cubes[i], new.bottoms[i] = False, np.nan
     start = with_bottom(state.rows[i], old + rng.uniform(0.1, 0.7) * state.rows[i][15])
     view = held_out(image, new, i)
-    new.rows[i], _, _ = run_polish(rng, image, new, i, start, UPRIGHT, False, view, np.nan, settings, 250)
+    new.rows[i], _, _ = run_polish(rng, image, new, i, start, UPRIGHT, False, view, np.nan, settings)
     if lowest(new.rows[i]) < old + LEAST_GAP:
         return None
     new = with_box_under(rng, image, new, i, old, settings)
@@ -144,7 +144,7 @@ def raise_support(
     if int(row[0]) == BOX:
         new.cubes[j] = False
     view = held_out(image, new, j)
-    new.rows[j], _, _ = run_polish(rng, image, new, j, row, new.forms[j], False, view, bottom, settings, 250)
+    new.rows[j], _, _ = run_polish(rng, image, new, j, row, new.forms[j], False, view, bottom, settings)
     return new, {i, j}
 
 
@@ -197,7 +197,7 @@ def polished(
     new.rows[i], new.forms[i], new.cubes[i] = row, form, cube
     bottom = state.bottoms[i] if form == state.forms[i] else np.nan
     view = held_out(image, new, i)
-    new.rows[i], _, _ = run_polish(rng, image, new, i, row, form, cube, view, bottom, settings, 300, step, heat)
+    new.rows[i], _, _ = run_polish(rng, image, new, i, row, form, cube, view, bottom, settings, step=step, heat=heat)
     return new, {i}
 
 
@@ -260,7 +260,7 @@ def appear(rng, image, state, hypotheses, settings, places):
     best = None
     for each in body_hypotheses(body, image.origin, settings.shapes, bottom):
         held = bottom if each.form == UPRIGHT else np.nan
-        row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, 200, 0.006)
+        row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, step=0.006)
         energy += complexity(int(row[0]), each.form, False, settings)
         if best is None or energy < best[0]:
             best = energy, row, each.form, held

@@ -16,6 +16,9 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 TYPICAL_SIZE, SIZE_SPREAD = 0.09, 0.6
 SLACK = 0.0015
 UPRIGHT, FREE = 0, 1
+# Rounds in which a solid is polished, each a step of one of 14 kinds: with others of a proposed structure, which most
+# often is dropped (TRIED), from where a move has put it, millimetres off (MOVED), and in the structure found (SETTLED).
+TRIED, MOVED, SETTLED = 150, 250, 300
 # Kinds of steps, see try_step: of a search, and of a walk, which must also let a cube's side change under a top that
 # the image holds still.
 MOVES, WALK_MOVES = 14, 15
