@@ -207,9 +207,11 @@ def plane_through(
     good = np.flatnonzero(np.isfinite(depth.ravel()) & (depth.ravel() > 0))
     flat = points.reshape(-1, 3)[good]
     weight = np.ones(len(good)) if weight is None else weight[good]
-    most = scale
+    most, inner = scale, None
     for _ in range(6):
-        inner = np.abs(flat @ normal - offset) < max(3 * scale, 0.001)
+        before, inner = inner, np.abs(flat @ normal - offset) < max(3 * scale, 0.001)
+        if before is not None and (inner == before).all():
+            break
         chosen = flat[inner]
         if len(chosen) < max(20, 0.05 * len(good)):
             remedy = "say --floor none, give the plane with --floor, or crop the image"
