@@ -15,7 +15,7 @@ from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit, added_misfits
-from derender.detection.solids.polish import FREE, SETTLED, SLACK, TRIED, UPRIGHT, size_energy, tilt_energy
+from derender.detection.solids.polish import FINE, FREE, SETTLED, SLACK, STEP, TRIED, UPRIGHT, size_energy, tilt_energy
 from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE
@@ -25,6 +25,8 @@ SIFTING, KEPT, KEEPING = 50, 3, 100
 # Rounds for the most promising cube in place of a box, and nats by which it may be worse than the box before them: 66
 # of 68 cubes that were taken on made images were worse by less, half of those that were not by more.
 CUBE_KEEPING, HOPELESS = 150, 300.0
+HOPEFUL = 200.0  # nats by which a hypothesis may worsen the image before it is polished: its edges are pixels off
+APART = 0.002  # metres between the sides of cubes that are tried: as far as polishing takes them at once
 # Of solids on real tables, as sensors see them.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 # The power of (1 + r) / (1 - r) by which pixels of correlation r tell less. Of misfits as such it would be 2; those cut
@@ -143,13 +145,13 @@ def greedy(
         view = held_out(image, state, -1)
         gains = -added_misfits(image, np.array([h.row for h in alive]), view[0], view[2])
         order = promising(gains * rng.uniform(1 - shake, 1, len(gains)), [int(h.row[0]) for h in alive], tried)
-        sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, 0.003) for k in order), key=energy_of)
-        row, energy, h = min((tried_out(h, row, KEEPING, 0.002) for row, _, h in sifted[:KEPT]), key=energy_of)
+        sifted = sorted((tried_out(alive[k], alive[k].row, SIFTING, STEP) for k in order), key=energy_of)
+        row, energy, h = min((tried_out(h, row, KEEPING, FINE) for row, _, h in sifted[:KEPT]), key=energy_of)
         if energy > 0:
             break
-        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, SETTLED, 0.002)
+        row, _, _ = run_polish(rng, image, state, -1, row, h.form, h.cube, view, np.nan, settings, SETTLED, FINE)
         state = state.add(row, h.form, h.cube)
-        alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -200]
+        alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -HOPEFUL]
     return state
 
 
@@ -163,7 +165,7 @@ def promising(gains: np.ndarray, kinds: list[int], tried: int) -> list[int]:
     order = np.argsort(-gains)
     chosen = list(order[:tried])
     for kind in set(kinds):
-        chosen += [k for k in order[tried:] if kinds[k] == kind and gains[k] > -200][: (tried + 1) // 2]
+        chosen += [k for k in order[tried:] if kinds[k] == kind and gains[k] > -HOPEFUL][: (tried + 1) // 2]
     return chosen
 
 
@@ -173,7 +175,7 @@ def sweep(
     state: State,
     settings: Settings,
     rounds: int,
-    step: float = 0.002,
+    step: float = FINE,
     heat: float = 1.0,
     only: set[int] | None = None,
 ) -> State:
@@ -201,7 +203,7 @@ def try_cubes(
         polished = partial(run_polish, rng, image, state, i, form=form, view=view, bottom=state.bottoms[i],
                            settings=settings)  # fmt: skip
         most = polished(row=row, cube=False, rounds=1)[1] + settings.cube_bonus
-        sides = spaced([*row[13:16], row[13:16].mean()], 0.002)
+        sides = spaced([*row[13:16], row[13:16].mean()], APART)
         cubes = [cube_of(row, side, image.origin, form) for side in sides]
         best = min((polished(row=cube, cube=True, rounds=SIFTING) for cube in cubes), key=energy_of)
         if best[1] < most + settings.temper * HOPELESS:

@@ -20,7 +20,7 @@ from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
-from derender.detection.solids.polish import SETTLED, UPRIGHT
+from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.scene.solids import BOX
 
@@ -182,7 +182,7 @@ def one_search(
     again = settle(rng, image, state, settings, SETTLED)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
-    sweep(rng, image, state, settings, SETTLED, 0.001, 0.0)
+    sweep(rng, image, state, settings, SETTLED, FINEST, 0.0)
     state = prune(image, state, settings)
     return Found(state, total_energy(image, state, settings), image, pool)
 
@@ -289,8 +289,8 @@ def unite_few(rng: np.random.Generator, image: Image, state: State, settings: Se
             view, tries = held_out(image, fewer, -1), []
             for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
                 row = box_about(points, yaw, bottom)
-                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings, step=0.006,
-                                        heat=4.0))  # fmt: skip
+                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings,
+                                        step=GUESSED, heat=4.0))  # fmt: skip
             row, _, _ = min(tries, key=lambda tried: tried[1])
             new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
             if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:

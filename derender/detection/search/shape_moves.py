@@ -13,7 +13,7 @@ from derender.detection.search.places import Places, pick
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, reach
-from derender.detection.solids.polish import FREE, MOVED, UPRIGHT, turn
+from derender.detection.solids.polish import FREE, GUESSED, MOVED, UPRIGHT, turn
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -62,7 +62,7 @@ def with_box_under(
     box[15] = ceiling - bottom
     box[12] = 0.5 * (ceiling + bottom)
     view = held_out(image, state, -1)
-    box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, step=0.006)
+    box, _, _ = run_polish(rng, image, state, -1, box, UPRIGHT, False, view, bottom, settings, step=GUESSED)
     return state.add(box, UPRIGHT, False, FLOOR, bottom)
 
 
@@ -260,7 +260,9 @@ def appear(rng, image, state, hypotheses, settings, places):
     best = None
     for each in body_hypotheses(body, image.origin, settings.shapes, bottom):
         held = bottom if each.form == UPRIGHT else np.nan
-        row, energy, _ = run_polish(rng, image, state, -1, each.row, each.form, False, view, held, settings, step=0.006)
+        row, energy, _ = run_polish(
+            rng, image, state, -1, each.row, each.form, False, view, held, settings, step=GUESSED
+        )
         energy += complexity(int(row[0]), each.form, False, settings)
         if best is None or energy < best[0]:
             best = energy, row, each.form, held

@@ -19,6 +19,8 @@ UPRIGHT, FREE = 0, 1
 # Rounds in which a solid is polished, each a step of one of 14 kinds: with others of a proposed structure, which most
 # often is dropped (TRIED), from where a move has put it, millimetres off (MOVED), and in the structure found (SETTLED).
 TRIED, MOVED, SETTLED = 150, 250, 300
+# Metres of the first steps: from a guess at what is hidden, from elsewhere, after a first polish, of what is settled.
+GUESSED, STEP, FINE, FINEST = 0.006, 0.003, 0.002, 0.001
 # Kinds of steps, see try_step: of a search, and of a walk, which must also let a cube's side change under a top that
 # the image holds still.
 MOVES, WALK_MOVES = 14, 15

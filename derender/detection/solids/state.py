@@ -8,7 +8,7 @@ import numpy as np
 from derender.detection.solids.image import ROW, Image, blank, draw
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.misfit import misfit_map
-from derender.detection.solids.polish import MOVED, contact_energy, polish, size_energy
+from derender.detection.solids.polish import MOVED, STEP, contact_energy, polish, size_energy
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
@@ -131,7 +131,7 @@ def run_polish(
     bottom: float,
     settings: "Settings",
     rounds: int = MOVED,
-    step: float = 0.003,
+    step: float = STEP,
     heat: float = 2.0,
 ) -> tuple[np.ndarray, float, float]:
     """Polish one solid against the rest of the scene; return (row, energy, misfit change)."""
