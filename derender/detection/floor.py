@@ -151,8 +151,7 @@ def on_and_under(points, normal, offset, tolerance):
     x, y, z = points[0], points[1], points[2]
     near = tolerance * np.maximum(1.0, z * z)
     for k in range(len(offset)):
-        a, b, c, d = normal[k, 0], normal[k, 1], normal[k, 2], offset[k]
-        on, under = 0, 0
+        a, b, c, d, on, under = normal[k, 0], normal[k, 1], normal[k, 2], offset[k], 0, 0
         for n in range(x.size):  # without a branch, so that it is vectorised
             distance = a * x[n] + b * y[n] + c * z[n] - d
             on += abs(distance) < near[n]
