@@ -22,7 +22,7 @@ import numpy as np
 
 from derender.cli import status_of
 from derender.evaluation.convex import intersection_over_union
-from derender.evaluation.frontier_scenes import BEHIND, KINDS, make
+from derender.evaluation.frontier_scenes import BEHIND, KINDS, SCALE, make
 from derender.evaluation.metrics import compare_scenes
 from derender.report.scene_json import scene_json
 from derender.structures.infer import infer_structure
@@ -143,6 +143,18 @@ def row_of(name, judged):
     return f"| {name} | {len(judged)} | " + " | ".join("-" if np.isnan(x) else f"{x:.2f}" for x in cells) + " |"
 
 
+def within_scale(scenes, scale):
+    """Return the shares of the solids that overlap by .5 and .75 with themselves seen at a wrong scale: the most that
+    can be found where one image does not tell it."""
+    overlaps = []
+    for item in (item for scene in scenes for item in scene.objects):
+        pose = item["pose"].copy()
+        pose[:3, 3] *= 1.0 + scale
+        seen = {"type": item["type"], "pose": pose, "size": (1.0 + scale) * np.asarray(item["size"])}
+        overlaps.append(intersection_over_union(seen, item))
+    return [np.mean(np.array(overlaps) > least) for least in (0.5, 0.75)]
+
+
 def known_of(scene):
     """Return the library of the scene's first thing, a box."""
     size = dict(zip(("length", "width", "height"), map(float, scene.objects[0]["size"]), strict=True))
@@ -172,17 +184,21 @@ def main(arguments=None):
     print("| kind | scenes | F1 .5 | F1 .75 | graph | sure, wrong | size | bias | held | recall | precision | "
           "background | one each | extents | boxes | explained | seconds |\n" + "|---" * 17 + "|")  # fmt: skip
     for name in given.names or KINDS:
-        judged = []
+        judged, scenes = [], []
         for number in range(given.first, given.first + given.n):
             scene = make(np.random.default_rng([number, list(KINDS).index(name)]), name)
             start = time.perf_counter()
             options = Options(seed=0, method=given.method, known=known_of(scene) if KINDS[name].known else None)
             posterior = infer_structure(scene.depth, scene.camera, options)
             seconds = time.perf_counter() - start
+            scenes.append(scene)
             judged.append(judge(posterior, scene, SMALLEST if name == "small" else FEWEST, seconds))
             if given.v:
                 print(row_of(f"{name} {number}", judged[-1:]), posterior.explanation.names, flush=True)
         print(row_of(name, judged), flush=True)
+        if KINDS[name].sensor == "phone":
+            most = "| {:.2f} | {:.2f} |".format(*within_scale(scenes, SCALE))
+            print(f"| {name}, the most that its scale leaves | {len(scenes)} {most}", flush=True)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FIELD_OF_VIEW = 58.0  # degrees
 FARTHEST = 4.0  # metres from which nothing returns
+SCALE = 0.01  # share by which a phone's depths are all too long or too short
 SIGMA, SHARED = 0.0015, 2.0  # metres of noise at a metre; pixels over which neighbours share it
 SOLIDS = {"box": BOX, "cube": BOX, "cylinder": CYLINDER, "sphere": SPHERE}
 SUPPORT, BEHIND = -1, -2  # labels
@@ -371,7 +372,7 @@ def phone(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     from scipy import ndimage
 
     depth = ndimage.gaussian_filter(np.nan_to_num(depth, nan=FARTHEST), 1.0)
-    depth = depth * (1.0 + rng.choice([-0.01, 0.01]))
+    depth = depth * (1.0 + rng.choice([-SCALE, SCALE]))
     depth += (0.001 + 0.002 * depth**2) * smooth_noise(rng, depth.shape, 4.0)
     return np.where(depth < 0.95 * FARTHEST, depth, np.nan)
 
