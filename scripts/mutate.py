@@ -153,7 +153,7 @@ MUTATIONS = [
          "np.array([camera.fx / focal, camera.fy / focal, 1.0])", "np.ones(3)", ("tests/results/test_focal.py",)),
         ("hidden: floor beyond what is seen", "structures/hidden.py", "(bare <= bare[seen].max())", "np.isfinite(bare)",
          ("tests/structures/test_hidden.py",)),
-        ("what is beaten shares nothing", "structures/graph_posterior.py", "leader.places[::-1]", "None", WEIGHTS),
+        ("what is beaten shares nothing", "structures/graph_posterior.py", "leader.places[::-1]", "None", DRAWS),
         ("whole weights from the mode", "structures/alternatives.py", "whole[k] = found", "whole[k] = near[k]",
          ("tests/structures/test_structure_calibration.py", *DRAWS)),
         ("near evidence: no volume", "structures/draws/refined.py", "return height - 0.5 * float(np.linalg.slogdet",

@@ -462,6 +462,8 @@ def test_the_likeliest_leads_and_odds_are_against_it():
     assert best == "d" and sorted(each[:2] for each in others) == [("a", -5.0), ("b", -3.0), ("c", -6.0)]
     assert {each.trial: each.error for each in others} == pytest.approx({"a": 0.4, "b": 0.5, "c": 0.4})
     assert all(each.places is None for each in others)  # what they share with the new best is not known
+    (back,) = leading("a", [Weighed("b", 2.0, 0.3, ((1,), (0, 2)))])[1]
+    assert back == Weighed("a", -2.0, 0.3, ((0, 2), (1,)))  # by the coordinates that were not shared, exchanged
     assert leading("a", [Weighed("b", -2.0)]) == ("a", [Weighed("b", -2.0)])
     assert leading("a", []) == ("a", [])
 
