@@ -88,6 +88,20 @@ def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypa
     assert abs(kept.odds - fair.odds) < 2.0 * NEAR_ERROR and kept.error > NEAR_ERROR
 
 
+def test_an_integral_that_is_sure_is_what_is_told(monkeypatch):
+    """Not the normals about the modes, which are there before it."""
+    best, shift = small_beside_large(), 20.0
+    fewer = best.state.without(1)
+
+    def surer(rng, refined, rules):
+        return evidence_of(shift if len(refined.state) == 1 else 0.0, 0.1)
+
+    monkeypatch.setattr(alternatives, "evidence_over", surer)
+    (told,) = weighed_whole(np.random.default_rng(8), best, [fewer], RULES, QUICK)
+    sensors = told.trial.sensor.log_prior() - best.sensor.log_prior()
+    assert told.odds == pytest.approx(shift + sensors) and told.error == pytest.approx(math.hypot(0.1, 0.1))
+
+
 def test_two_boxes_are_one_by_the_integrals_over_both():
     best = mode_of(0.006, (-0.03, 0.0, (0.06, 0.06, 0.06), True), (0.03, 0.0, (0.06, 0.06, 0.06), True))
     union = merged(np.random.default_rng(7), best, 0, 1, RULES)
