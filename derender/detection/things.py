@@ -338,8 +338,7 @@ def standing(seen: Observation, state: State, mask: np.ndarray) -> tuple[int, fl
 def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int]:
     """Return (the pixels of a mask (H, W) that show nothing but its surface, how many pixels its edge lies beyond).
 
-    A blurred image shows depths between a silhouette and what is behind. What is too narrow to show anything else, such
-    as a handle, is kept.
+    A blurred image shows depths between a silhouette and what is behind. Of what is narrow enough is left.
     """
     taps = seen.image.taps
     blur = np.sqrt(2.0 * np.sum(taps * np.arange(taps.size) ** 2))
@@ -349,7 +348,7 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
         if inner.sum() < max(CLEAR * mask.sum(), FEWEST):
             break
         clear, reach = inner, reach + 1
-    return clear | (mask & ~near(clear, reach + 1)), reach
+    return clear, reach
 
 
 def share_over(points: np.ndarray, row: Any) -> Any:
