@@ -14,8 +14,8 @@ from derender.report.tree_text import scene_lines
 from derender.results.posterior import Posterior, StructurePosterior, load
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
-from derender.scene.priors.bare_image import balances
-from derender.structures.bridges import support_residual, with_bridges
+from derender.scene.priors.bare_image import Loose, balances
+from derender.structures.bridges import judge, support_residual, with_bridges
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -77,6 +77,15 @@ def test_the_probability_is_the_savage_dickey_ratio():
         variance = np.std(gaps[::1]) ** 2 + SLACK**2
         odds = 0.06 * np.exp(-0.5 * np.median(gaps) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
         assert second_support(gap, spread, plank_shift=shift) == pytest.approx(odds / (1 + odds), abs=0.02)
+
+
+def test_a_rarer_second_support_is_less_probable_by_the_odds_of_the_file():
+    part, rare = (
+        posterior_of(bridge(0.077, plank_shift=-0.06), 0.001, np.random.default_rng(0)),
+        Loose(second_support=0.2),
+    )
+    even, less = (judge(part, part.graph, "plank", "right", SLACK, loose).probability for loose in (Loose(), rare))
+    assert less / (1.0 - less) == pytest.approx(0.25 * even / (1.0 - even))
 
 
 def test_a_touching_tower_carries_and_a_lower_one_does_not():
