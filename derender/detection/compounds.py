@@ -19,10 +19,10 @@ from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
-from derender.detection.solids.state import FLOOR, State, held_out
+from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, shares_of_load
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, subset, support_of
+from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 

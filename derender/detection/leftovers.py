@@ -19,19 +19,8 @@ from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
-from derender.detection.solids.support import assign_supports
-from derender.detection.things import (
-    BAD,
-    BENEATH,
-    ENDS,
-    INNER,
-    LARGEST,
-    clear_of_edges,
-    cost_of,
-    share_over,
-    shows_below,
-    standing,
-)
+from derender.detection.solids.support import assign_supports, share_over
+from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, clear_of_edges, cost_of, shows_below, standing
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least

@@ -21,12 +21,12 @@ from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
-from derender.detection.solids.image import Image, make_row, rotation_of
+from derender.detection.solids.image import Image, make_row
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.state import FLOOR, State, held_out
-from derender.detection.solids.support import flat_top
+from derender.detection.solids.state import FLOOR, State, held_out, subset
+from derender.detection.solids.support import flat_top, share_over
 from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
@@ -221,14 +221,6 @@ def best_subset(
     return best
 
 
-def subset(state: State, keep: set[int]) -> State:
-    """Return the State of these solids alone."""
-    for k in reversed(range(len(state))):
-        if k not in keep:
-            state = state.without(k)
-    return state
-
-
 def pieces_of(
     seen: Observation, state: State, cost: Cost, jump: np.ndarray, settings: Settings
 ) -> tuple[list[tuple[np.ndarray, float]], float]:
@@ -349,12 +341,6 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
             break
         clear, reach = inner, reach + 1
     return clear, reach
-
-
-def share_over(points: np.ndarray, row: Any) -> Any:
-    """Return the share of points (K, 3) that lie over or under an upright solid."""
-    local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
-    return (local <= 0.5 * row[13:15]).all(axis=1).mean()
 
 
 def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:

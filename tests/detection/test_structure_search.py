@@ -8,9 +8,10 @@ import pytest
 from derender.camera.depth_file import read_depth
 from derender.detection.floor import find_floor
 from derender.detection.pyramid import reduce
-from derender.detection.search.greedy import Settings
+from derender.detection.search.crossover import crossed, parts
+from derender.detection.search.greedy import Settings, total_energy
 from derender.detection.search.observation import drawn, neighbour_correlation, observe, patches_of, rounding_of
-from derender.detection.search.searches import explain_otherwise
+from derender.detection.search.searches import explain_otherwise, explain_rest
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
@@ -301,6 +302,40 @@ def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, sh
     assert [int(row[0]) for row in new.rows] == [int(row[0]) for row in right]
     np.testing.assert_allclose(sorted(highest(row) for row in new.rows), [highest(row) for row in right], atol=0.006)
     assert [len(each) for each, _ in pool] == [0, len(right)]
+
+
+THREE = np.array([upright(0.4 * k, [0.2 * k - 0.2, 0, 0.05], [0.1, 0.1, 0.1]) for k in range(3)])
+
+
+def standing(rows):
+    """Return the State of upright solids on the floor."""
+    state = State()
+    for row in rows:
+        state = state.add(row, UPRIGHT, False, FLOOR, 0.0)
+    return state
+
+
+def test_each_body_of_pixels_that_nothing_explains_gets_a_proposal(rng):
+    image = view_of(rng, THREE)[0]
+    new = explain_rest(rng, image, standing(THREE[:1]), Settings(), [])
+    centres = sorted(new.rows[:, 10])
+    np.testing.assert_allclose(centres, THREE[:, 10], atol=0.005)
+    assert explain_rest(rng, image, new, Settings(), []) is new  # where all is explained nothing is tried
+
+
+def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):
+    """One has the first solid wrong and the last one right, the other the other way round, and both the middle one."""
+    image = view_of(rng, THREE)[0]
+    worse = THREE.copy()
+    worse[:, 1:10] = rotation_z(1.2)[:3, :3].ravel()
+    worse[:, 13:15] *= [0.5, 1.6]
+    one, two = (standing([left, THREE[1], right]) for left, right in
+                ((worse[0], THREE[2]), (THREE[0], worse[2])))  # fmt: skip
+    assert sorted(parts(image, one, two)) == [((0,), (0,)), ((1,), (1,)), ((2,), (2,))]
+    new = crossed(rng, image, one, two, Settings())
+    by_place = new.rows[np.argsort(new.rows[:, 10])]
+    np.testing.assert_allclose(by_place[:, 13:16], THREE[:, 13:16], atol=0.005)
+    assert total_energy(image, new, Settings()) < min(total_energy(image, each, Settings()) for each in (one, two))
 
 
 @pytest.mark.parametrize("seed", [2, 4])

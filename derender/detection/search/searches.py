@@ -12,16 +12,18 @@ import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
+from derender.detection.search.crossover import crossed
 from derender.detection.search.greedy import Settings, greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
-from derender.detection.search.shape_moves import put_under, raise_support, stand
+from derender.detection.search.shape_moves import LOWER, appear_on, put_under, raise_support, stand
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
-from derender.detection.solids.interpenetration import lowest
-from derender.detection.solids.misfit import misfit_map
+from derender.detection.solids.interpenetration import highest, lowest
+from derender.detection.solids.misfit import LIMIT, misfit_map
 from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
 FIRST_LOOK = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.3)  # standard deviations in pixels
@@ -54,7 +56,7 @@ HANGING_ROUNDS = 5  # the same while something hangs in the air in the best foun
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
 # Moves between structures of a search that goes on where free-form things are known: some settings.repairs take a whole
 # search there, and this one begins with most of the structure.
-ON_REPAIRS = 48
+ON_REPAIRS = 24
 PRUNE_THRESHOLD = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
@@ -99,6 +101,9 @@ def search(
         hanging = settings.temper == 1.0 and not settings.may_float and floats(found[0].state)
         if not hanging and (agreed or number + 1 >= ROUNDS):
             break
+    for each in found[1:]:
+        state = crossed(rng, found[0].image, found[0].state, each.state, settings)
+        found[0] = found[0]._replace(state=state, energy=total_energy(found[0].image, state, settings))
     if pool is not None:
         for each in found:
             pool += each.pool
@@ -174,7 +179,9 @@ def one_search(
         state = settle(rng, image, state, settings)
         image, _ = refocused(image, state.rows, settings.price)
     early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
+    state = explain_rest(rng, image, state, settings, pool)
     state = repair(rng, image, state, hypotheses, settings, pool)
+    state = explain_rest(rng, image, state, settings, pool)
     state = explain_otherwise(rng, image, state, hypotheses, settings, pool)
     state = support_all(rng, image, state, settings)
     state = merge_all(rng, image, state, settings)
@@ -218,6 +225,27 @@ def repair(rng, image, state, hypotheses, settings, pool):
             quiet = quiet if value > best - settings.worthwhile else 0
             state, best = new, value
             places = find_places(image, state)
+    return state
+
+
+def explain_rest(rng: np.random.Generator, image: Image, state: State, settings: Settings, pool: list) -> State:
+    """Try a new solid for each body of pixels that nothing explains, and keep what lowers the energy.
+
+    Bodies whose pixels could not pay for a solid are left out. (state, energy) of all that were tried are appended to
+    `pool`.
+    """
+    best = total_energy(image, state, settings)
+    for body in sorted(find_places(image, state).bodies, key=len, reverse=True):
+        if len(body) * LIMIT < settings.price or len(state) >= settings.max_objects:
+            break
+        below = {0.0, *(highest(row) for row in state.rows if share_over(body, row) > 0.0)}
+        for bottom in sorted(height for height in below if height < body[:, 2].max() - LOWER):
+            new, changed = appear_on(rng, image, state, settings, body, bottom)
+            new = settle(rng, image, new, settings, only=changed)
+            value = total_energy(image, new, settings)
+            pool.append((new, value))
+            if value < best:
+                state, best = new, value
     return state
 
 

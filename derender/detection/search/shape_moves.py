@@ -18,6 +18,8 @@ from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
+LOWER = 0.004  # metres by which what may bear a body is lower than its top
+
 
 def put_under(
     rng: np.random.Generator,
@@ -246,25 +248,33 @@ def tilt(
     return polished(rng, image, state, i, row, UPRIGHT, state.cubes[i], settings)
 
 
-def appear(rng, image, state, hypotheses, settings, places):
+def appear(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    hypotheses: list[Hypothesis],
+    settings: Settings,
+    places: Places,
+) -> tuple[State, set[int]] | None:
     """Put a new solid where a body of pixels shows that nothing explains, on the floor or on what is below it."""
     if not places.bodies or len(state) >= settings.max_objects:
         return None
     body = places.bodies[pick(rng, [len(each) for each in places.bodies])]
-    tops = [0.0] + [highest(r) for r in state.rows]
-    below = [h for h in tops if h < body[:, 2].max() - 0.004]
-    if not below:
-        return None
-    bottom = below[int(rng.integers(len(below)))]
-    view = held_out(image, state, -1)
-    best = None
+    below = [0.0, *map(highest, state.rows)]
+    below = [h for h in below if h < body[:, 2].max() - LOWER]
+    return appear_on(rng, image, state, settings, body, below[int(rng.integers(len(below)))]) if below else None
+
+
+def appear_on(
+    rng: np.random.Generator, image: Image, state: State, settings: Settings, body: np.ndarray, bottom: float
+) -> tuple[State, set[int]]:
+    """Return (new state, changed) with the solid that best explains points (K, 3) and stands on a height."""
+    view, tries = held_out(image, state, -1), []
     for each in body_hypotheses(body, image.origin, settings.shapes, bottom):
         held = bottom if each.form == UPRIGHT else np.nan
         row, energy, _ = run_polish(
             rng, image, state, -1, each.row, each.form, False, view, held, settings, step=GUESSED
         )
-        energy += complexity(int(row[0]), each.form, False, settings)
-        if best is None or energy < best[0]:
-            best = energy, row, each.form, held
-    _, row, form, held = best
+        tries.append((energy + complexity(int(row[0]), each.form, False, settings), len(tries), row, each.form, held))
+    _, _, row, form, held = min(tries)
     return state.add(row, form, False, FLOOR, held), {len(state)}

@@ -85,6 +85,14 @@ class State:
         )  # fmt: skip
 
 
+def subset(state: State, keep: set[int]) -> State:
+    """Return the State of these solids alone."""
+    for k in reversed(range(len(state))):
+        if k not in keep:
+            state = state.without(k)
+    return state
+
+
 def carried_by(state: State, index: int) -> np.ndarray:
     """Return the (K,) heights of the lowest points of the solids that are held to the top of solid `index`."""
     if index == FLOOR:  # of a solid that is not there yet: nothing, and not what stands on the floor

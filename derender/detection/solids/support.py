@@ -157,6 +157,12 @@ def shadows_overlap(row: np.ndarray, other: np.ndarray) -> bool:
     return penetration(lifted, other) > OVERLAP
 
 
+def share_over(points: np.ndarray, row: np.ndarray) -> float:
+    """Return the share of points (K, 3) that lie over or under an upright solid."""
+    local = np.abs((points - row[10:13]) @ rotation_of(row))[:, :2]
+    return float((local <= 0.5 * row[13:15]).all(axis=1).mean())
+
+
 def flat_top(row: np.ndarray) -> bool:
     """Whether the solid ends in a level face on which others can stand."""
     kind = int(row[0])
