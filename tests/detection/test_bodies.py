@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from derender.detection.estimate import point_estimate
 from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, complexity, settle, sweep, total_energy
 from derender.detection.search.moves import explain_anew
@@ -15,7 +16,6 @@ from derender.detection.solids.support import assign_supports, concerned
 from derender.evaluation.made_scenes import photograph
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.graph_posterior import parts_of
-from derender.structures.infer import point_estimate
 
 SHAPES = Settings().shapes
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.estimate import point_estimate
 from derender.detection.search.round_proposals import rim_circle
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names
@@ -20,7 +21,6 @@ from derender.structures.alternatives import all_seen, changes, of_one_solid
 from derender.structures.draws.chart import HELD, make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
-from derender.structures.infer import point_estimate
 
 RULES = Rules(0.0015)
 

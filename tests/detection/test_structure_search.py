@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from derender.camera.depth_file import read_depth
+from derender.detection.estimate import point_estimate
 from derender.detection.floor import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.crossover import crossed, parts
@@ -23,7 +24,7 @@ from derender.evaluation.convex import intersection_volume
 from derender.evaluation.made_scenes import drawn_scene, kinect_noise, make_scene, photograph
 from derender.scene.pose import random_rotation, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.infer import infer_structure, point_estimate, settings_of
+from derender.structures.infer import infer_structure, settings_of
 from derender.structures.options import Options
 
 FRAMES = Path(__file__).resolve().parents[2] / "data" / "frames"

@@ -8,6 +8,7 @@ import trimesh
 from table_scenes import CAMERA, TABLE, seen_on_the_table
 
 from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck
+from derender.detection.estimate import point_estimate
 from derender.detection.existence import outstanding
 from derender.detection.leftovers import interior
 from derender.detection.search.bodies import APART
@@ -24,7 +25,7 @@ from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
-from derender.structures.infer import infer_structure, point_estimate
+from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
 

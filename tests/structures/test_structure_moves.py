@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from derender.detection.estimate import point_estimate
 from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.moves import MOVES, as_cube, as_high, recut
 from derender.detection.search.places import find_places
@@ -16,7 +17,6 @@ from derender.evaluation.made_scenes import SETS, make_scene, photograph
 from derender.scene.graph import ROOT
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.infer import point_estimate
 
 
 def scene_of(name, seed):

@@ -180,8 +180,10 @@ def infer_by_jumps(
     ------
     DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
+    from derender.detection.estimate import point_estimate
     from derender.detection.solids.graph import scene_graph
-    from derender.structures.infer import explanation_of, point_estimate, settings_of
+    from derender.structures.answer import explanation_of
+    from derender.structures.infer import settings_of
 
     method, chain = options.method, options.method == "mcmc"
     if not chain and options.warmup is not None:
@@ -234,7 +236,7 @@ def infer_by_jumps(
     if folder is not None and not outcome.interrupted:
         shutil.rmtree(folder)
     posterior = posterior_of(words, found)
-    explanation = explanation_of(posterior, seen, depth, camera)
+    explanation = explanation_of(posterior.best_graph(), [seen], depth, camera)
     meta = {
         **posterior.meta,
         "likelihood": {"type": likelihood, **(values or {})},

@@ -1,0 +1,150 @@
+"""From a depth image to the one state that explains it best: observe, propose, search, tell things from background."""
+
+from typing import Any
+
+import numpy as np
+
+from derender.camera.intrinsics import Camera
+from derender.detection.compounds import compounds
+from derender.detection.existence import returns_about
+from derender.detection.floor import sensor_deviation
+from derender.detection.freestanding import freestanding
+from derender.detection.leftovers import leftovers
+from derender.detection.pyramid import reduced_by
+from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
+from derender.detection.search.greedy import Settings, settle, total_energy
+from derender.detection.search.observation import CORRELATED, Observation, observe, patches_of
+from derender.detection.search.proposals import all_hypotheses
+from derender.detection.search.searches import Interrupted, first_search, search
+from derender.detection.search.surface import make_surface
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.state import State
+from derender.detection.solids.support import final_parents
+from derender.detection.things import likely_things, take_things, without_background
+
+NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
+# Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent; by
+# how many times more columns than usual are looked at for them.
+ENOUGH, FEW, FINEST = 2500, 500, 2.0
+WIDEST = 160  # columns of the image that is searched
+RELUCTANT = 20.0  # nats by which a free-form thing must be better than solids that are not searched for to the end
+AGAIN = 2  # searches more, at most, of an image of independent noise that solids do not explain
+SPECKLED = 0.8  # share of the neighbours of pixels with a depth that have one too: of fewer no surfaces can be made
+FILLED = 0.4  # share of the image from which on solids are so near that half the resolution tells as much
+
+
+def point_estimate(
+    rng: np.random.Generator,
+    depth: np.ndarray,
+    camera: Camera | dict[str, float],
+    settings: Settings | None = None,
+    widest: int = WIDEST,
+    pool: list[tuple[State, float]] | None = None,
+    plane: Any = None,
+) -> tuple[State, Observation]:
+    """Return the best explanation of a depth image (H, W) in metres, NaN = no return, and what was observed.
+
+    widest : columns of the image that is searched, more where things are small. pool : takes the states that searches
+    end with, with their energies. plane : the floor as it is given, see detection.floor.read_floor, or a Support;
+    None: find it.
+    """
+    settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
+    seen = observe(depth, camera, widest, plane, settings.may_float)
+    if seen.no_floor and settings.free_forms:
+        if returns_about(seen) < SPECKLED:
+            coarser = observe(depth, camera, widest // 2, plane, settings.may_float)
+            seen = coarser if coarser.no_floor else seen
+        return State(), with_freestanding(seen, settings)
+    wanted = width_wanted(seen, widest)
+    if reduced_by(depth, wanted) != seen.factor:
+        closer = observe(depth, camera, wanted, plane, settings.may_float)
+        seen = seen if closer.no_floor else closer
+    settings = settings_for(settings, seen)
+    patches = patches_of(seen)
+    typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005
+    noise = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.001
+    settings = settings._replace(uneven=max(settings.uneven, NOISES * noise))
+    surface = make_surface(seen.points, patches, seen.image.origin, typical, noise)
+    hypotheses = all_hypotheses(surface, settings.shapes)
+    for body in find_bodies(seen.points, seen.mask, seen.footprint):
+        hypotheses.extend(body_hypotheses(body, seen.image.origin, settings.shapes))
+    masks: list = []
+    try:
+        if settings.free_forms and seen.correlation > CORRELATED:
+            first = first_search(rng, seen.image, hypotheses, settings)
+            first, masks = take_things(seen, first, settings, RELUCTANT)
+            state, image, agreed = search(rng, seen.image, hypotheses, settings, pool, first)
+        else:
+            state, image, agreed = searched_well(rng, seen, hypotheses, settings, pool)
+        seen = seen._replace(image=image, agreed=agreed)
+    except Interrupted as stopped:
+        state, image = stopped.state, stopped.image
+        seen = seen._replace(image=image, interrupted=True)
+    if settings.free_forms:
+        state, more = take_things(seen, state, settings)
+        masks += more
+        if more and len(state):
+            state = settle(rng, image, state, settings)
+        state, more = leftovers(rng, seen, state, settings)
+        masks += more
+        if seen.correlation > CORRELATED:
+            seen, state, masks = without_background(seen, state, masks)
+            state.parents = final_parents(state)
+            state, masks = compounds(seen, state, masks)
+    state.parents = final_parents(state)
+    state = state.ordered()
+    seen, things = likely_things(seen, state, masks, settings)
+    return state, seen._replace(things=tuple(things))
+
+
+def with_freestanding(seen: Observation, settings: Settings) -> Observation:
+    """Return the Observation of an image without a floor with what stands free of its surroundings as its things.
+
+    What such a piece explains cannot be told without what else might be there: it counts as much as leaves it open.
+    """
+    good = seen.image.weight > 0
+    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * sensor_deviation(seen.image.depth))
+    masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin)
+    if masks:
+        seen = seen._replace(behind=good & ~np.any(masks, axis=0))
+    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
+    even = beliefs.loose.existence.even * settings.temper
+    seen, things = likely_things(seen, State(), [(mask, even) for mask in masks], settings)
+    return seen._replace(things=tuple(things))
+
+
+def searched_well(
+    rng: np.random.Generator, seen: Observation, hypotheses: list[Any], settings: Settings, pool: list[Any]
+) -> tuple[State, Any, bool]:
+    """As `search`, again while it leaves what only a free-form thing would explain, and noise has no such forms."""
+    state, image, agreed = search(rng, seen.image, hypotheses, settings, pool)
+    for _ in range(AGAIN if settings.temper == 1.0 and settings.free_forms and settings.tries > 1 else 0):
+        kept = image._replace(floor=image.floor.copy())  # taking things changes the image
+        if not take_things(seen._replace(image=kept), state, settings)[1]:
+            break
+        pool.append((state, total_energy(image, state, settings)))
+        other, focus, agreed = search(rng, seen.image, hypotheses, settings, pool)
+        if total_energy(focus, other, settings) < total_energy(image, state, settings):
+            state, image = other, focus
+    return state, image, agreed
+
+
+def settings_for(settings: Settings, seen: Observation) -> Settings:
+    """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
+    settings = settings.for_correlation(seen.correlation)
+    if seen.correlation > CORRELATED and seen.camera["width"] > WIDEST:
+        settings = settings.for_pixels((seen.camera["width"] / WIDEST) ** 2)
+    return settings
+
+
+def width_wanted(seen: Observation, widest: int) -> int:
+    """Return how many columns an image should have in which what stands on the floor has as many pixels as it takes.
+
+    Where it fills the image, half as many tell as much; where it is small, more columns tell what it is. A sensor's
+    neighbouring pixels say little of their own, so that its images take more of them.
+    """
+    pixels = int(seen.mask.sum())
+    if seen.mask.mean() > FILLED:
+        return widest // 2
+    enough = ENOUGH if seen.correlation > CORRELATED else FEW
+    return int(widest * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))
