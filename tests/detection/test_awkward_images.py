@@ -12,7 +12,7 @@ from derender.detection.search import observation
 from derender.detection.solids.image import render_floor_scene
 from derender.document import read_prior_document
 from derender.errors import DerenderError
-from derender.evaluation.made_scenes import camera_of, drawn_scene, kinect_noise
+from derender.evaluation.made_scenes import camera_of, kinect_noise
 from derender.posterior.forward import draw_documents
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, rotation_y, rotation_z, translation
@@ -68,23 +68,6 @@ def test_a_rendering_without_noise_hides_no_solid(rounding, monkeypatch):
     assert answer(depth, scene.camera).names == ("floor", "cube_1")
     monkeypatch.setattr(observation, "drawn", lambda *_: False)
     assert len(answer(depth, scene.camera).names) == 2  # taken for a sensor's, it is there all the same
-
-
-def test_a_floor_is_fitted_as_far_as_it_is_seen():
-    """Its far end tells the tilt: of the pixels within 2.5 times the median depth alone it comes out 3e-5 off."""
-    (draw,) = draw_documents(read_prior_document("tabletop"), 1, 6, {})
-    depth, _ = render_depth(draw.graph.solids(), draw.camera, background=10.0)
-    graph = answer(depth + 0.002 * np.random.default_rng(1).normal(size=depth.shape), draw.camera)
-    assert np.linalg.norm(graph.root_pose[:3, 2] - draw.graph.root_pose[:3, 2]) < 1.2e-5  # four deviations
-
-
-def test_where_a_floor_vanishes_it_does_not_spoil_what_stands_on_it():
-    """A cube in 63 pixels: with the metres of floor between the last rows it was two boxes, stated at .81."""
-    _, depth, _, camera = drawn_scene(921014, "tabletop", (64, 48), 0.006)
-    part = infer_structure(depth, camera, rng=np.random.default_rng(921014)).best_part
-    (cube,) = [vertex for vertex in part.graph.vertices if vertex.shape != "plane"]
-    assert part.weight > 0.9 and cube.shape == "cube"
-    assert cube.body.size() == pytest.approx(3 * [0.079], abs=0.004)
 
 
 def test_an_empty_table_is_a_floor_alone():
