@@ -68,6 +68,7 @@ def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
         return searches.Found(state, 10.0 - (len(made) > 4), image, [])  # the fifth has found it
 
     monkeypatch.setattr(searches, "one_search", one_search)
+    monkeypatch.setattr(searches, "crossed", lambda rng, image, state, other, settings: state)
     state, _, agreed = search(np.random.default_rng(0), None, [], Settings(tries=2))
     assert len(made) == 6 and state.bottoms == [0.0] and agreed
     made.clear()

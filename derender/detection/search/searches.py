@@ -103,7 +103,8 @@ def search(
             break
     for each in found[1:]:
         state = crossed(rng, found[0].image, found[0].state, each.state, settings)
-        found[0] = found[0]._replace(state=state, energy=total_energy(found[0].image, state, settings))
+        if state is not found[0].state:
+            found[0] = found[0]._replace(state=state, energy=total_energy(found[0].image, state, settings))
     if pool is not None:
         for each in found:
             pool += each.pool
