@@ -25,7 +25,7 @@ from derender.detection.solids.support import final_parents, flat_top, log_stand
 from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.draws.chart import make_chart
+from derender.structures.draws.chart import HELD, PARENT, make_chart, support_of
 from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import (
     Refined,
@@ -188,6 +188,8 @@ def of_one_solid(
     floor = floor_pose_of(best)
     found: list[Refined] = []
     for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
+        if not still_bears(best, state, i):
+            continue
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
         if height(trial) > height(best) - PROMISING:
             trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
@@ -208,6 +210,16 @@ def of_one_solid(
     candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
     own = Block(best, [i], rules)
     return [of_block(rng, trial, places, own, rules) for trial, places in candidates]
+
+
+def still_bears(best: Refined, state: State, i: int) -> bool:
+    """Whether all that stands on solid `i` in the best is level with its top in a state too.
+
+    What is not would hang where it was, beside something higher or over something lower, which is another structure.
+    """
+    flags = best.chart.flags
+    carried = np.flatnonzero((flags[:, PARENT] == i) & (flags[:, HELD] == 1))
+    return all(support_of(state, k, i) == i for k in carried.tolist())
 
 
 def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
