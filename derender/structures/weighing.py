@@ -33,9 +33,9 @@ from derender.structures.draws.refined import (
     members_of,
     near_evidence,
     over_blur,
-    refined_at,
     refitted,
 )
+from derender.structures.draws.standing import log_standings
 
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.
@@ -78,9 +78,7 @@ def evidence_over(
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
     drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
     found = log_evidence(rng, chart, sensor, values, drawn, members)
-    some = drawn[0].values[:: DRAWS // STANDING]
-    stands = np.array([log_standing(refined_at(refined.state, chart, each, sensor, 0.0, 0.0).state, rules)
-                       for each in some])  # fmt: skip
+    stands = log_standings(refined.state, chart, drawn[0].values[:: DRAWS // STANDING], rules)
     told = averaged(stands, np.zeros(len(stands)))
     return evidence_of(found.log + told["odds"], math.hypot(found.standard_error, told["error"]))
 
