@@ -38,6 +38,9 @@ NECK, COAXIAL = 0.6, 0.5
 PART = 0.05  # of a solid's pixels, in how many a part of it shows at least: sensors leave less along a silhouette
 SAME_WIDTH = 1.1  # of a cylinder's radius: what stands on it and is wider is no part of it
 HANGS = 0.15  # of its height, how far over what it could stand on the lowest point of a part is seen
+# Twice the sine of half the angle by which a surface turns at a convex edge at least: less is the noise of normals,
+# or a silhouette that a smoothed image lets go over into the flat behind it.
+TURN = 0.1
 NEXT, GOES_ON = 3, 0.2  # pixels across an edge; share of a piece's outline across which it goes on
 HIDDEN = 0.05  # share of a thing's outline beyond which something nearer may hide its foot
 HANDLE = 0.25  # share of a solid's pixels that its handle shows in at most
@@ -226,9 +229,10 @@ def goes_on(points: np.ndarray, mask: np.ndarray, shows: np.ndarray, normal: np.
         edge = mask & ~np.roll(mask, way, axis)
         apart = np.roll(points, NEXT * way, axis) - points
         turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
-        joined = np.linalg.norm(apart, axis=2) < NEXT * jump
+        distance = np.linalg.norm(apart, axis=2)
+        sharp = (distance < NEXT * jump) & (turn > TURN * distance)
         outline += edge.sum()
-        convex += (edge & np.roll(shows, NEXT * way, axis) & joined & (turn > 0.0)).sum()
+        convex += (edge & np.roll(shows, NEXT * way, axis) & sharp).sum()
     return convex > GOES_ON * outline
 
 
