@@ -4,6 +4,7 @@
     python scripts/evaluate.py settled tower -n 100      some sets, more scenes
     python scripts/evaluate.py mosd graspnet ycbv        real frames (folder: DERENDER_REAL, else ../shared/real)
     python scripts/evaluate.py frames                    labelled real frames and variants (see evaluate_frames.py)
+    python scripts/evaluate.py floors                    of the same, whether the floor is found (the same file)
     python scripts/evaluate.py whitening                 noise of real frames, whitened (see evaluate_whitening.py)
     python scripts/evaluate.py tracking -n 6             films: six of each kind (see tracking_figures.py)
     python scripts/evaluate.py trust -n 100              how many answers end trusted (see evaluate_trust.py)
@@ -112,6 +113,11 @@ def main():
         from evaluate_frames import evaluate_frames
 
         evaluate_frames(arguments.only, arguments.kinds, arguments.keep, arguments.method, arguments.verbose)
+        return
+    if arguments.sets == ["floors"]:
+        from evaluate_frames import evaluate_floors
+
+        evaluate_floors(arguments.only, arguments.kinds, arguments.verbose)
         return
     if arguments.sets == ["whitening"]:
         from evaluate_whitening import evaluate_whitening

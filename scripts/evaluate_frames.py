@@ -4,14 +4,18 @@
     python scripts/evaluate.py frames --only ycbv_0,tum_desk_1 --kinds plain,mirrored
     python scripts/evaluate.py frames --keep OUT --verbose                       with a picture and a line for each
 
-A variant shows the same scene as another camera might: mirrored, searched with another seed, cropped, halved in
-resolution, turned by 90 degrees, rolled, with more noise, without LOST of the returns or those beside steps in depth
-(frayed), off by a slow bias, rounded to millimetres or to disparities, half or twice as far away and large (nearer,
-farther). Labels are looked up where their pixels went. Told of each variant: recall of what a person tells from depth,
-the same with difficult objects, precision, solids on what is labelled background, frames in which nothing was found
-though something is there, and `changed`, the share of labelled objects that are found in the variant but not in the
-frame as it is, or the other way round. Matching is that of score.py beside the labels: the object shows at the
-labelled pixel within NEAR of its depth and its image box overlaps the labelled one by IOU or more.
+A variant shows the same scene as another camera might: mirrored, searched with another seed, cropped, its upper, lower,
+left or right PART, halved in resolution, turned by quarter turns, rolled, pitched up or down, through a longer or
+shorter lens, with more noise, without LOST of the returns or those beside steps in depth (frayed), off by a slow bias,
+rounded to millimetres or to disparities, half or thrice as far away and large (nearer, farther). Labels are looked up
+where their pixels went. Told of each variant: recall of what a person tells from depth, the same with difficult
+objects, precision, solids on what is labelled background, frames in which nothing was found though something is there,
+how often a plane passes within SUPPORT of the pixel labelled as the support's, and `changed`, the share of labelled
+objects that are found in the variant but not in the frame as it is, or the other way round. Matching is that of
+score.py beside the labels: the object shows at the labelled pixel within NEAR of its depth and its image box overlaps
+the labelled one by IOU or more.
+
+    python scripts/evaluate.py floors --kinds plain,upper,"turned twice"         whether the support is found, 2 s a row
 """
 
 import json
@@ -23,6 +27,8 @@ import numpy as np
 from real_frames import real_folder
 
 from derender.camera.intrinsics import Camera
+from derender.detection.search.observation import observe
+from derender.errors import DerenderError
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -32,6 +38,11 @@ CUT = 0.1  # of a labelled box's sides that a crop may take before the object co
 NOISE = 0.001  # metres at one metre, growing with the depth squared: half of what consumer sensors have
 LOST = 0.1  # share of the returns that are dropped
 ROLL = np.radians(12.0)  # by which a camera is turned about its optical axis
+PITCH = np.radians(15.0)  # by which a camera is turned about its horizontal axis
+LENS = 1.25  # times as long a focal length, the same pixels: a scene that is as much narrower
+PART = 0.6  # of the rows or columns that a view has that shows a part of the scene
+SUPPORT = 0.02  # metres within which a plane passes the labelled pixel of the support
+SOME = 0.03  # share of a view's pixels that show the support: of fewer it need not be found
 STEP = 0.02  # share of the depth between neighbouring pixels of two surfaces
 FRAYED = 3  # pixels beside a step in depth that return nothing
 BIAS = 0.01  # share of the depth by which it is off at most
@@ -59,7 +70,8 @@ class Score(NamedTuple):
     """Of one frame: labelled objects by number that were found; and counts.
 
     `easy` and `every`: labelled objects, without and with difficult ones; solids : found in all, where all are
-    labelled; behind : solids that show where background is labelled; empty : nothing found though something is there.
+    labelled; behind : solids that show where background is labelled; empty : nothing found though something is there;
+    support : whether a plane passes through the pixel labelled as the support's, None where none is.
     """
 
     found: list[int]
@@ -71,6 +83,7 @@ class Score(NamedTuple):
     empty: bool
     seconds: float
     no_floor: bool
+    support: bool | None
 
 
 def read_frame(folder, name, label):
@@ -111,11 +124,31 @@ def mirrored(rng, frame):
     return seen_through(frame, rows, columns[:, ::-1], camera)
 
 
-def cropped(rng, frame):
-    top, left = (round(CROPPED * count) for count in frame.depth.shape)
-    rows, columns = np.indices(frame.depth.shape)[:, top:-top, left:-left]
-    camera = with_camera(frame.camera, rows.shape, cx=frame.camera.cx - left, cy=frame.camera.cy - top)
-    return seen_through(frame, rows, columns, camera)
+def part_of(frame, top, bottom, left, right):
+    """Return the Frame between shares of the rows and of the columns."""
+    height, width = frame.depth.shape
+    rows, columns = np.indices(frame.depth.shape)[:, round(top * height) : round(bottom * height),
+                                                  round(left * width) : round(right * width)]  # fmt: skip
+    place = {"cx": frame.camera.cx - columns[0, 0], "cy": frame.camera.cy - rows[0, 0]}
+    return seen_through(frame, rows, columns, with_camera(frame.camera, rows.shape, **place))
+
+
+def pitched(frame, angle):
+    """Seen by a camera turned about its horizontal axis, downwards, as far as the frame shows what it sees."""
+    camera = frame.camera
+    row, column = np.indices(frame.depth.shape)
+    y, x = (row - camera.cy) / camera.fy, (column - camera.cx) / camera.fx
+    cosine, sine = np.cos(angle), np.sin(angle)
+    z = cosine - sine * y  # of a ray of the turned camera, along the axis of the frame's
+    rows, columns = camera.cy + camera.fy * (cosine * y + sine) / z, camera.cx + camera.fx * x / z
+    inside = (rows >= 0) & (rows <= row.max()) & (columns >= 0) & (columns <= column.max())
+    kept = inside.mean(axis=1) > 0.5
+    first, last = np.flatnonzero(kept)[[0, -1]]
+    clipped = np.clip(rows, 0, row.max()), np.clip(columns, 0, column.max())
+    turned = seen_through(frame, *(index[first : last + 1] for index in clipped),
+                          with_camera(camera, (last + 1 - first, row.shape[1]), cy=camera.cy - first))  # fmt: skip
+    depth = np.where(inside, 1.0 / z, np.nan)[first : last + 1] * turned.depth
+    return turned._replace(depth=depth)
 
 
 def halved(rng, frame):
@@ -124,11 +157,21 @@ def halved(rng, frame):
     return seen_through(frame, rows, columns, with_camera(frame.camera, rows.shape, **half))
 
 
-def turned(rng, frame):
-    rows, columns = (np.rot90(index) for index in np.indices(frame.depth.shape))
-    old = frame.camera
-    numbers = {"fx": old.fy, "fy": old.fx, "cx": old.cy, "cy": columns.shape[0] - 1 - old.cx}
-    return seen_through(frame, rows, columns, with_camera(old, rows.shape, **numbers))
+def turned(frame, times):
+    """Return the Frame turned by quarter turns."""
+    rows, columns = (np.rot90(index, times) for index in np.indices(frame.depth.shape))
+    camera = frame.camera
+    for k in range(times):
+        width = frame.depth.shape[(k + 1) % 2]
+        numbers = {"fx": camera.fy, "fy": camera.fx, "cx": camera.cy, "cy": width - 1 - camera.cx}
+        camera = with_camera(camera, frame.depth.shape[::-1] if k % 2 == 0 else frame.depth.shape, **numbers)
+    return seen_through(frame, rows, columns, camera)
+
+
+def through_lens(frame, times):
+    """Return the Frame of a scene that is narrower and lower before a camera of a focal length as much longer."""
+    longer = {"fx": times * frame.camera.fx, "fy": times * frame.camera.fy}
+    return frame._replace(camera=with_camera(frame.camera, frame.depth.shape, **longer))
 
 
 def rolled(rng, frame):
@@ -172,10 +215,20 @@ VARIANTS = {
     "plain": lambda rng, frame: frame,
     "seed": lambda rng, frame: frame._replace(seed=2),
     "mirrored": mirrored,
-    "cropped": cropped,
+    "cropped": lambda rng, frame: part_of(frame, CROPPED, 1.0 - CROPPED, CROPPED, 1.0 - CROPPED),
+    "upper": lambda rng, frame: part_of(frame, 0.0, PART, 0.0, 1.0),
+    "lower": lambda rng, frame: part_of(frame, 1.0 - PART, 1.0, 0.0, 1.0),
+    "left": lambda rng, frame: part_of(frame, 0.0, 1.0, 0.0, PART),
+    "right": lambda rng, frame: part_of(frame, 0.0, 1.0, 1.0 - PART, 1.0),
     "halved": halved,
-    "turned": turned,
+    "turned": lambda rng, frame: turned(frame, 1),
+    "turned twice": lambda rng, frame: turned(frame, 2),
+    "turned thrice": lambda rng, frame: turned(frame, 3),
     "rolled": rolled,
+    "pitched down": lambda rng, frame: pitched(frame, PITCH),
+    "pitched up": lambda rng, frame: pitched(frame, -PITCH),
+    "longer lens": lambda rng, frame: through_lens(frame, LENS),
+    "shorter lens": lambda rng, frame: through_lens(frame, 1.0 / LENS),
     "noisier": noisier,
     "sparser": lambda rng, f: f._replace(depth=np.where(rng.random(f.depth.shape) < LOST, np.nan, f.depth)),
     "frayed": frayed,
@@ -183,7 +236,7 @@ VARIANTS = {
     "rounded": lambda rng, frame: frame._replace(depth=ROUNDED * np.rint(frame.depth / ROUNDED)),
     "disparity": lambda rng, frame: frame._replace(depth=1.0 / (DISPARITY * np.rint(1.0 / frame.depth / DISPARITY))),
     "nearer": lambda rng, frame: frame._replace(depth=0.5 * frame.depth, scale=0.5),
-    "farther": lambda rng, frame: frame._replace(depth=2.0 * frame.depth, scale=2.0),
+    "farther": lambda rng, frame: frame._replace(depth=3.0 * frame.depth, scale=3.0),
 }
 
 
@@ -201,6 +254,26 @@ def box_of(pixels):
     return (*pixels.min(axis=0)[::-1], *pixels.max(axis=0)[::-1]) if len(pixels) else None
 
 
+def pixel_in(frame, place):
+    """Return the row and column at which a Frame shows a pixel (column, row) of the frame as it is; None: nowhere."""
+    apart = np.abs(frame.source.reshape(-1, 2) - np.asarray(place)[::-1]).max(axis=1)
+    nearest = int(np.argmin(apart))
+    return np.unravel_index(nearest, frame.depth.shape) if apart[nearest] <= 1 else None
+
+
+def support_met(frame, normals, offsets):
+    """Return whether one of the planes normal . p = offset passes through the pixel labelled as the support's.
+
+    None where the Frame has no such pixel. normals : (N, 3), offsets : (N,), in camera axes.
+    """
+    label = frame.label["support"]
+    if label is None or (pixel := pixel_in(frame, label)) is None or not np.isfinite(frame.depth[pixel]):
+        return None
+    camera, z = frame.camera, frame.depth[pixel]
+    point = z * np.array([(pixel[1] - camera.cx) / camera.fx, (pixel[0] - camera.cy) / camera.fy, 1.0])
+    return bool((np.abs(np.asarray(normals) @ point - offsets) < SUPPORT * frame.scale).any())
+
+
 def in_variant(frame):
     """Return (labelled objects, background pixels) of a Frame as far as they are seen in it.
 
@@ -209,22 +282,16 @@ def in_variant(frame):
     """
     source, objects = frame.source.reshape(-1, 2), []
 
-    def place(x, y):
-        """Return the row and column at which a pixel is seen, None where it is not."""
-        apart = np.abs(source - [y, x]).max(axis=1)
-        nearest = int(np.argmin(apart))
-        return np.unravel_index(nearest, frame.depth.shape) if apart[nearest] <= 1 else None
-
     for number, item in enumerate(frame.label["objects"]):
         box = np.array(item["box"])
         inside = source[((source >= box[1::-1]) & (source <= box[:1:-1])).all(axis=1)]
-        if (pixel := place(*item["pixel"])) is None or len(inside) == 0:
+        if (pixel := pixel_in(frame, item["pixel"])) is None or len(inside) == 0:
             continue
         seen = np.array([*inside.min(axis=0)[::-1], *inside.max(axis=0)[::-1]])
         lost = np.abs(seen - box).reshape(2, 2) - 1  # of a halved image the last row may be left out
         cut = (lost.sum(axis=0) > CUT * (box[2:] - box[:2] + 1)).any()
         objects.append({"number": number, "pixel": pixel, "box": seen, "difficult": bool(item.get("difficult") or cut)})
-    behind = [pixel for x, y in frame.label["background"] if (pixel := place(x, y)) is not None]
+    behind = [pixel for place in frame.label["background"] if (pixel := pixel_in(frame, place)) is not None]
     return objects, behind
 
 
@@ -251,8 +318,12 @@ def score(frame, posterior, seconds):
     behind = {k for pixel in background if (k := shown(pixel)) >= 0 and k not in at.values()}
     found = sorted(objects[j]["number"] for j in at)
     empty = bool(easy) and not told.names
+    graph = posterior.best_graph()
+    planes = [graph.poses()[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
+    normals = np.array([pose[:3, 2] for pose in planes]).reshape(-1, 3)
+    offsets = np.array([pose[:3, 2] @ pose[:3, 3] for pose in planes])
     return Score(found, easy, len(objects), len(told.names), frame.label["complete"], len(behind), empty, seconds,
-                 bool(posterior.meta.get("no_floor")))  # fmt: skip
+                 bool(posterior.meta.get("no_floor")), support_met(frame, normals, offsets))  # fmt: skip
 
 
 def draw_picture(path, frame, posterior):
@@ -280,9 +351,75 @@ def draw_picture(path, frame, posterior):
     imageio.imwrite(path, (255 * np.clip(np.hstack([beside, picture]), 0, 1)).astype(np.uint8))
 
 
+def of_all(answers):
+    """Return how many of those that say something (bool, or None) are true: "17 of 18"."""
+    said = [answer for answer in answers if answer is not None]
+    return f"{sum(said)} of {len(said)}"
+
+
 def share_of(part, whole):
     """Return a share in three digits; nothing where there is no whole."""
     return f"{part / whole:.3f}" if whole else ""
+
+
+def points_of(frame):
+    """Return (H, W, 3) the points of a Frame in camera axes."""
+    row, column = np.indices(frame.depth.shape)
+    camera = frame.camera
+    rays = np.stack([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, np.ones(row.shape)], axis=-1)
+    return rays * frame.depth[..., None]
+
+
+def first_floor(frame):
+    """Return (the Observation of a Frame, the normal (3,) and the offset of the floor that it starts from)."""
+    seen = observe(frame.depth, frame.camera)
+    return seen, seen.floor.pose[:3, 2], seen.floor.pose[:3, 2] @ seen.floor.pose[:3, 3]
+
+
+def evaluate_floors(only="", kinds="", verbose=False):
+    """Print for each variant of the labelled frames in how many the floor that is found first is the support's plane.
+
+    That is the one found in the frame as it is, where it passes the labelled pixel; in a variant it is to pass within
+    SUPPORT of half of its pixels that are seen, where these are SOME of all. Takes what `evaluate_frames` does.
+    """
+    labels, folder = labelled_frames()
+    frames = {name: read_frame(folder, name, labels[name]) for name in filter(None, only.split(","))} or {
+        name: read_frame(folder, name, label) for name, label in labels.items()
+    }
+    lies = {}
+    for name, frame in frames.items():
+        _, normal, offset = first_floor(frame)
+        if support_met(frame, normal[None], offset):
+            lies[name] = np.abs(points_of(frame) @ normal - offset) < 0.5 * SUPPORT
+    print(
+        f"the support is found in {len(lies)} of {sum(frame.label['support'] is not None for frame in frames.values())}"
+    )
+    print("| variant | support | not in | seconds |\n" + "|---" * 4 + "|")
+    for kind in [kind for kind in kinds.split(",") if kind] or list(VARIANTS):
+        met, began = {}, time.perf_counter()
+        for name in lies:
+            made = VARIANTS[kind](np.random.default_rng(STREAM), frames[name])
+            there = lies[name][made.source[..., 0], made.source[..., 1]] & np.isfinite(made.depth)
+            if there.mean() < SOME:
+                continue
+            seen, normal, offset = first_floor(made)
+            off = np.abs(points_of(made)[there] @ normal - offset)
+            met[name] = bool(np.median(off) < SUPPORT * made.scale)
+            if verbose:
+                print(f"{name} {kind}: {met[name]}, seen {there.mean():.2f}, normal {normal.round(2)}, on it "
+                      f"{seen.floor.inliers.mean():.2f}, standing {seen.mask.mean():.2f}, "
+                      f"behind {seen.background:.2f}", flush=True)  # fmt: skip
+        missed = ", ".join(name for name, right in met.items() if not right)
+        seconds = time.perf_counter() - began
+        print(f"| {kind} | {sum(met.values())} of {len(met)} | {missed} | {seconds:.1f} |", flush=True)
+
+
+def labelled_frames():
+    """Return what labels.json says of each frame, and the folder of the frames."""
+    folder = real_folder()
+    if folder is None or not (folder / "frames" / "labels.json").exists():
+        raise DerenderError("there are no labelled real frames here", "DERENDER_REAL", "name their folder")
+    return json.loads((folder / "frames" / "labels.json").read_text()), folder / "frames"
 
 
 def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
@@ -291,12 +428,7 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
     only : names of frames, and kinds : of variants, with commas between; none: all. keep : folder of the pictures and
     scores, from which what is there is taken. method : see Options.
     """
-    folder = real_folder()
-    if folder is None or not (folder / "frames" / "labels.json").exists():
-        print("no labelled real frames here")
-        return
-    folder /= "frames"
-    labels = json.loads((folder / "labels.json").read_text())
+    labels, folder = labelled_frames()
     names = [name for name in only.split(",") if name] or list(labels)
     chosen = [kind for kind in kinds.split(",") if kind] or list(VARIANTS)
     scores: dict[str, dict[str, Score]] = {kind: {} for kind in chosen}
@@ -320,8 +452,10 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
                 missed = [k for k in row.easy if k not in row.found]
                 print(f"{name} {kind}: found {row.found}, missed {missed}, solids {row.solids}, behind {row.behind}"
                       f"{', no floor' if row.no_floor else ''}, {row.seconds:.1f} s", flush=True)  # fmt: skip
-    print("| variant | recall | with difficult | precision | background | nothing | changed | median, worst s |")
-    print("|---" * 8 + "|")
+    print(
+        "| variant | recall | with difficult | precision | background | nothing | support | changed | median, worst s |"
+    )
+    print("|---" * 9 + "|")
     for kind, rows in scores.items():
         every = list(rows.values())
         hits, easy = sum(len({*r.found} & {*r.easy}) for r in every), sum(len(r.easy) for r in every)
@@ -336,6 +470,7 @@ def evaluate_frames(only="", kinds="", keep="", method="auto", verbose=False):
         seconds = [r.seconds for r in every]
         cells = [share_of(hits, easy), share_of(sum(len(r.found) for r in every), sum(r.every for r in every)),
                  share_of(sum(len(r.found) for r in full), sum(r.solids for r in full)),
-                 sum(r.behind for r in every), sum(r.empty for r in every), share_of(changed, total),
+                 sum(r.behind for r in every), sum(r.empty for r in every),
+                 of_all([r.support for r in every]), share_of(changed, total),
                  f"{np.median(seconds):.1f}, {max(seconds):.1f}"]  # fmt: skip
         print(f"| {kind} | {' | '.join(map(str, cells))} |", flush=True)
