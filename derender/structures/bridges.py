@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, SceneGraph
@@ -54,20 +54,18 @@ class Candidate(NamedTuple):
     probability: float
 
 
-def with_bridges(
-    parts: Sequence[StructurePosterior], slack: float, loose: Loose | None = None
-) -> list[StructurePosterior]:
+def with_bridges(parts: Sequence[StructurePosterior], rules: Rules) -> list[StructurePosterior]:
     """Return the structures with their second supports, weights still summing to what they did.
 
-    slack : metres within which contacts hold. loose : what the prior says of second supports; None: the default one.
+    rules : Rules of the structures: the slack of their contacts, and what the prior says of second supports.
 
     Two structures that differ only in which of the carriers is called the parent become one.
     """
-    loose = bare_image().loose if loose is None else loose
+    loose = (bare_image() if rules.beliefs is None else rules.beliefs).loose
     found: list[StructurePosterior] = []
     for part in sorted(parts, key=lambda part: -part.weight):
         divided = [part]
-        for candidate in candidates(part, slack, loose):
+        for candidate in candidates(part, rules.slack, loose):
             divided = [piece for whole in divided for piece in divide(whole, candidate)]
         found += divided
     return merge_same(found)

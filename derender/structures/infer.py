@@ -203,7 +203,7 @@ def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosteri
     from derender.structures.free_forms import with_things
     from derender.structures.grids import with_grids
 
-    parts = with_things(rng, with_bridges(parts, settings.slack, case.beliefs.loose), seen, state)
+    parts = with_things(rng, with_bridges(parts, settings.rules), seen, state)
     if not settings.free_forms:
         return parts
     return with_grids(parts, image_of(seen, case, settings.temper), case.beliefs)

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from derender.camera.intrinsics import Camera
+from derender.detection.search.greedy import Settings
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import render_floor_scene
 from derender.document import read_document, write_document
 from derender.evaluation.metrics import compare_scenes
@@ -20,6 +23,7 @@ from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
 SLACK = 0.0015
+RULES = Rules(SLACK)
 CAMERA = Camera(fx=140.0, fy=140.0, cx=79.5, cy=59.5, width=160, height=120)
 
 
@@ -61,10 +65,10 @@ def posterior_of(graph, spread, rng):
     return StructurePosterior(graph, ("right.height",), values, np.zeros((2, 40)), np.zeros((2, 40)), 1.0)
 
 
-def second_support(gap, spread=0.0005, **how):
+def second_support(gap, spread=0.0005, rules=RULES, **how):
     """Return the probability that is given to the plank's second support."""
     part = posterior_of(bridge(0.08 - gap, **how), spread, np.random.default_rng(0))
-    return Posterior(tuple(with_bridges([part], SLACK))).support_probability("plank").get("right", 0.0)
+    return Posterior(tuple(with_bridges([part], rules))).support_probability("plank").get("right", 0.0)
 
 
 def test_the_probability_is_the_savage_dickey_ratio():
@@ -88,6 +92,15 @@ def test_a_rarer_second_support_is_less_probable_by_the_odds_of_the_file():
     assert less / (1.0 - less) == pytest.approx(0.25 * even / (1.0 - even))
 
 
+def test_the_slack_of_the_file_is_that_of_second_supports():
+    beliefs = bare_image()
+    coarse = Settings(beliefs=beliefs._replace(loose=replace(beliefs.loose, slack=2.0 * SLACK))).rules
+    gap, spread = 0.006, 0.0005
+    odds = [p / (1.0 - p) for p in (second_support(gap, spread, rules, plank_shift=-0.06) for rules in (RULES, coarse))]
+    densities = [norm.pdf(gap, scale=np.hypot(spread, slack)) for slack in (SLACK, 2.0 * SLACK)]
+    assert np.log(odds[1] / odds[0]) == pytest.approx(np.log(densities[1] / densities[0]), abs=0.3)  # of 80 draws
+
+
 def test_a_touching_tower_carries_and_a_lower_one_does_not():
     assert second_support(0.0) > 0.99
     # 9 mm is six times the slack; were the plank to balance on one tower alone, nothing would speak for the contact
@@ -107,7 +120,7 @@ def test_weights_stay_and_which_carrier_is_the_parent_does_not_matter():
     first = replace(posterior_of(bridge(), 0.0005, rng), weight=0.6)
     other = first.graph.reparent("plank", "right", "face-to-face", "+z", "-z")
     second = replace(first, graph=other, weight=0.4)
-    parts = with_bridges([first, second], SLACK)
+    parts = with_bridges([first, second], RULES)
     assert sum(part.weight for part in parts) == pytest.approx(1.0, abs=1e-12)
     posterior = Posterior(tuple(parts))
     assert posterior.best_graph().vertex("plank").parent == "left"
@@ -117,7 +130,7 @@ def test_weights_stay_and_which_carrier_is_the_parent_does_not_matter():
 
 def test_the_gap_is_closed_in_every_draw():
     part = posterior_of(bridge(0.079), 0.0005, np.random.default_rng(0))
-    joined = next(p for p in with_bridges([part], SLACK) if p.graph.vertex("plank").supports)
+    joined = next(p for p in with_bridges([part], RULES) if p.graph.vertex("plank").supports)
     for draw in range(5):
         assert abs(support_residual(joined.graph_at(0, draw), "plank", "right").gap) < 1e-12
 
