@@ -1,5 +1,7 @@
 """Where the faces of real solids are, given where they appear; and what that makes of the prior of a cube."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,9 @@ def test_all_on_the_floor_share_its_offset():
 def test_only_images_of_real_sensors_have_it():
     assert Settings().for_correlation(0.2).rules.faces == 0.0
     assert Settings().for_correlation(0.8).rules.faces == bare_image().loose.faces == OFF
+    coarse = bare_image()._replace(loose=replace(bare_image().loose, slack=0.004, slack_seen=0.007))
+    slacks = [Settings(beliefs=coarse).for_correlation(r).rules.slack for r in (0.0, 0.2, 0.8)]
+    assert slacks == [0.004, 0.004, 0.007]  # as the file has it of made and of real images
     chart, values = cube_chart(RULES._replace(faces=0.0))
     assert np.array_equal(true_faces(np.random.default_rng(0), chart, values[None])[0], values)
 

@@ -27,7 +27,7 @@ SIFTING, KEPT, KEEPING = 50, 3, 100
 CUBE_KEEPING, HOPELESS = 150, 300.0
 HOPEFUL = 200.0  # nats by which a hypothesis may worsen the image before it is polished: its edges are pixels off
 APART = 0.002  # metres between the sides of cubes that are tried: as far as polishing takes them at once
-# Of solids on real tables, as sensors see them.
+# Of solids on real tables, as sensors see them: what a search lets them be off.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 # The power of (1 + r) / (1 - r) by which pixels of correlation r tell less. Of misfits as such it would be 2; those cut
 # off at their limit correlate less. On real frames solids were split along their dents with 1, small ones lost with 2.
@@ -90,7 +90,7 @@ class Settings(NamedTuple):
         """What solids may do to each other, see rules.Rules."""
         overlap = np.inf if self.may_overlap else None
         beliefs = bare_image() if self.beliefs is None else self.beliefs
-        slack = self.slack if self.faces > 0.0 else beliefs.loose.slack  # a real table's solids are off by more
+        slack = beliefs.loose.slack_seen if self.faces > 0.0 else beliefs.loose.slack
         return Rules(slack, overlap, self.may_float, beliefs, self.faces)
 
     @property

@@ -91,6 +91,7 @@ class Loose:
     unit : metres, a number or distribution: of all lengths in the file. seen_from : units from the camera, least and
         most, to most of what it sees.
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
+    slack_seen : the same where a real sensor shows it.
     overlap : metres by which solids may enter each other. faces : standard deviation in metres by which each face of a
         real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
@@ -103,6 +104,7 @@ class Loose:
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
     seen_from: tuple[float, float] = (0.4, 1.5)
     slack: float = 0.0015
+    slack_seen: float = 0.002
     overlap: float = 3e-4
     faces: float = 0.003
     hanging: float = 1e-13
@@ -177,7 +179,7 @@ EXISTENCE = {
     "error_at_even": 1.0,
     "outstanding": 1.0,
 }  # and their greatest values
-NUMBERS = {"slack": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
+NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 
 def read_loose(section: Section) -> Loose:
