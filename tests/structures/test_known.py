@@ -2,17 +2,23 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from derender.camera.depth_file import read_depth
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.image import render_floor_scene
+from derender.detection.search.greedy import Settings
+from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.image import make_row, render_floor_scene
 from derender.errors import DerenderError
 from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
+from derender.structures.known.identities import Placed, Placement, identity_probabilities
 from derender.structures.known.library import read_library
 from derender.structures.options import Options
 
@@ -53,6 +59,19 @@ def test_identities_and_ways_of_lying(tmp_path):
     assert not any(a.startswith("brick.") and "contact" not in a for a in posterior.best_part.addresses)
     assert "brick.contact.theta" in posterior.best_part.addresses
     assert "tin.contact.theta" not in posterior.best_part.addresses  # nothing tells how it is turned about itself
+
+
+def test_a_stranger_is_as_rare_as_the_file_says():
+    """Odds of "none of these" against an object of the library go with those of the file, whatever pixels share."""
+    row = make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.05]), np.full(3, 0.1))
+    item, beliefs, odds = Placed(None, row, 0), bare_image(), []
+    for stranger in (0.05, 0.2):
+        own = beliefs._replace(loose=replace(beliefs.loose, stranger=stranger))
+        settings = Settings(beliefs=own).for_pixels(4.0)
+        price = Placement.price_of_unknown(SimpleNamespace(settings=settings), row, item)
+        share = identity_probabilities([(settings.price, item), (price - 5.0, item)], settings.temper)
+        odds.append(share[1] / share[0])
+    assert odds[1] / odds[0] == pytest.approx((0.2 / 0.8) / (0.05 / 0.95))
 
 
 @pytest.mark.parametrize(("text", "words"), [

@@ -96,6 +96,7 @@ class Loose:
         real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
     missed : Missed, what a search may not have found.
+    stranger : probability that a solid is none of the known objects, where others than those may be.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     existence : of a free-form thing. cartons : Cartons, of boxes that are many.
@@ -110,6 +111,7 @@ class Loose:
     hanging: float = 1e-13
     tipping: float = 0.01
     missed: Missed = field(default_factory=Missed)
+    stranger: float = 0.05
     second_support: float = 0.5
     within: float = 0.06
     existence: Existence = field(default_factory=Existence)
@@ -184,8 +186,8 @@ NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hangi
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "second_support", "existence", "cartons",
-                  *NUMBERS)  # fmt: skip
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "stranger", "second_support", "existence",
+                  "cartons", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -205,6 +207,8 @@ def read_loose(section: Section) -> Loose:
             name: told[name].number(lower=1e-9, upper=None if name == "pixels" else 1.0)
             for name in names if name in told
         })  # fmt: skip
+    if "stranger" in section:
+        found["stranger"] = section["stranger"].number(lower=1e-9, upper=1.0 - 1e-9)
     if "second_support" in section:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from derender.detection.search.greedy import Settings
+from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import Image, draw, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import misfit_map
@@ -28,7 +29,6 @@ LEAST_TILT = np.radians(0.5)
 SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])
 REACH = 0.02  # metres off its support at which an object still stands on it
 TRIED = 4  # ways of lying that are refined, of all that are looked at
-STRANGER = 3.0  # nats, of the prior odds of a library's object to a solid that is none of them
 SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter each other: most meshes are rounder
 
 
@@ -248,7 +248,9 @@ class Placement:
         settings, kind = self.settings, int(row[0])
         sizes = 1 if item.cube or kind == SPHERE else 3 if kind == BOX else 2
         tilted = settings.free_price if item.form == FREE and kind != SPHERE else 0.0
-        return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + STRANGER * settings.temper
+        stranger = (bare_image() if settings.beliefs is None else settings.beliefs).loose.stranger
+        known = np.log((1.0 - stranger) / stranger)  # nats, of the prior odds of being one of the library's objects
+        return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + known * settings.temper
 
     def state_bottom(self, anchor: Any) -> Any:
         """Return how high a solid of the first search begins."""
