@@ -132,8 +132,9 @@ def searched_well(
 def settings_for(settings: Settings, seen: Observation) -> Settings:
     """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
     settings = settings.for_correlation(seen.correlation)
-    if seen.correlation > CORRELATED and seen.camera["width"] > WIDEST:
-        settings = settings.for_pixels((seen.camera["width"] / WIDEST) ** 2)
+    columns = (bare_image() if settings.beliefs is None else settings.beliefs).loose.shared.columns
+    if seen.correlation > CORRELATED and seen.camera["width"] > columns:
+        settings = settings.for_pixels((seen.camera["width"] / columns) ** 2)
     return settings
 
 

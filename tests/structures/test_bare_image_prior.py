@@ -12,7 +12,7 @@ from derender.detection.solids.support import unheld
 from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
 from derender.scene.graph import Contact, SceneGraph, Vertex
-from derender.scene.priors.bare_image import tips
+from derender.scene.priors.bare_image import Shared, tips
 from derender.structures.draws.scene_density import scene_log_prior, state_of
 
 PRIOR = read_prior_document(BARE_IMAGE).prior
@@ -85,13 +85,18 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
         ("side: {log-normal: [85 mm, 0.45]}", "side: {uniform: [3 cm, 8 cm]}"),
         ("box: {poisson: 0.4}", "box: {poisson: 0.05}"),
         ("tipping: 0.01", "tipping: 0.5"),
+        ("slack_seen: 2 mm", "slack_seen: 3 mm"),
+        ("stranger: 0.05", "stranger: 0.2"),
+        ("shared: {power: 1.5,", "shared: {power: 1.0,"),
     ):
         assert text.count(old) == 1
         text = text.replace(old, new)
     (tmp_path / "mine.yaml").write_text(text)
     document = read_document(tmp_path / "mine.yaml")
     beliefs = beliefs_of(document.prior, document.likelihood)
-    assert beliefs.loose.tipping == 0.5 and beliefs.sensor is document.likelihood
+    loose = beliefs.loose
+    assert (loose.slack_seen, loose.stranger, loose.shared) == (0.003, 0.2, replace(Shared(), power=1.0))
+    assert loose.tipping == 0.5 and beliefs.sensor is document.likelihood
     rules = Rules(beliefs.loose.slack, beliefs=beliefs)
     off = [
         scene_log_prior(graph, rules) - document.prior.log_density(graph) - PRIOR.log_orderings(graph)

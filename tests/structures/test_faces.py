@@ -1,10 +1,12 @@
 """Where the faces of real solids are, given where they appear; and what that makes of the prior of a cube."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import ROW, make_row
@@ -13,6 +15,7 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.sizes import CUBE, log_density_at
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.pose import rotation_x, rotation_z
+from derender.scene.priors.bare_image import Shared
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, apparent_cube_log_density, make_chart, place_rows
 from derender.structures.draws.faces import MOST_LOST, empty_band, true_faces
@@ -99,6 +102,17 @@ def test_only_images_of_real_sensors_have_it():
     assert slacks == [0.004, 0.004, 0.007]  # as the file has it of made and of real images
     chart, values = cube_chart(RULES._replace(faces=0.0))
     assert np.array_equal(true_faces(np.random.default_rng(0), chart, values[None])[0], values)
+
+
+def test_how_much_pixels_tell_that_err_together_is_in_the_file():
+    """By the power of the file, between its limits: log odds are divided by the temper."""
+    shared = Shared(power=1.2, least=0.3, most=0.6, columns=320.0)
+    settings = Settings(beliefs=bare_image()._replace(loose=replace(bare_image().loose, shared=shared)))
+    tempers = [settings.for_correlation(r).temper for r in (0.2, 0.5, 0.9)]
+    assert tempers == pytest.approx([1.0, 3.0**1.2, 4.0**1.2])
+    assert Settings().for_correlation(0.5).temper == pytest.approx(3.0**1.5)
+    wide = SimpleNamespace(correlation=0.5, camera={"width": 640})
+    assert settings_for(settings, wide).temper == pytest.approx(4.0 * 3.0**1.2)
 
 
 def cube_chart(rules=RULES):

@@ -29,10 +29,6 @@ HOPEFUL = 200.0  # nats by which a hypothesis may worsen the image before it is 
 APART = 0.002  # metres between the sides of cubes that are tried: as far as polishing takes them at once
 # Of solids on real tables, as sensors see them: what a search lets them be off.
 REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
-# The power of (1 + r) / (1 - r) by which pixels of correlation r tell less. Of misfits as such it would be 2; those cut
-# off at their limit correlate less. On real frames solids were split along their dents with 1, small ones lost with 2.
-# What counts as independent, and the most that is believed of a correlation.
-SHARED, INDEPENDENT, MOST_CORRELATED = 1.5, 0.1, 0.75
 
 
 class Settings(NamedTuple):
@@ -101,14 +97,14 @@ class Settings(NamedTuple):
     def for_correlation(self, correlation: float) -> "Settings":
         """Return the settings for an image whose neighbouring residuals have this correlation.
 
-        In an autoregressive field ((1 + r) / (1 - r))^2 pixels tell as much as one independent one; see SHARED.
+        How many pixels tell as much as one independent one then, the prior says (`Shared`).
         """
-        beliefs = bare_image() if self.beliefs is None else self.beliefs
-        faces = beliefs.loose.faces if correlation > CORRELATED else 0.0
-        correlation = min(correlation, MOST_CORRELATED)
-        if correlation < INDEPENDENT:
+        loose = (bare_image() if self.beliefs is None else self.beliefs).loose
+        faces = loose.faces if correlation > CORRELATED else 0.0
+        correlation = min(correlation, loose.shared.most)
+        if correlation < loose.shared.least:
             return self
-        factor = ((1 + correlation) / (1 - correlation)) ** SHARED
+        factor = ((1 + correlation) / (1 - correlation)) ** loose.shared.power
         return self.for_pixels(factor)._replace(clean=self.clean * factor**2, tilt=REAL_TILT, slack=REAL_SLACK,
                                                 faces=faces)  # fmt: skip
 

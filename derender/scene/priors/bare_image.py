@@ -67,6 +67,25 @@ class Missed:
 
 
 @dataclass(frozen=True)
+class Shared:
+    """How many pixels of a real sensor tell as much as one whose error is its own.
+
+    Where the likelihood is `correlated`, that says what neighbours share, and draws and weights know of nothing else.
+
+    Attributes
+    ----------
+    power : of (1 + r) / (1 - r), r being the correlation of neighbours' errors on the floor: so many pixels are one.
+    least : correlation below which they count as independent. most : the most that is believed of a correlation.
+    columns : of an image in which that holds; the pixels of one of more tell as much as those of one of so many.
+    """
+
+    power: float = 1.5
+    least: float = 0.1
+    most: float = 0.75
+    columns: float = 160.0
+
+
+@dataclass(frozen=True)
 class Cartons:
     """What is believed of equal cartons stacked in a grid, see `structures.grids`.
 
@@ -99,7 +118,8 @@ class Loose:
     stranger : probability that a solid is none of the known objects, where others than those may be.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
-    existence : of a free-form thing. cartons : Cartons, of boxes that are many.
+    shared : Shared, by pixels that err together. existence : of a free-form thing. cartons : Cartons, of boxes that
+        are many.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
@@ -114,6 +134,7 @@ class Loose:
     stranger: float = 0.05
     second_support: float = 0.5
     within: float = 0.06
+    shared: Shared = field(default_factory=Shared)
     existence: Existence = field(default_factory=Existence)
     cartons: Cartons = field(default_factory=Cartons)
 
@@ -181,13 +202,14 @@ EXISTENCE = {
     "error_at_even": 1.0,
     "outstanding": 1.0,
 }  # and their greatest values
+MOST_SHARED = 0.99  # correlation of neighbours: at 1 no number of pixels would tell anything
 NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "stranger", "second_support", "existence",
-                  "cartons", *NUMBERS)  # fmt: skip
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "stranger", "second_support", "shared",
+                  "existence", "cartons", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -213,6 +235,14 @@ def read_loose(section: Section) -> Loose:
         second = section["second_support"].section().allow("probability", "within")
         found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
         found["within"] = second["within"].number("m", lower=1e-6)
+    if "shared" in section:
+        names = [each.name for each in fields(Shared)]
+        told = section["shared"].section().allow(*names)
+        greatest = {"least": 1.0, "most": MOST_SHARED}
+        found["shared"] = Shared(**{
+            name: told[name].number(lower=0.0 if name != "columns" else 1.0, upper=greatest.get(name))
+            for name in names if name in told
+        })  # fmt: skip
     if "existence" in section:
         told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
         numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
