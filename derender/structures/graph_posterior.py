@@ -81,10 +81,11 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
         return [replace(part, extras={**part.extras, **shown_and_left(first)})]
     made = DrawsOfOne(chains, draws, settings.rules)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
-    kept = [each for each in kept if each[1] > -NEGLIGIBLE][:MOST_PARTS]
+    kept = [each for each in kept if each[1] > -NEGLIGIBLE]
+    # What is not reported keeps its share: of the others' weights it takes what is its own.
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
     parts = []
-    for place, (trial, _, own, _) in enumerate(kept):
+    for place, (trial, _, own, _) in enumerate(kept[:MOST_PARTS]):
         if place == 0 and len(trial.state):
             drawn = made.of(rng, trial)
         elif weights[place] > WORTH_DRAWING and len(trial.state):

@@ -232,13 +232,18 @@ def divide(part: StructurePosterior, name: str, grids: Sequence[Grid]) -> list[S
     if not grids or part.graph.vertex(name).shape != "box":
         return [part]
     odds = np.array([0.0, *(grid.odds for grid in grids)])
-    share = np.exp(odds - np.logaddexp.reduce(odds))
-    kept = share >= max(SMALLEST_WEIGHT, np.sort(share)[-min(MOST_KEPT, len(share))])
-    share = np.where(kept, share, 0.0) / share[kept].sum()
-    made = [part.scaled(float(share[0]))] if kept[0] else []
-    for grid, p in zip(grids, share[1:], strict=True):
-        if p > 0.0:
-            made.append(as_grid(part if p == share.max() else only_best(part), name, grid).scaled(float(p)))
+    one, *others = np.exp(odds - np.logaddexp.reduce(odds))
+    if one > 1.0 - SMALLEST_WEIGHT:
+        return [part]
+    one = one if one >= SMALLEST_WEIGHT else 0.0
+    # Which grids are told is a choice among grids: those left out take nothing from the one box's share.
+    kept = sorted(range(len(grids)), key=lambda k: -others[k])[: MOST_KEPT - 1]
+    kept = [k for place, k in enumerate(kept) if place == 0 or others[k] >= SMALLEST_WEIGHT]
+    among = (1.0 - one) / sum(others[k] for k in kept)
+    made = [part.scaled(float(one))] if one else []
+    for k in kept:
+        leads = k == kept[0] and others[k] > one
+        made.append(as_grid(part if leads else only_best(part), name, grids[k]).scaled(float(among * others[k])))
     return made
 
 

@@ -48,7 +48,9 @@ def further_supports(seen: Observation, shape: tuple[int, int], look: Callable[.
 
 
 def with_supports(parts: list[StructurePosterior], seen: Observation, others: list[Any]) -> list[StructurePosterior]:
-    """Return the StructurePosteriors of all planes together, weights summing to one.
+    """Return the StructurePosteriors of all planes together, each with the product of its planes' weights.
+
+    Of many only the likeliest MOST_PARTS are told; what the others hold is theirs, so that weights sum to less then.
 
     parts, seen : of the main plane. others : [(parts, Observation)] of further ones. The lowest plane is unbounded, as
     a single floor is; of the others that is there which is seen.
@@ -63,8 +65,7 @@ def with_supports(parts: list[StructurePosterior], seen: Observation, others: li
         pairs = sorted(product(parts, more), key=lambda pair: -pair[0].weight * pair[1].weight)
         least = np.exp(-NEGLIGIBLE) * pairs[0][0].weight * pairs[0][1].weight
         pairs = [(a, b) for a, b in pairs if a.weight * b.weight > least][:MOST_PARTS]
-        total = sum(a.weight * b.weight for a, b in pairs)
-        parts = [multiplied(a, b, a.weight * b.weight / total) for a, b in pairs]
+        parts = [multiplied(a, b, a.weight * b.weight) for a, b in pairs]
     return parts
 
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import kstest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names, scene_graph, structure_key
 from derender.detection.solids.image import ROW, make_row
@@ -19,6 +20,7 @@ from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.graph import Contact, Vertex
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures import graph_posterior
 from derender.structures.draws import chart as charts
 from derender.structures.draws.chart import (
     camera_poses,
@@ -48,7 +50,7 @@ from derender.structures.draws.steps import (
     single_steps,
     touched_by,
 )
-from derender.structures.graph_posterior import leading
+from derender.structures.graph_posterior import MOST_PARTS, independent_parts, leading
 from derender.structures.weighing import Weighed
 
 UPRIGHT, FREE = 0, 1
@@ -480,6 +482,15 @@ def test_a_scene_may_turn_out_to_be_empty():
     )
     assert part.values.shape == (2, 10, 0)
     assert part.graph.names == ("floor",)
+
+
+def test_structures_too_many_to_be_told_keep_their_share(monkeypatch):
+    """Of twenty that are as likely twelve are told: each at a twentieth."""
+    sensor, chart, values = observe(np.random.default_rng(6), State(), {"sigma": 0.003}, camera(40, 30))
+    refined = Refined(State(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    monkeypatch.setattr(graph_posterior, "weighed_structures", lambda *_: [(refined, 0.0, [], 0.0)] * 20)
+    parts = independent_parts(np.random.default_rng(0), refined, 0.0, [], Settings(), 1, 2, False)
+    assert [part.weight for part in parts] == pytest.approx([0.05] * MOST_PARTS)
 
 
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():

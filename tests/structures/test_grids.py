@@ -16,7 +16,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.grids import GAPS, Image, Shown, prior_odds, seam_gain, with_grids
+from derender.structures.grids import GAPS, Grid, Image, Shown, divide, prior_odds, seam_gain, with_grids
 
 CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
 SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004
@@ -93,6 +93,24 @@ def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_numbe
     ends = np.minimum(place[:, 0], 0.9 - place[:, 0]) < 0.002  # the box ends there, which is no seam
     assert seam_gain(none._replace(deeper=deeper + 0.05 * ends), 0, 0.9, 3, 0.006).max() < 1.0
     assert len(GAPS) == len(seam_gain(none, 0, 0.9, 3, 0.006))
+
+
+@pytest.mark.parametrize("many", [3, 40])
+def test_grids_too_many_to_be_told_leave_the_one_box_its_share(many):
+    """Of forty grids of .02 each and one box of .2 some are left out: the box keeps .2, and has none of their share."""
+    part, *_ = pallet()
+    grids = [Grid((2, 2, 1 + k % 5), np.log(0.8 / many / 0.2), np.full(3, GAP)) for k in range(many)]
+    found = divide(part, "box_1", grids)
+    assert sum(each.weight for each in found) == pytest.approx(1.0)
+    assert found[0].graph.names == part.graph.names and found[0].weight == pytest.approx(0.2)
+
+
+def test_one_box_that_many_unlikely_grids_outweigh_is_not_sure():
+    """Each of 60 grids is below what is told, and all of them together are a third."""
+    part, *_ = pallet()
+    grids = [Grid((2, 2, 1), np.log(0.5 / 60), np.full(3, GAP))] * 60
+    assert divide(part, "box_1", grids)[0].weight == pytest.approx(2.0 / 3.0)
+    assert divide(part, "box_1", [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60) == [part]
 
 
 def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_boxes_alone():

@@ -1,5 +1,8 @@
 """Planes at several heights: each with what stands on it, one posterior of all."""
 
+from types import SimpleNamespace
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -15,9 +18,10 @@ from derender.report.scene_json import scene_json
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x
+from derender.structures.graph_posterior import MOST_PARTS
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
-from derender.structures.supports import multiplied, new_names, renamed
+from derender.structures.supports import multiplied, new_names, renamed, with_supports
 
 CAMERA = Camera(fx=140.0, fy=140.0, cx=79.5, cy=59.5, width=160, height=120)
 PATCH = [0.1, 0.0, 0.2, 0.1, 0.5]
@@ -43,6 +47,22 @@ def posterior_over(pose, rng, shape, weight=1.0, x=0.0):
     roots[..., :3, 3] += rng.normal(0.0, 0.001, (*shape, 3))
     log_prior, log_likelihood = rng.normal(size=(2, *shape))
     return StructurePosterior(graph, ("box_1.height",), values, log_prior, log_likelihood, weight, (None,), roots)
+
+
+def test_structures_of_two_planes_that_are_not_told_keep_their_share():
+    """Of six structures each on two planes twelve pairs are told: each weighs what the product of the two says."""
+    rng = np.random.default_rng(1)
+    weights = np.array([0.3, 0.2, 0.15, 0.15, 0.1, 0.1])
+    parts, more = ([posterior_over(floor_seen(height), rng, (1, 2), weight, x) for weight in weights]
+                   for height, x in ((0.2, 0.3), (0.0, 0.0)))  # fmt: skip
+    seen, other = (
+        SimpleNamespace(floor=SimpleNamespace(pose=floor_seen(height)), points=None) for height in (0.2, 0.0)
+    )
+    with mock.patch("derender.structures.supports.patch_of", return_value=None):
+        found = with_supports(parts, seen, [(more, other)])
+    products = np.sort(np.outer(weights, weights).ravel())[::-1]
+    assert [each.weight for each in found] == pytest.approx(products[: len(found)])
+    assert len(found) == MOST_PARTS and sum(each.weight for each in found) < 0.65
 
 
 def test_two_planes_posteriors_multiply():
