@@ -20,6 +20,7 @@ from derender.scene.solids import BOX
 from derender.structures.infer import infer_structure
 from derender.structures.known.identities import Placed, Placement, identity_probabilities
 from derender.structures.known.library import read_library
+from derender.structures.known.posterior import enough, likeliest, names_instead, names_of
 from derender.structures.options import Options
 
 LIBRARY = """
@@ -72,6 +73,32 @@ def test_a_stranger_is_as_rare_as_the_file_says():
         share = identity_probabilities([(settings.price, item), (price - 5.0, item)], settings.temper)
         odds.append(share[1] / share[0])
     assert odds[1] / odds[0] == pytest.approx((0.2 / 0.8) / (0.05 / 0.95))
+
+
+def test_identities_of_several_objects_weigh_as_their_product():
+    """Three objects that are what they seem at .9, .8 and .6: the sum over structures gives these again."""
+    shares = [np.array([0.9, 0.1]), np.array([0.2, 0.8]), np.array([0.6, 0.3, 0.1])]
+    found = likeliest(shares)
+    total = sum(weight for _, weight in found)
+    assert found[0] == ((0, 1, 0), 1.0) and len(found) == 12 and 1.0 / total == pytest.approx(0.9 * 0.8 * 0.6)
+    for k, share in enumerate(shares):
+        for number, p in enumerate(share):
+            told = sum(weight for chosen, weight in found if chosen[k] == number) / total
+            assert told == pytest.approx(p)
+    many = likeliest([np.array([0.9, 0.1])] * 10)
+    assert [weight for _, weight in many] == pytest.approx([1.0, *[1 / 9] * 10, *[1 / 81] * 13])
+
+
+def test_what_stands_there_instead_has_a_name_of_its_own(tmp_path):
+    brick, die, tin = read_library(library(tmp_path))
+    row = make_row(BOX, np.eye(3), np.zeros(3), np.ones(3))
+    of = [Placed(known, row, 0) for known in (brick, brick, tin, None)]
+    names = names_of(of)
+    assert names == ["brick", "brick_2", "tin", "box_1"]
+    assert names_instead(names, of, [of[2], of[1], of[2], of[3]]) == ["tin_1", "brick_2", "tin", "box_1"]
+    assert names_instead(names, of, [of[0], of[3], of[2], of[3]]) == ["brick", "box_2", "tin", "box_1"]
+    assert enough(of) and not enough([of[2], of[2]])  # one tin is all there is
+    assert names_instead(names, of, [Placed(die, row, 0), *of[1:]])[0] == "die"
 
 
 @pytest.mark.parametrize(("text", "words"), [

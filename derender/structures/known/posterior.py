@@ -1,5 +1,6 @@
 """A posterior over which known object each solid is, and where: what `infer --known` answers."""
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +30,7 @@ from derender.structures.known.image import walk_known
 from derender.structures.known.library import Known
 
 STEPS = 24  # of each object between two draws
-LEAST_LIKELY = 1e-3
+LEAST_LIKELY, MOST_STRUCTURES = 1e-3, 24  # share of the likeliest's weight that one told has; how many, at most
 UNKNOWN = "unknown"
 
 
@@ -44,7 +45,9 @@ def known_posterior(
     chains: int,
     draws: int,
 ) -> list[StructurePosterior]:
-    """Return the structures: the most probable identities with full chains, each single exchange as it is polished.
+    """Return the structures: the most probable identities with full chains, others as they are polished.
+
+    What one object is tells nothing of what another is: the weight of a structure is the product of its identities'.
 
     Parameters
     ----------
@@ -73,16 +76,47 @@ def known_posterior(
     }  # fmt: skip
     best = part_of_known(rng, placement, placed, names, floor_pose, chains, draws)
     parts = [replace(best, extras={"identities": identities})]
-    for k, (found, share) in enumerate(zip(options, probabilities, strict=True)):
-        for (_, item), p in zip(found, share, strict=True):
-            if item.known is not placed[k].known and p >= LEAST_LIKELY:
-                other = [*placed[:k], item, *placed[k + 1 :]]
-                own = [*names]
-                own[k] = names_of(other)[k]
-                part = part_of_known(rng, placement, other, own, floor_pose, 1, 1)
-                parts.append(replace(part, weight=float(p / share.max())))
-    total = sum(part.weight for part in parts)
+    leading = tuple(int(np.argmax(share)) for share in probabilities)
+    total = 1.0 / float(np.prod([share.max() for share in probabilities]))  # of all, told or not
+    for chosen, weight in likeliest(probabilities):
+        other = [item if number == first else found[number][1]
+                 for item, number, first, found in zip(placed, chosen, leading, options, strict=True)]  # fmt: skip
+        if chosen != leading and not enough(other):
+            total -= weight
+        elif chosen != leading:
+            part = part_of_known(rng, placement, other, names_instead(names, placed, other), floor_pose, 1, 1)
+            parts.append(replace(part, weight=weight))
     return [replace(part, weight=part.weight / total) for part in parts]
+
+
+def likeliest(shares: list[np.ndarray]) -> list[tuple[tuple[int, ...], float]]:
+    """Return (which identity each object has, how probable that is against the likeliest), the likeliest first.
+
+    shares : for each object, the probabilities (n,) of what it may be. Of MOST_STRUCTURES, none below LEAST_LIKELY.
+    """
+    found: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    for share in shares:
+        further = [((*chosen, number), weight * float(p)) for chosen, weight in found
+                   for number, p in enumerate(share / share.max()) if weight * p >= LEAST_LIKELY]  # fmt: skip
+        found = sorted(further, key=lambda each: -each[1])[:MOST_STRUCTURES]
+    return found
+
+
+def enough(placed: list[Placed]) -> bool:
+    """Whether there are no more of any object than its library has."""
+    numbers = Counter(item.known.name for item in placed if item.known is not None)
+    return all(item.known is None or numbers[item.known.name] <= item.known.count for item in placed)
+
+
+def names_instead(names: list[str], placed: list[Placed], other: list[Placed]) -> list[str]:
+    """Return names for others than were placed: those of what is the same, and new ones for what is not."""
+    own = [name if new.known is old.known else "" for name, old, new in zip(names, placed, other, strict=True)]
+    for k, item in enumerate(other):
+        if not own[k]:
+            base = item.known.name if item.known else vertex_of(item.row, item.cube, "x").shape
+            free = (name for n in range(1, len(own) + 2) if (name := f"{base}_{n}") not in own)
+            own[k] = base if item.known and base not in own else next(free)
+    return own
 
 
 def names_of(placed: list[Placed]) -> list[str]:
