@@ -10,6 +10,7 @@ from derender.detection.search.bodies import APART
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State
+from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.thing import encode_surface
 
 if TYPE_CHECKING:
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from derender.results.posterior import StructurePosterior
 
 SLACK = ("gap", "tilt_x", "tilt_y")
-HIDDEN = 0.1  # of an extent: what is not seen of a thing may reach so much farther
-SILHOUETTE = 0.4  # pixels that an extent is off because silhouettes lie anywhere between two
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
@@ -29,19 +28,19 @@ def thing_name(number: int) -> str:
 
 
 def with_things(
-    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State
+    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State, believed: Things
 ) -> "list[StructurePosterior]":
     """Return StructurePosteriors with free-form things among their objects.
 
-    seen : Observation. state : State of the solids that the search found.
+    seen : Observation. state : State of the solids that the search found. believed : of their extents.
     """
     if not seen.things:
         return parts
     jump = APART * seen.footprint + 3.0 * seen.sigma
     names = names_of(state)
     made = [(thing, *surface_of(seen.image, thing.mask, thing.row, jump)) for thing in seen.things]
-    noise = float(np.median(np.hypot(seen.sigma, SILHOUETTE * seen.footprint)))
-    return [_with_all(rng, part, state, names, made, noise) for part in parts]
+    noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
+    return [_with_all(rng, part, state, names, made, noise, believed.hidden) for part in parts]
 
 
 def _with_all(
@@ -51,6 +50,7 @@ def _with_all(
     names: list[str],
     made: "list[tuple[Thing, str, np.ndarray, np.ndarray]]",
     noise: float,
+    farther: float,
 ) -> "StructurePosterior":
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
@@ -73,7 +73,7 @@ def _with_all(
             vertex = replace(vertex, parent=parent, contact=exact)
         graph = graph.add(vertex)
         for key, value in numbers.items():
-            hidden = HIDDEN * value if key != "height" else 0.0
+            hidden = farther * value if key != "height" else 0.0
             more, off = rng.standard_normal((2, chains, draws, 1))
             drawn = np.maximum(value + hidden * np.abs(more) + noise * off, LEAST * value)
             drawn[best] = value

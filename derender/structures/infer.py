@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from derender.structures.together import Look
 
 CHAINS, DRAWS = 2, 100  # of each structure, and of each chain, where options say nothing
-EXPLAINED = 0.95  # share of the pixels that known objects explain at least, where nothing is taken to be missed
 
 Progress = Callable[[float, str], None]
 
@@ -203,7 +202,7 @@ def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosteri
     from derender.structures.free_forms import with_things
     from derender.structures.grids import with_grids
 
-    parts = with_things(rng, with_bridges(parts, settings.rules), seen, state)
+    parts = with_things(rng, with_bridges(parts, settings.rules), seen, state, case.beliefs.loose.things)
     if not settings.free_forms:
         return parts
     return with_grids(parts, image_of(seen, case, settings.temper), case.beliefs)
@@ -230,9 +229,9 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         into = np.array(posterior.best_part.extras["into"])
         meta["views"] = [view_data(graph, *each) for each in zip(into, looks[1:], case.frames, strict=True)]
     told = explanation_of(graph, observations, case.depth, case.camera)
-    if case.library:  # of whose answers no spots are counted
-        extras = {**extras, "unexplained": int(told.share(case.depth) < EXPLAINED)}
     believed = case.beliefs.loose.missed
+    if case.library:  # of whose answers no spots are counted
+        extras = {**extras, "unexplained": int(told.share(case.depth) < believed.explained)}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
     meta.update(missed=missed, wrong_if_missed=believed.wrong)
     return replace(posterior, parts=tuple(part.scaled(1.0 - missed) for part in parts), explanation=told)

@@ -2,17 +2,24 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from derender import data_path
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image, beliefs_of
+from derender.detection.solids.image import make_row
+from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import unheld
+from derender.detection.things import Thing
 from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
+from derender.results.posterior import StructurePosterior
 from derender.scene.graph import Contact, SceneGraph, Vertex
-from derender.scene.priors.bare_image import Shared, tips
+from derender.scene.priors.bare_image import Missed, Shared, Things, tips
+from derender.scene.solids import BOX
+from derender.structures import free_forms
 from derender.structures.draws.scene_density import scene_log_prior, state_of
 
 PRIOR = read_prior_document(BARE_IMAGE).prior
@@ -88,6 +95,8 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
         ("slack_seen: 2 mm", "slack_seen: 3 mm"),
         ("stranger: 0.05", "stranger: 0.2"),
         ("shared: {power: 1.5,", "shared: {power: 1.0,"),
+        ("things: {hidden: 0.1", "things: {hidden: 0.3"),
+        ("explained: 0.95", "explained: 0.9"),
     ):
         assert text.count(old) == 1
         text = text.replace(old, new)
@@ -96,6 +105,7 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
     beliefs = beliefs_of(document.prior, document.likelihood)
     loose = beliefs.loose
     assert (loose.slack_seen, loose.stranger, loose.shared) == (0.003, 0.2, replace(Shared(), power=1.0))
+    assert loose.things == Things(hidden=0.3) and loose.missed == replace(Missed(), explained=0.9)
     assert loose.tipping == 0.5 and beliefs.sensor is document.likelihood
     rules = Rules(beliefs.loose.slack, beliefs=beliefs)
     off = [
@@ -145,3 +155,18 @@ def test_a_coarser_slack_is_a_wider_density():
     graph = SCENES["stack"]
     wide = Rules(loose.slack, beliefs=bare_image()._replace(loose=loose))
     assert scene_log_prior(graph, wide) == pytest.approx(scene_log_prior(graph))  # what stands upright has no slack
+
+
+def test_a_thing_reaches_as_much_farther_than_is_seen_as_the_file_says(monkeypatch):
+    size = np.array([0.1, 0.1, 0.1])
+    monkeypatch.setattr(free_forms, "surface_of", lambda *_: ("", size, np.array([0.0, 0.0, 0.05])))
+    thing = Thing(np.ones((4, 4), bool), make_row(BOX, np.eye(3), [0.0, 0.0, 0.05], size), FLOOR, (0.9, 0.05))
+    even = np.full((4, 4), 0.002)
+    seen = SimpleNamespace(things=(thing,), footprint=even, sigma=1e-6 * even, image=None)
+    none = np.zeros((4, 500))
+    part = StructurePosterior(scene(), (), np.zeros((4, 500, 0)), none, none)
+    for believed in (Things(), Things(hidden=0.3, silhouette=1.5)):
+        (found,) = free_forms.with_things(np.random.default_rng(0), [part], seen, State(), believed)
+        length, height = (found.values[..., found.addresses.index(f"thing_1.{name}")] for name in ("length", "height"))
+        assert length.mean() - 0.1 == pytest.approx(0.1 * believed.hidden * np.sqrt(2.0 / np.pi), rel=0.1)
+        assert height.std() == pytest.approx(0.002 * believed.silhouette, rel=0.1)

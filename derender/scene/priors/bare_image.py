@@ -54,6 +54,7 @@ class Missed:
         fewer answers are right.
     few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
     wrong : share of the objects of an answer that are not there where it is one that missed what is.
+    explained : of an answer of known objects, share of the pixels from which on nothing is left unexplained.
     """
 
     settled: float = 0.005
@@ -64,6 +65,21 @@ class Missed:
     few: float = 0.3
     pixels: float = 10.0
     wrong: float = 0.5
+    explained: float = 0.95
+
+
+@dataclass(frozen=True)
+class Things:
+    """What is believed of the extents of free-form things.
+
+    Attributes
+    ----------
+    hidden : standard deviation, as a share of an extent, of how much farther it reaches than is seen.
+    silhouette : pixels by which an extent is off because silhouettes lie anywhere between two.
+    """
+
+    hidden: float = 0.1
+    silhouette: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -118,8 +134,8 @@ class Loose:
     stranger : probability that a solid is none of the known objects, where others than those may be.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
-    shared : Shared, by pixels that err together. existence : of a free-form thing. cartons : Cartons, of boxes that
-        are many.
+    shared : Shared, by pixels that err together. existence : of a free-form thing; things : of their extents.
+    cartons : Cartons, of boxes that are many.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
@@ -136,6 +152,7 @@ class Loose:
     within: float = 0.06
     shared: Shared = field(default_factory=Shared)
     existence: Existence = field(default_factory=Existence)
+    things: Things = field(default_factory=Things)
     cartons: Cartons = field(default_factory=Cartons)
 
 
@@ -209,7 +226,7 @@ NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hangi
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
     section.allow("type", "offspring", "unit", "seen_from", "missed", "stranger", "second_support", "shared",
-                  "existence", "cartons", *NUMBERS)  # fmt: skip
+                  "existence", "things", "cartons", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -247,6 +264,10 @@ def read_loose(section: Section) -> Loose:
         told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
         numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
         found["existence"] = Existence(**numbers)
+    if "things" in section:
+        told = section["things"].section().allow("hidden", "silhouette")
+        names = [each.name for each in fields(Things)]
+        found["things"] = Things(**{name: told[name].number(lower=0.0) for name in names if name in told})
     if "cartons" in section:
         told = section["cartons"].section().allow("probability", "most", "extent", "gap")
         extent = read_value(told["extent"], "m")
