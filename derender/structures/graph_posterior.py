@@ -107,9 +107,9 @@ def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
 
     What neighbouring pixels share is not told from noise by its spots.
     """
-    worth = trial.sensor.worth
-    left = 0 if worth < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
-    return {"pixels": [float(worth * count) for count in pixels_of(trial)], "unexplained": left}
+    shows = trial.sensor.shows
+    left = 0 if shows < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
+    return {"pixels": [float(shows * count) for count in pixels_of(trial)], "unexplained": left}
 
 
 class DrawsOfOne:

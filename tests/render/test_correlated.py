@@ -11,7 +11,7 @@ from derender.cli import group
 from derender.detection.calibration import ON_TABLE, Fit, correlation, fit_sensor, log_density, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import independent_share, prediction
+from derender.render.likelihoods.correlated import independent_share, prediction, shown_share
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
@@ -180,6 +180,16 @@ def test_the_mean_of_many_pixels_is_as_sure_as_that_of_so_many_independent_ones(
     means = [NOISE.sample(rng, depth, values).mean() for _ in range(100)]
     expected = values["sigma"] ** 2 / (independent_share(values) * depth.size)
     assert 0.7 < np.var(means) / expected < 2.0  # a third more: six neighbours do not tell all; and chance, a seventh
+
+
+def test_the_mean_square_of_many_pixels_is_as_sure_as_that_of_the_independent_values_that_they_show():
+    """Of n independent normal values the mean square has the variance 2 / n; so few as tell the mean are too few."""
+    values = {**GAUSSIAN, "bias": 0.0, "sigma_growth": 0.0, "outlier": 1e-9}
+    rng, depth = np.random.default_rng(8), np.full((80, 100), 0.8)
+    squares = [np.mean(((NOISE.sample(rng, depth, values) - depth) / values["sigma"]) ** 2) for _ in range(100)]
+    found = 2.0 / np.var(squares) / depth.size
+    assert found == pytest.approx(shown_share(values), rel=0.5)  # a seventh by chance; six neighbours do not tell all
+    assert found > 1.5 * independent_share(values)
 
 
 def test_of_what_may_be_hidden_no_neighbour_tells():

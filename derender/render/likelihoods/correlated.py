@@ -229,6 +229,18 @@ def independent_share(values: Mapping[str, float]) -> float:
     return 1.0 / (values["white"] + (1.0 - values["white"]) * max(shared, 1.0))
 
 
+def shown_share(values: Mapping[str, float]) -> float:
+    """Return how many independent values one pixel shows, of many that show a surface: at most 1.
+
+    The inverse of the sum of its squared correlations with all pixels: a field's degrees of freedom (Bretherton et al.,
+    Journal of Climate, 1999), to which its mean square is known. They are more than tell the mean (`independent_share`,
+    by the correlations themselves): noise that hides a level does not hide that something of another form is there.
+    What neighbours share sums to 9/4 pi reach reach_down. The bias is left out.
+    """
+    shared = (1.0 - values["white"]) ** 2
+    return 1.0 / (1.0 - shared + shared * max(2.25 * math.pi * values["reach"] * values["reach_down"], 1.0))
+
+
 def most(values: Mapping[str, float]) -> float:
     """Return the unit noise beyond which a pixel is an outlier, which tells the next ones nothing."""
     return LIMIT * math.sqrt(1.0 + values["bias"] ** 2)

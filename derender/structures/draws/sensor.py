@@ -14,7 +14,7 @@ from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.base import temper
-from derender.render.likelihoods.correlated import independent_share
+from derender.render.likelihoods.correlated import independent_share, shown_share
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
@@ -71,6 +71,11 @@ class Sensor(NamedTuple):
         if self.likelihood.name == "correlated":
             return independent_share(self.values)
         return temper(self.values, self.likelihood.counted_pixels(self.observed))
+
+    @property
+    def shows(self) -> float:
+        """How many independent values one pixel of the first view shows: at most 1, and at least its worth."""
+        return shown_share(self.values) if self.likelihood.name == "correlated" else self.worth
 
     @property
     def views(self) -> "tuple[Sensor, ...]":
