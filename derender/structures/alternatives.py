@@ -21,7 +21,7 @@ from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.solids.support import final_parents, flat_top, log_standing, shadows_overlap, with_bottom
+from derender.detection.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
 from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -208,8 +208,8 @@ def of_one_solid(
     if height(removed) > height(best) - HOPELESS:
         candidates.append((removed, []))
     candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
-    own = Block(best, [i], rules)
-    return [of_block(rng, trial, places, own, rules) for trial, places in candidates]
+    own = Block(best, [i])
+    return [of_block(rng, trial, places, own) for trial, places in candidates]
 
 
 def still_bears(best: Refined, state: State, i: int) -> bool:
@@ -310,10 +310,10 @@ def weighed_whole(
     if not trials:
         return []
     everyone = (best, *trials)
-    near = [evidence_of(near_evidence(each) + log_standing(each.state, rules), NEAR_ERROR) for each in everyone]
+    near = [evidence_of(near_evidence(each), NEAR_ERROR) for each in everyone]
     first = max(each.log for each in near)
     likely = [k for k in range(len(near)) if near[k].log > first - IMPROBABLE]
-    tasks = [partial(evidence_over, refined=everyone[k], rules=rules) for k in likely]
+    tasks = [partial(evidence_over, refined=everyone[k]) for k in likely]
     whole = list(near)
     if len(likely) > 1:
         for k, found in zip(likely, in_threads(rng, tasks), strict=True):

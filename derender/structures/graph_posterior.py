@@ -79,7 +79,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     if only_best:
         part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
         return [replace(part, extras={**part.extras, **shown_and_left(first)})]
-    made = DrawsOfOne(chains, draws, settings.rules)
+    made = DrawsOfOne(chains, draws)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
     # What is not reported keeps its share: of the others' weights it takes what is its own.
@@ -90,7 +90,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
             drawn = made.of(rng, trial)
         elif weights[place] > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
-            drawn = chains_of(rng, trial, 1, max(draws // 5, 2), settings.rules)
+            drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:
             drawn = [only_draw(trial)]
         part = structure_posterior(rng, trial, own, float(weights[place]), drawn)
@@ -115,14 +115,14 @@ def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
 class DrawsOfOne:
     """Chains of one structure at a time, made when they are first asked for: the likeliest needs them anyway."""
 
-    def __init__(self, chains: int, draws: int, rules: Rules) -> None:
-        self.chains, self.count, self.rules = chains, draws, rules
+    def __init__(self, chains: int, draws: int) -> None:
+        self.chains, self.count = chains, draws
         self.made: tuple = ()
 
     def of(self, rng: np.random.Generator, refined: Refined) -> list[Draws]:
         """Return the list of Draws of a Refined, one for each chain."""
         if not self.made or self.made[0] is not refined:
-            self.made = refined, chains_of(rng, refined, self.chains, self.count, self.rules)
+            self.made = refined, chains_of(rng, refined, self.chains, self.count)
         return self.made[1]
 
 

@@ -71,7 +71,7 @@ def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules
         trial = with_own_sensor(rng, trial, [place], WORTHWHILE)
     if height(trial) <= height(best) - HOPELESS:
         return None
-    return of_block(rng, trial, [place], Block(best, [i, j], rules), rules)
+    return of_block(rng, trial, [place], Block(best, [i, j]))
 
 
 def recuts(rng, best, rules):

@@ -21,7 +21,6 @@ from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import ROW, rotation_of
 from derender.detection.solids.state import State
-from derender.detection.solids.support import log_standing
 from derender.sampling.evidence import Evidence, evidence_of
 from derender.structures.draws.chart import make_chart, place_rows
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
@@ -35,12 +34,11 @@ from derender.structures.draws.refined import (
     over_blur,
     refitted,
 )
-from derender.structures.draws.standing import log_standings
 
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.
 IMPROBABLE, NEAR_ERROR = 14.0, 2.0
-DRAWS, STANDING = 150, 30  # from which an integral is taken, and from which what would tip
+DRAWS = 150  # from which an integral is taken
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES = 4  # of the rest, drawn for odds that are close
@@ -63,54 +61,46 @@ class Weighed(NamedTuple):
     places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
 
-def evidence_over(
-    rng: np.random.Generator, refined: Refined, rules: Rules, solids: tuple[int, ...] | None = None
-) -> Evidence:
-    """Return the Evidence of the density over the coordinates of some solids, all others held; None: over all.
-
-    What would tip off its supports is less probable: the integral without that term, times its mean over the draws.
-    """
+def evidence_over(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...] | None = None) -> Evidence:
+    """Return the Evidence of the density over the coordinates of some solids, all others held; None: over all."""
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = list(range(len(values))) if solids is None else members_of(chart, solids)
     if not members:
         held = sum(load(engine_of(chart, sensor), chart, values))
-        return evidence_of(held + log_standing(refined.state, rules), 0.0)
+        return evidence_of(held, 0.0)
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
     drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
-    found = log_evidence(rng, chart, sensor, values, drawn, members)
-    stands = log_standings(refined.state, chart, drawn[0].values[:: DRAWS // STANDING], rules)
-    told = averaged(stands, np.zeros(len(stands)))
-    return evidence_of(found.log + told["odds"], math.hypot(found.standard_error, told["error"]))
+    return log_evidence(rng, chart, sensor, values, drawn, members)
 
 
 class Block:
     """Some solids of a structure with the others at their mode: its integrals, each made once."""
 
-    def __init__(self, refined: Refined, places: list[int], rules: Rules) -> None:
+    def __init__(self, refined: Refined, places: list[int]) -> None:
         self.refined, self.places = refined, tuple(places)
-        self.rules, self.apart = rules, refined.sensor.log_prior()  # the latter is in no integral
+        self.apart = refined.sensor.log_prior()  # it is in no integral
         self._evidence: Any = None
 
     @functools.cached_property
     def near(self) -> float:
-        """The log integral as `near_evidence` has it, as if nothing tipped."""
+        """The log integral as `near_evidence` has it."""
         return near_evidence(self.refined, self.places) + self.apart
 
     def evidence(self, rng: np.random.Generator) -> Evidence:
         """Return the Evidence over the solids' coordinates."""
         if self._evidence is None:
-            self._evidence = evidence_over(rng, self.refined, self.rules, self.places)
+            self._evidence = evidence_over(rng, self.refined, self.places)
         return self._evidence
 
 
-def of_block(rng: np.random.Generator, trial: Refined, places: list[int], own: Block, rules: Rules) -> Weighed:
+def of_block(rng: np.random.Generator, trial: Refined, places: list[int], own: Block) -> Weighed:
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
 
     places : indices of those solids in it. own : Block of those of the best.
     """
-    block = Block(trial, places, rules)
+    block = Block(trial, places)
     both = block.places, own.places
-    odds = block.near - own.near - log_standing(own.refined.state, rules)
+    odds = block.near - own.near
     if odds < -IMPROBABLE:
         return Weighed(trial, odds, NEAR_ERROR, both)
     found, held = block.evidence(rng), own.evidence(rng)
@@ -156,9 +146,7 @@ def made_sure(rng, best, others, drawn, rules):
     draws = drawn(rng)
     chosen = draws[np.linspace(0, len(draws) - 1, PLACES + 2).round().astype(int)[1:-1]]
     blocks = list(dict.fromkeys(others[k].places[1] for k in close))  # of the best, in which several may differ
-    own = in_threads(
-        rng, [partial(integrals, best=best, rules=rules, places=places, draws=chosen) for places in blocks]
-    )
+    own = in_threads(rng, [partial(integrals, best=best, places=places, draws=chosen) for places in blocks])
     own = dict(zip(blocks, own, strict=True))
     tasks = [partial(odds_at, best=best, weighed=others[k], values=values, own=held, rules=rules)
              for k in close for values, held in zip(chosen, own[others[k].places[1]], strict=False)]  # fmt: skip
@@ -174,11 +162,9 @@ def made_sure(rng, best, others, drawn, rules):
     return others
 
 
-def integrals(
-    rng: np.random.Generator, best: Refined, rules: Rules, places: tuple[int, ...], draws: np.ndarray
-) -> list[Evidence]:
+def integrals(rng: np.random.Generator, best: Refined, places: tuple[int, ...], draws: np.ndarray) -> list[Evidence]:
     """Return the Evidences over some solids of the best with all else at draws (n, D), and last `over_blur` of them."""
-    held = [evidence_over(rng, best._replace(values=values.copy()), rules, places) for values in draws]
+    held = [evidence_over(rng, best._replace(values=values.copy()), places) for values in draws]
     return [*held, over_blur(rng, best, places)]
 
 
@@ -219,7 +205,7 @@ def odds_at(
         found = Refined(state, chart, start, trial.sensor, *load(engine_of(chart, trial.sensor), chart, start))
     if not np.isfinite(found.log_prior):  # here it is impossible: it does not touch what bears it
         return -np.inf, 0.0
-    other = evidence_over(rng, found, rules, places)
+    other = evidence_over(rng, found, places)
     return other.log - own.log, math.hypot(other.standard_error, own.standard_error)
 
 

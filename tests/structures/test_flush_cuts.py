@@ -11,11 +11,10 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.solids.support import log_standing, unheld
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.draws.chart import make_chart
+from derender.structures.draws.chart import log_prior, make_chart, tipping
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.unions import on_supports, recuts
@@ -59,6 +58,11 @@ def corner():
     return boxes((0, 0, 0, [0.05, 0.12, 0.06]), (0.065, -0.035, 0, [0.08, 0.05, 0.06]))
 
 
+def tips(refined):
+    """Whether something would tip."""
+    return bool(tipping(refined.chart, refined.state.rows))
+
+
 def weighed(state, seed=0):
     """Return (Refined of a state given its own image, the ways to cut it with their log odds)."""
     rng, view = np.random.default_rng(seed), Camera(75.0, 75.0, 39.5, 29.5, 80, 60)
@@ -83,20 +87,23 @@ def test_a_cut_keeps_the_outline_and_another_takes_it_back():
 
 def test_a_board_that_only_friction_holds_is_not_held():
     """And is as much less probable as the file says."""
-    assert unheld(hung()) == 1 and unheld(shelf()) == 0
-    assert log_standing(shelf(), RULES) - log_standing(hung(), RULES) == pytest.approx(np.log(CERTAIN))
+    chart, _ = make_chart(hung(), floor_pose(), RULES)
+    assert tipping(chart, hung().rows) == [2]
+    assert not tipping(make_chart(shelf(), floor_pose(), RULES)[0], shelf().rows)
+    less = log_prior(chart._replace(tipping=0.0), hung().rows) - log_prior(chart, hung().rows)
+    assert less == pytest.approx(np.log(CERTAIN))
 
 
 def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
     """At the mode of what both share, and at any other place of it: what holds tells as much."""
     best, found = weighed(hung())
-    right = [each for each in found if unheld(each.trial.state) == 0 and max(each.trial.state.rows[:, 15]) < 0.11]
+    right = [each for each in found if not tips(each.trial) and max(each.trial.state.rows[:, 15]) < 0.11]
     likeliest = max(right, key=lambda each: each.odds)
     assert likeliest.odds > 0.5 * np.log(CERTAIN)
     kept, cut = 1, (0, 2)  # the other side; the board and the side that it is cut from
     np.testing.assert_allclose(likeliest.trial.state.rows[kept, 10:16], best.state.rows[kept, 10:16], atol=0.02)
     rng = np.random.default_rng(1)
-    own = evidence_over(rng, best, RULES, cut)
+    own = evidence_over(rng, best, cut)
     again, _ = odds_at(rng, best, likeliest._replace(places=(cut, cut)), best.values, own, RULES)
     assert abs(again - likeliest.odds) < 0.5 * np.log(CERTAIN)
 
@@ -104,9 +111,9 @@ def test_a_board_lies_on_both_sides_rather_than_hanging_on_one():
 def test_a_board_on_both_sides_stays_there():
     """The broken twin: without the odds of what holds, the cuts would be as likely as each other."""
     best, found = weighed(shelf())
-    wrong = [odds for trial, odds, *_ in found if unheld(trial.state) > 0]
+    wrong = [odds for trial, odds, *_ in found if tips(trial)]
     assert wrong and max(wrong) < -0.5 * np.log(CERTAIN)
-    assert max(odds + np.log(CERTAIN) for trial, odds, *_ in found if unheld(trial.state) > 0) > -3.0
+    assert max(odds + np.log(CERTAIN) for trial, odds, *_ in found if tips(trial)) > -3.0
 
 
 @pytest.mark.parametrize("seed", [0, 1])

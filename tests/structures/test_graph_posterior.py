@@ -32,12 +32,11 @@ from derender.structures.draws.chart import (
     touching_area,
 )
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.metropolis import Draws, engine_of, evaluate, load, log_evidence, run, sample
+from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample
 from derender.structures.draws.numbers import numbers_of_draws
 from derender.structures.draws.refined import Refined, chains_of, pixels_of, structure_posterior, with_lost_back
 from derender.structures.draws.scene_density import scene_log_prior
 from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
-from derender.structures.draws.standing import drawn_by_standing, log_standings
 from derender.structures.draws.steps import (
     FLOOR_SHARE,
     WIDER,
@@ -478,7 +477,7 @@ def test_a_scene_may_turn_out_to_be_empty():
     prior, likelihood = load(engine, chart, values)
     refined = Refined(State(), chart, values, sensor, prior, likelihood)
     part = structure_posterior(
-        np.random.default_rng(0), refined, [], 1.0, chains_of(np.random.default_rng(7), refined, 2, 10, Rules(0.0015))
+        np.random.default_rng(0), refined, [], 1.0, chains_of(np.random.default_rng(7), refined, 2, 10)
     )
     assert part.values.shape == (2, 10, 0)
     assert part.graph.names == ("floor",)
@@ -494,17 +493,25 @@ def test_structures_too_many_to_be_told_keep_their_share(monkeypatch):
 
 
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():
-    """Half of a walk's draws have a block's middle beyond what bears it: the file says a hundredth as probable."""
-    state, rules = stack(), Rules(0.0015)
-    chart, values = make_chart(state, floor_pose(), rules)
-    walked, x = np.tile(values, (4000, 1)), chart.slots[1, charts.X]
-    walked[::2, x] += 0.06  # metres: 30 mm beyond the face below, whose half is 40
-    told = log_standings(state, chart, walked[:2], rules)
-    assert told == pytest.approx([np.log(0.01), 0.0])
-    drawn = drawn_by_standing(np.random.default_rng(3), state, chart, Draws(walked, np.zeros((4000, 2)), 0.3), rules)
-    assert (drawn.values[:, x] > values[x] + 0.03).mean() == pytest.approx(0.01 / 1.01, abs=0.005)
-    kept = Draws(walked[1::2], np.zeros((2000, 2)), 0.3)
-    assert drawn_by_standing(np.random.default_rng(3), state, chart, kept, rules) is kept
+    """A walk that the image tells nothing, of a block on another: were all places where the two touch as likely, its
+    middle would lie beyond that in three draws of four, and does in two of five where that is a quarter as probable."""
+    state = stack().without(3).without(2)
+    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    assert chart.tipping == pytest.approx(math.log(100.0))
+    chart = chart._replace(tipping=math.log(4.0))
+    sensor = Sensor(
+        camera(8, 6), np.full((6, 8), np.nan), likelihoods["gaussian"], likelihoods["gaussian"].complete({})
+    )
+    place, own = [chart.slots[1, charts.X], chart.slots[1, charts.X] + 1], values.copy()
+    drawn = sample(np.random.default_rng(3), chart, sensor, own, 1, 4000, 20, place)[0].values
+    rows = np.empty((2, charts.ROW))
+    tips = []
+    for each in drawn:
+        place_rows(chart, each, rows)
+        tips.append(len(charts.tipping(chart, rows)))
+    over = 0.08**2
+    wanted = 0.25 * (charts.touching_area(*state.rows[::-1]) - over)
+    assert np.mean(tips) == pytest.approx(wanted / (wanted + over), abs=0.05)  # of .42; each draw is worth a third
 
 
 def test_the_best_scene_of_a_posterior_is_the_best_of_climb_and_draws():
@@ -513,7 +520,7 @@ def test_the_best_scene_of_a_posterior_is_the_best_of_climb_and_draws():
     sensor, chart, values = observe(rng, cube(), {"sigma": 0.003}, camera(40, 30))
     prior, likelihood = load(engine_of(chart, sensor), chart, values)
     refined = Refined(cube(), chart, values, sensor, prior, likelihood)
-    draws = chains_of(rng, refined, 2, 20, Rules(0.0015))
+    draws = chains_of(rng, refined, 2, 20)
     beside = structure_posterior(
         np.random.default_rng(0), refined._replace(log_likelihood=-1e9), ["cube_1"], 1.0, draws
     )

@@ -55,7 +55,7 @@ def mode_of(sigma, *boxes):
 
 def whole_odds(trial, best):
     """Return the log odds by the integrals over all coordinates."""
-    logs = [evidence_over(np.random.default_rng(5), each, RULES).log + each.sensor.log_prior()
+    logs = [evidence_over(np.random.default_rng(5), each).log + each.sensor.log_prior()
             for each in (trial, best)]  # fmt: skip
     return logs[0] - logs[1]
 
@@ -79,9 +79,9 @@ def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypa
     fewer, rng = best.state.without(1), np.random.default_rng(8)
     (fair,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
 
-    def failed(rng, refined, rules):
+    def failed(rng, refined):
         wrong = 100.0 if len(refined.state) == 1 else 0.0
-        return evidence_of(evidence_over(rng, refined, rules).log + wrong, 60.0)
+        return evidence_of(evidence_over(rng, refined).log + wrong, 60.0)
 
     monkeypatch.setattr(alternatives, "evidence_over", failed)
     (kept,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
@@ -93,7 +93,7 @@ def test_an_integral_that_is_sure_is_what_is_told(monkeypatch):
     best, shift = small_beside_large(), 20.0
     fewer = best.state.without(1)
 
-    def surer(rng, refined, rules):
+    def surer(rng, refined):
         return evidence_of(shift if len(refined.state) == 1 else 0.0, 0.1)
 
     monkeypatch.setattr(alternatives, "evidence_over", surer)

@@ -4,15 +4,12 @@ The weight is borne by forces at the points where a solid touches, in equilibriu
 push along its normal and, by friction, across it, up to FRICTION times as much: a pyramid of four forces. Of all forces
 that hold the solid, the shortest vector is taken (non-negative least squares with a small ridge), as a stiff but
 slightly soft contact would share the load.
-
-Whether what stands would fall off its supports, did no friction hold it, is a term of every structure's density.
 """
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.image import Image, bounding_rectangle, rotation_of
 from derender.detection.solids.interpenetration import clamp_direction, highest, lowest, overlap_along, penetration
 from derender.detection.solids.misfit import added_misfit
@@ -97,14 +94,12 @@ def touching_points(row: np.ndarray, other: np.ndarray | None, reach: float) -> 
     return points
 
 
-def shares_of_load(
-    rows: list[np.ndarray] | np.ndarray, k: int, reach: float, friction: float = FRICTION
-) -> dict[int, float]:
+def shares_of_load(rows: list[np.ndarray] | np.ndarray, k: int, reach: float) -> dict[int, float]:
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
     Parameters
     ----------
-    rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching. friction : see the head.
+    rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
     """
     row = rows[k]
     columns, carriers = [], []
@@ -115,12 +110,10 @@ def shares_of_load(
         normal = np.array([0.0, 0.0, 1.0]) if other == FLOOR else push_on(row, rows[other])
         if normal[2] < -0.5:  # it is what stands on the solid
             continue
-        pyramid = normal[None]
-        if friction > 0.0:
-            across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
-            across /= np.linalg.norm(across)
-            other_way = np.cross(normal, across)
-            pyramid = normal + friction * np.array([across, -across, other_way, -other_way])
+        across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
+        across /= np.linalg.norm(across)
+        other_way = np.cross(normal, across)
+        pyramid = normal + FRICTION * np.array([across, -across, other_way, -other_way])
         force = np.tile(pyramid, (len(points), 1))
         turning = np.cross(np.repeat(points - row[10:13], len(pyramid), axis=0), force) / row[13:16].max()
         columns.append(np.hstack([force, turning]))
@@ -128,8 +121,7 @@ def shares_of_load(
     if not columns:
         return {}
     matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    ridge = RIDGE if friction > 0.0 else RIDGE / 4  # each stands for the four of a pyramid without width
-    forces = non_negative(matrix.T @ matrix + ridge * np.eye(matrix.shape[1]), weight @ matrix)
+    forces = non_negative(matrix.T @ matrix + RIDGE * np.eye(matrix.shape[1]), weight @ matrix)
     # the ridge alone lets a share of the weight go
     held = matrix @ forces
     if np.linalg.norm(held / max(held[2], 1e-9) - weight) > UNBALANCED:
@@ -303,29 +295,3 @@ def final_parents(state: State) -> list[int]:
         else:
             parents.append(min(carriers, key=lambda j: np.hypot(*(state.rows[j][10:12] - row[10:12]))))
     return parents
-
-
-def log_standing(state: State, rules: Rules) -> float:
-    """Return the log of what the prior gives a state less for what would tip; 0 where solids may float."""
-    if rules.floating:
-        return 0.0
-    beliefs = bare_image() if rules.beliefs is None else rules.beliefs
-    return float(np.log(beliefs.loose.tipping)) * unheld(state)
-
-
-def unheld(state: State) -> int:
-    """Return how many upright solids would tip off what is level with their bottoms, did no friction hold them."""
-    upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT and not balanced(state, k)]
-    return sum(not shares_of_load(state.rows, k, TOUCHING, friction=0.0) for k in upright)
-
-
-def balanced(state: State, k: int) -> bool:
-    """Whether a solid is surely held: it stands on the floor, or its centre lies over the top of its parent."""
-    parent = state.parents[k]
-    if parent == FLOOR or np.isnan(state.bottoms[k]):
-        return True
-    on, apart = state.rows[parent], state.rows[k][10:12] - state.rows[parent][10:12]
-    if int(on[0]) != BOX:
-        return bool(np.hypot(*apart) < 0.5 * on[13])
-    along = np.abs(on[1:10].reshape(3, 3)[:2, :2].T @ apart)
-    return bool(state.forms[parent] == UPRIGHT and (along < 0.5 * on[13:15]).all())

@@ -17,14 +17,16 @@ from derender.detection.solids.interpenetration import gap_between, highest, low
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at
 from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.support import TOUCHING, flat_top, shadows_overlap
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
-KIND, VERTICAL, PARENT, HELD, EQUAL = range(5)  # columns of Chart.flags
+KIND, VERTICAL, PARENT, HELD, EQUAL, ALONE = range(6)  # columns of Chart.flags
 X, Y, Z, TURN, SIZE, SLOTS = 0, 1, 2, 3, 6, 9  # columns of Chart.slots
 FLOOR_WAYS = 3  # two tilts and a height, the last coordinates of all
 
 MOST_TILT = np.radians(3.0)  # of what stands upright: a search lets it tilt as real floors do, twice their deviation
 LEVEL_WITHIN = 0.012  # metres between a bottom and the top that it is made level with
+BENEATH = 0.001  # metres under a solid's middle where what bears it is looked for: its face may lie a hair askew
 LEAST_EXTENT = 0.004  # metres: thinner solids are noise, whatever a prior says
 EIGHTH = np.sqrt(0.5) - 1e-9  # cosine of an eighth of a turn, to rounding
 ROOT_OF_3 = np.sqrt(3.0)
@@ -36,13 +38,14 @@ class Chart(NamedTuple):
 
     Attributes
     ----------
-    flags : (N, 5) int64, see KIND ... EQUAL (whether it is a cube); the parent is FLOOR or an index.
+    flags : (N, 6) int64, see KIND ... ; the parent is FLOOR or an index; EQUAL: whether it is a cube; ALONE: whether
+        nothing but its parent, a solid, bears it.
     slots : (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none.
     base : (N, ROW) float64, the solids at the start: rotations are turns from there.
     order : (N,) int64, supports before what they carry.
     floor : (4, 4) float64, floor frame to camera at the start.
     slack, overlap, faces, floating : as in Rules. sunk : metres by which solids may sink into the floor.
-    hanging : nats that touching nothing costs. sizes : as in Beliefs.
+    hanging, tipping : nats that touching nothing costs, and tipping off what bears it. sizes : as in Beliefs.
     structural : log prior of the structure itself: how many solids stand where, of which kinds, upright or not.
     """
 
@@ -57,6 +60,7 @@ class Chart(NamedTuple):
     floating: bool
     sunk: float
     hanging: float
+    tipping: float
     sizes: np.ndarray
     structural: float
 
@@ -82,7 +86,7 @@ def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Char
     parents = list(state.parents)
     order = order_of(parents)
     rows = np.array(state.rows, float)
-    flags, slots = np.zeros((count, 5), np.int64), np.full((count, SLOTS), -1, np.int64)
+    flags, slots = np.zeros((count, 6), np.int64), np.full((count, SLOTS), -1, np.int64)
     values: list[float] = []
 
     def free(solid, column, value):
@@ -94,7 +98,9 @@ def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Char
         support = support_of(state, k, parents[k])
         vertical = state.forms[k] != FREE and kind != SPHERE and upright_within(rows[k], MOST_TILT)
         held = support is not None and (vertical or kind == SPHERE)
-        flags[k] = kind, vertical, parents[k] if support is None else support, held, state.cubes[k]
+        on = parents[k] if support is None else support
+        alone = vertical and held and on != FLOOR and not borne_besides(state.rows, k, on)
+        flags[k] = kind, vertical, on, held, state.cubes[k], alone
         if vertical:
             rows[k, 1:10] = levelled(rows[k, 1:10].reshape(3, 3)).ravel()
         if kind == SPHERE:  # a sphere may be turned as one likes: so that its contact needs no turn
@@ -123,7 +129,8 @@ def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Char
     overlap = loose.overlap if rules.overlap is None else rules.overlap
     chart = Chart(flags, slots, rows, np.array(order, np.int64), np.ascontiguousarray(floor_pose, dtype=float),
                   rules.slack, overlap, rules.faces, rules.floating, loose.overlap, -float(np.log(loose.hanging)),
-                  beliefs.sizes, structure_log_prior(flags, beliefs))  # fmt: skip
+                  0.0 if rules.floating else -float(np.log(loose.tipping)), beliefs.sizes,
+                  structure_log_prior(flags, beliefs))  # fmt: skip
     return chart, np.array([*values, 0.0, 0.0, 0.0])
 
 
@@ -134,7 +141,7 @@ def structure_log_prior(flags: np.ndarray, beliefs: Beliefs) -> float:
     Solids on the floor and on each top are a set: p(n) n! times the density of one place each.
     """
     total = beliefs.on_floor[min(int(np.sum(flags[:, PARENT] == FLOOR)), MOST)]
-    for k, (kind, vertical, _, _, equal) in enumerate(flags):
+    for k, (kind, vertical, _, _, equal, _) in enumerate(flags):
         row = CUBE if equal else int(kind)
         total += beliefs.kinds[row] + (
             0.0 if kind == SPHERE else (beliefs.upright if vertical else beliefs.tilted)[row]
@@ -155,6 +162,13 @@ def support_of(state: State, k: int, parent: int) -> int | None:
     if parent != FLOOR and abs(low - highest(state.rows[parent])) < LEVEL_WITHIN:
         return parent
     return FLOOR if abs(low) < LEVEL_WITHIN else None
+
+
+def borne_besides(rows: np.ndarray, k: int, on: int) -> bool:
+    """Whether solid k's bottom lies on another one's top besides that of solid `on`, or does so but for rounding."""
+    low = lowest(rows[k])
+    others = (j for j in range(len(rows)) if j not in (k, on) and abs(highest(rows[j]) - low) < TOUCHING)
+    return any(flat_top(rows[j]) and shadows_overlap(rows[k], rows[j]) for j in others)
 
 
 @njit(cache=True, nogil=True, borrows=True)
@@ -237,13 +251,33 @@ def touching_area(row, on):
 
 
 @njit(cache=True, nogil=True, borrows=True)
+def beyond(row, on):
+    """Whether a solid's middle lies beyond what bears it: then it tips, did no friction hold it."""
+    height = highest(on) - BENEATH - on[12]
+    x, y = row[10] - on[10], row[11] - on[11]
+    a = abs(x * on[1] + y * on[4] + height * on[7])
+    b = abs(x * on[2] + y * on[5] + height * on[8])
+    c = abs(x * on[3] + y * on[6] + height * on[9])
+    if int(on[0]) == SPHERE:
+        return a * a + b * b + c * c > 0.25 * on[13] ** 2
+    across = a > 0.5 * on[13] or b > 0.5 * on[14] if int(on[0]) == BOX else a * a + b * b > 0.25 * on[13] ** 2
+    return across or c > 0.5 * on[15]
+
+
+def tipping(chart: Chart, rows: np.ndarray) -> list[int]:
+    """Return which solids would tip off what bears them, did no friction hold them."""
+    alone = np.flatnonzero(chart.flags[:, ALONE])
+    return [int(k) for k in alone if beyond(rows[k], rows[chart.flags[k, PARENT]])]
+
+
+@njit(cache=True, nogil=True, borrows=True)
 def solid_log_prior(chart, rows, k):
     """Return the log prior density of one solid's own coordinates: size, place, turn; -inf where it leaves its support.
 
     Sizes are as chart.sizes has them. Places on the floor are even (how many there are to a square metre is in
     chart.structural), those on another's top even over the places where the two touch. Turns are uniform: a box in
     (length, width, theta) has two names in each half turn, a cube one in each quarter; one that stands upright is
-    within an eighth of a turn of where it began, so that it has one name.
+    within an eighth of a turn of where it began, so that it has one name. What would tip is as rare as the file says.
     """
     row, flag, slot = rows[k], chart.flags[k], chart.slots[k]
     kind = flag[KIND]
@@ -276,6 +310,8 @@ def solid_log_prior(chart, rows, k):
             if apart:
                 return -np.inf
         total -= np.log(touching_area(row, on))
+        if flag[ALONE] and beyond(row, on):
+            total -= chart.tipping
     if kind == SPHERE or (kind == CYLINDER and flag[VERTICAL]):
         turns = 1.0
     elif flag[VERTICAL]:

@@ -36,7 +36,6 @@ from derender.structures.draws.sensor import (
     same_sensor_refitted,
     too_far,
 )
-from derender.structures.draws.standing import drawn_by_standing
 from derender.structures.draws.steps import own_members, touched_by
 
 ANNEALING = 100  # steps of each temperature for each solid
@@ -251,14 +250,10 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
 
 
-def chains_of(rng: np.random.Generator, refined: Refined, chains: int, draws: int, rules: Rules) -> list[Draws]:
-    """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends.
-
-    The walk does not know that what would tip off its supports is less probable: its draws are drawn again by that.
-    """
+def chains_of(rng: np.random.Generator, refined: Refined, chains: int, draws: int) -> list[Draws]:
+    """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends."""
     steps = min(STEPS * len(refined.values), MOST_STEPS)
-    walked = sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, open_blur=True)
-    return [drawn_by_standing(rng, refined.state, refined.chart, each, rules) for each in walked]
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, open_blur=True)
 
 
 def floor_pose_of(refined: Refined) -> np.ndarray:
