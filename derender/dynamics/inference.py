@@ -18,11 +18,10 @@ from derender.physics.mujoco_model import Diverged
 
 # Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
 # from all of them are held against the tracked poses, and it starts from the nearest few that are.
-FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), 3.0, 2
-# Where something may be struck: pairs of restitution and contact time (seconds), and fewer frictions, on which films of
-# impacts depend less.
+FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (1.7, 3.0), 3
+# Where something may be struck: restitutions and contact times (seconds). Which frictions and masses are near is tried
+# first, with the one bounce: of all four at once there are too many.
 RESTITUTIONS, CONTACT_TIMES = (0.1, 0.35, 0.55, 0.75), (0.002, 0.006)
-FRICTIONS_STRUCK = (0.15, 0.45)
 # Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
 NEAR, NEAR_SPEED = 0.02, 0.2
 # A start's first steps, after which the worse ones are given up, and the best one's further steps.
@@ -82,6 +81,13 @@ class Draws(NamedTuple):
     def effective(self) -> float:
         """How many equally weighted draws these are worth."""
         return float(np.exp(-logsumexp(2 * self.log_weights)))
+
+    def widened(self, rng: np.random.Generator, apart: np.ndarray, most: np.ndarray) -> "Draws":
+        """Return draws whose coordinates' standard deviations have grown by `apart` (P,), up to `most` (P,)."""
+        weights = np.exp(self.log_weights)
+        own = weights @ (self.coordinates - weights @ self.coordinates) ** 2
+        more = np.sqrt(np.clip(most**2 - own, 0.0, apart**2))
+        return self._replace(coordinates=self.coordinates + more * rng.standard_normal(self.coordinates.shape))
 
     def resampled(self, rng: np.random.Generator, count: int = KEPT) -> tuple[np.ndarray, np.ndarray]:
         """Return coordinates (count, P) and scales' logarithms (count, S), by systematic resampling in random order."""
@@ -185,29 +191,32 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
-    """Return coordinates to start from: those of the films that lie nearest to the tracked centres, and where something
-    may be struck the nearest of each of the nearest restitutions, over frictions and over mass ratios."""
+    """Return coordinates to start from: those of the films that lie nearest to the tracked centres, over frictions and
+    mass ratios, and where something may be struck the nearest bounce of each."""
     middle = shooting.parameters.middle()
     ratios = [np.zeros(len(middle) - ALWAYS)]
-    ratios += [sign * math.log(HEAVIER) * row for row in np.eye(len(ratios[0])) for sign in (-1, 1)]
-    found = []
-    frictions = FRICTIONS_STRUCK if shooting.struck else FRICTIONS
-    bounces: list[tuple[float, float]] = [(middle[1], math.exp(middle[2]))]
-    if shooting.struck:
-        told = shooting.restitution()
-        bounces = list(product((*RESTITUTIONS, *([] if told is None else [told])), CONTACT_TIMES))
-    for restitution, time in bounces:
-        tried = []
-        for friction in frictions:
-            for ratio in ratios:
-                coordinates = np.array([math.log(friction), restitution, math.log(time), *(middle[ALWAYS:] + ratio)])
-                path = shooting.first_path(coordinates)
-                residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
-                far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
-                tried.append((float(np.sum(np.log1p(far))), coordinates))
-        tried.sort(key=lambda pair: pair[0])
-        found += tried[: 1 if shooting.struck else STARTS]
-    return [coordinates for _, coordinates in sorted(found, key=lambda pair: pair[0])[:STARTS]]
+    ratios += [sign * math.log(times) * row for row in np.eye(len(ratios[0])) for times in HEAVIER for sign in (-1, 1)]
+    told = shooting.restitution() if shooting.struck else None
+    first = (middle[1] if told is None else told, middle[2])
+    tried = [np.array([math.log(friction), *first, *(middle[ALWAYS:] + ratio)])
+             for friction, ratio in product(FRICTIONS, ratios)]  # fmt: skip
+    nearest = sorted(tried, key=lambda start: distance_of(shooting, start))[:STARTS]
+    if not shooting.struck:
+        return nearest
+    bounces = [first, *product(RESTITUTIONS, np.log(CONTACT_TIMES))]
+    return [
+        min((np.concatenate([start[:1], bounce, start[ALWAYS:]]) for bounce in bounces),
+            key=lambda start: distance_of(shooting, start))
+        for start in nearest
+    ]  # fmt: skip
+
+
+def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
+    """Return how far the film with these coordinates lies from the tracked centres."""
+    path = shooting.first_path(coordinates)
+    residual, jump = shooting.tracking_residuals(path)[..., :3], shooting.defects(path)[..., 6:9]
+    far = np.sum(residual**2, axis=-1) / NEAR**2 + np.sum(jump**2, axis=-1) / NEAR_SPEED**2
+    return float(np.sum(np.log1p(far)))
 
 
 def find_modes(shooting: Shooting) -> list[Mode]:
@@ -216,6 +225,16 @@ def find_modes(shooting: Shooting) -> list[Mode]:
     found.sort(key=lambda mode: -mode.log_marginal)
     best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
     return [best, *(mode for mode in found[1:] if mode.log_marginal > best.log_marginal - CLOSE)]
+
+
+def apart(modes: Sequence[Mode]) -> np.ndarray:
+    """Return (P,) by how much the coordinates of modes differ from the best's, root mean square.
+
+    After an impact films are chaotic, and so is their density: 10 nats between modes, of which each is narrow, are the
+    engine's noise and no evidence. Draws are about the best one alone.
+    """
+    coordinates = np.array([mode.path.coordinates for mode in modes])
+    return np.sqrt(np.mean((coordinates - coordinates[0]) ** 2, axis=0))
 
 
 def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarray], float]:
@@ -351,6 +370,9 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
+    if shooting.struck:
+        wider = found.widened(rng, apart(modes), parameters.spread())
+        found = found._replace(coordinates=np.array([parameters.inside(each) for each in wider.coordinates]))
     if not shooting.bounces(modes[0].path):  # the density does not depend on how things bounce: the prior remains
         found.coordinates[:, 1:ALWAYS] = [parameters.sample_prior(rng)[1:ALWAYS] for _ in found.coordinates]
     return Identified(parameters, modes, found)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.dynamics.engine import FIRMER, SLIDING_RESTITUTION, Engine, Material
-from derender.dynamics.inference import ENOUGH, identify, sample
+from derender.dynamics.inference import ENOUGH, Draws, first_coordinates, identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.result import Answer
@@ -50,6 +50,31 @@ def bounce(restitution, rng, radius=0.035, height=0.3):
         heights.append(radius + speed * (time - begin) - GRAVITY * (time - begin) ** 2 / 2)
     body = Body("ball", "sphere", np.full(3, 2 * radius), np.eye(4))
     return motion(body, np.column_stack([np.zeros(FRAMES), np.zeros(FRAMES), heights]), rng, metres=5e-4)
+
+
+def collision(friction, ratio, restitution, rng, metres=1e-3):
+    """Return a cube that slides into another, `ratio` times as heavy, head on; both slide to rest by themselves."""
+    side, gap, speed, slowed = 0.08, 0.06, 1.0, friction * GRAVITY
+    struck = (speed - np.sqrt(speed**2 - 2 * slowed * gap)) / slowed
+    came = speed - slowed * struck
+    after = came * np.array([1 - restitution * ratio, 1 + restitution]) / (1 + ratio)
+
+    def slid(speed, time):
+        time = np.clip(time, 0.0, abs(speed) / slowed)
+        return speed * time - np.sign(speed) * slowed * time**2 / 2
+
+    time = STEP * np.arange(FRAMES)
+    states = np.zeros((FRAMES, 2, 13))
+    states[:, 0, 0] = slid(speed, np.minimum(time, struck)) + slid(after[0], time - struck)
+    states[:, 1, 0] = side + gap + slid(after[1], time - struck)
+    states[..., 2], states[..., 3] = side / 2, 1.0
+    errors = np.repeat([metres, 0.01], 3)
+    changes = np.zeros((FRAMES, 2, 12))
+    changes[..., :6] = errors * rng.standard_normal((FRAMES, 2, 6))
+    cube = Body("striker", "box", np.full(3, side), np.eye(4))
+    matter = Matter((FLOOR, cube, cube._replace(name="struck")), np.array([0.0, 0.0, -GRAVITY]), ())
+    covariances = np.tile(np.diag(errors**2), (FRAMES, 2, 1, 1))
+    return motion_of(matter, ("striker", "struck"), time, to_poses(moved(states, changes)), covariances)
 
 
 def told(found, rng):
@@ -153,6 +178,24 @@ def test_what_a_moving_body_comes_near_moves_too_and_what_stands_aside_does_not(
     covariances = np.tile(1e-6 * np.eye(6), (FRAMES, 3, 1, 1))
     film = motion_of(matter, ("slider", "near", "aside"), STEP * np.arange(FRAMES), poses, covariances)
     assert film.names == ("slider", "near")
+
+
+@pytest.mark.parametrize("friction, ratio", [(0.28, 0.6), (0.22, 1.6)])
+def test_a_climb_begins_near_the_friction_and_the_masses_of_a_collision(friction, ratio):
+    """From a friction and a ratio half as great or twice it ended elsewhere, 15 nats and more below, and was sure."""
+    film = collision(friction, ratio, 0.2, np.random.default_rng(1))
+    engine = Engine(film.matter, film.names, film.step)
+    parameters = Parameters(film.names, engine.masses, read_dynamics_prior())
+    starts = first_coordinates(Shooting(film, parameters, engine))
+    off = [np.abs(parameters.values(start)[[0, 3]] / [friction, ratio] - 1.0) for start in starts]
+    assert min(max(each) for each in off) < 0.35  # neighbours on the grid are up to 1.75 times each other
+
+
+def test_draws_about_one_mode_are_as_wide_as_modes_are_apart_but_no_wider_than_the_prior():
+    rng = np.random.default_rng(2)
+    draws = Draws(0.1 * rng.standard_normal((4000, 3)), np.zeros((4000, 4)), np.full(4000, -np.log(4000)))
+    wider = draws.widened(rng, np.array([0.0, 0.3, 3.0]), np.array([1.0, 1.0, 0.5])).coordinates.std(axis=0)
+    assert wider == pytest.approx([0.1, np.hypot(0.1, 0.3), 0.5], rel=0.05)
 
 
 def test_two_frames_and_uneven_times_are_refused():
