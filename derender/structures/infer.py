@@ -153,7 +153,8 @@ def weighed(rng: np.random.Generator, case: Case, looks: "list[Look]",
             from derender.structures.known.posterior import known_posterior
 
             others, fewest = not case.options.only_known, (1, 1) if only_best else case.many
-            return known_posterior(rng, seen.image, state, settings, seen.floor.pose, case.library, others, *fewest)
+            coarse = settings._replace(reduced=seen.factor > 1)
+            return known_posterior(rng, seen.image, state, coarse, seen.floor.pose, case.library, others, *fewest)
         if len(looks) > 1:
             return together_parts(rng, looks, settings, *case.many, only_best)
         return parts_of(rng, seen, state, pool, settings, *case.many, only_best)

@@ -8,7 +8,6 @@ them" compete by their refined energies.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, blank, in_the_way, run_polish
 from derender.detection.solids.support import standing_on
 from derender.scene.solids import BOX, MESH, SPHERE
+from derender.structures.known.grids import GAP, Space, fitted, layouts_of, space_of
 from derender.structures.known.image import draw_known, known_misfit, walk_known
 from derender.structures.known.library import Known, turn
 
@@ -29,6 +29,11 @@ LEAST_TILT = np.radians(0.5)
 SCALES = np.array([0.006, 0.006, 0.003, 0.006, 0.001, 0.001])
 REACH = 0.02  # metres off its support at which an object still stands on it
 TRIED = 4  # ways of lying that are refined, of all that are looked at
+ENDS = 0.003  # share of the points that show a grid which may lie beyond its ends: noise
+UNSURE = 0.025  # metres by which the ends of what is seen may be off a grid's
+EXACT = 0.015  # metres within which a free size counts as told: half a metre less the nats of `cube_bonus` for one
+LEAST_OVER = 0.1  # metres that the camera is over a top, at least: from lower its far end is not seen
+SHOWN = 4  # pixels that show a known object: of fewer, and of noise, nothing is learnt of where it is
 SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter each other: most meshes are rounder
 
 
@@ -76,6 +81,7 @@ class Placement:
         self.library, self.others = library, others
         self.tilt = max(settings.tilt, LEAST_TILT)
         _, self.label, _, _ = self.view_of(state.rows)
+        self.rivals: list[tuple[float, list[Placed], set[int]]] = []  # nats worse; instead of what at which anchors
 
     def view_of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Return depth, label, misfit, total of rows over the floor."""
@@ -211,23 +217,82 @@ class Placement:
         return self.settle(placed)
 
     def grids(self, counts: dict[str, int]) -> list[Placed]:
-        """Return the known boxes of which large ones of the first search may consist, where they explain as much.
+        """Return the known boxes of grids that explain as much as what the first search found in their places.
 
         counts : of how many of each object there may be more, changed in place.
         """
         placed: list[Placed] = []
-        _, _, _, least = self.view_of(self.state.rows)
-        for anchor, row in enumerate(self.state.rows):
-            for known in self.library:
-                cells = cells_of(row, known)
-                if not 0 < len(cells) <= counts[known.name]:
-                    continue
-                instead = np.concatenate([np.delete(self.state.rows, anchor, axis=0), cells])
-                if self.view_of(instead)[3] < least + self.settings.price:
-                    placed += [Placed(known, cell, anchor, lowest(cell)) for cell in cells]
-                    counts[known.name] -= len(cells)
-                    break
+        taken: set[int] = set()
+        for group, space in self.spaces():
+            if taken & set(group):
+                continue
+            rest = np.concatenate([np.delete(self.state.rows, [*taken, *group], axis=0), self.rows(placed)])
+            blurred = self.unsure(space) if self.settings.reduced else np.zeros(3)
+            chance = self.settings.temper * np.log(np.maximum(2.0 * blurred / EXACT, 1.0)).sum()
+
+            def misfit(rows, rest=rest):
+                return self.view_of(np.vstack([rest, rows]))[3]
+
+            found: list[tuple[float, list[Placed]]] = []
+            for layout in (each for known in self.library for each in layouts_of(space, known)):
+                if layout.counts.prod() <= counts[layout.known.name]:
+                    least, cells = fitted(space, layout, misfit, blurred, self.image.origin)
+                    anchors = [group[k % len(group)] for k in range(len(cells))]
+                    boxes = [Placed(layout.known, *each, lowest(each[0])) for each in zip(cells, anchors, strict=True)]
+                    found.append((least + chance + self.settings.price, boxes))
+            if not found:
+                continue
+            as_found = [self.unknown(anchor) for anchor in group]
+            energy = self.view_of(np.vstack([rest, self.state.rows[group]]))[3]
+            found.append((energy + sum(self.price_of_unknown(item.row, item) for item in as_found), as_found))
+            found.sort(key=lambda each: each[0])
+            (best, boxes), known = found[0], found[0][1][0].known
+            if known is not None:
+                placed += boxes
+                taken |= set(group)
+                counts[known.name] -= len(boxes)
+            self.rivals += [(energy - best, instead, set(group)) for energy, instead in found[1:]]
         return placed
+
+    def spaces(self) -> Iterator[tuple[list[int], Space]]:
+        """Yield (solids of the first search, the Space that they fill), what is parallel and together first."""
+        single = {}
+        for k, row in enumerate(self.state.rows):
+            space = space_of(row, self.state.bottoms[k])
+            if space is not None:
+                single[k] = space._replace(inexact=space.inexact + self.unsure(space))
+        for first, space in single.items():
+            group = sorted(self.together(first))
+            shown = np.isin(self.label, group) & (self.image.depth > 0)
+            if len(group) > 1 and shown.any():
+                points = self.image.origin + self.image.depth[shown][:, None] * self.image.direction[shown]
+                level = points[:, :2] @ turn(space.yaw)[:2, :2]
+                low, high = (np.quantile(np.column_stack([level, points[:, 2]]), q, axis=0) for q in (ENDS, 1.0 - ENDS))
+                low[2] = space.bottom
+                middle = turn(space.yaw)[:2, :2] @ (0.5 * (low + high))[:2]
+                whole = space._replace(middle=middle, size=high - low)
+                yield group, whole._replace(inexact=UNSURE + self.unsure(whole))
+        for first, space in single.items():
+            yield [first], space
+
+    def unsure(self, space: Space) -> np.ndarray:
+        """Return the (3,) metres by which silhouettes put the ends of a Space wrong: half a pixel, and where its top is
+        seen from low over it a row of pixels farther away."""
+        way, away = self.image.direction, space.middle - self.image.origin[:2]
+        far = float(np.linalg.norm(away))
+        pixel = float(np.linalg.norm(way[0, 1] - way[0, 0])) * far
+        over = max(float(self.image.origin[2] - space.bottom - space.size[2]), LEAST_OVER)
+        return 0.5 * pixel + np.append(np.abs(turn(space.yaw)[:2, :2].T @ away) * pixel / over, 0.0)
+
+    def together(self, first: int) -> set[int]:
+        """Return the solids of the first search that touch one, or touch what does, and so on: parts of one grid?"""
+        rows, group, ahead = self.state.rows, {first}, [first]
+        while ahead:
+            k = ahead.pop()
+            more = {j for j in range(len(rows)) if j not in group and penetration(rows[k], rows[j]) > -GAP}
+            group |= more
+            ahead += sorted(more)
+        return group
 
     def add_unknown(self, placed: list[Placed]) -> list[Placed]:
         """Return the scene with those solids of the first search that it still needs."""
@@ -282,7 +347,10 @@ class Placement:
         """Return the scene with every object held to what it stands on and refined against all others."""
         for sweep in range(2):
             _, bases = self.parents(placed)
+            label = self.view(placed)[1]
             for k in range(len(placed)):
+                if np.sum(label == k) < SHOWN:
+                    continue
                 item = replace(placed[k], base=bases[k])
                 view = self.view(placed, k)
                 if item.known is None:
@@ -322,39 +390,3 @@ def identity_probabilities(found: list[tuple[float, Placed]], temper: float) -> 
     energies = np.array([energy for energy, _ in found]) / temper
     weight = np.exp(-(energies - energies.min()))
     return weight / weight.sum()
-
-
-GAP = 0.006  # metres between neighbours, at most
-INEXACT = 0.01  # metres by which a large box's sides may be wrong
-LEVEL = 0.99  # cosine of the large box's tilt
-MOST = 64  # of cells
-
-
-def cells_of(row: np.ndarray, known: Known) -> np.ndarray:
-    """Return the rows (N, ROW) of the boxes of one known size that a box may consist of, lowest first; (0, ROW): none.
-
-    Of ways to lie that fit, the one whose gaps are narrowest. row : (ROW,) of the large box, floor frame.
-    """
-    none = np.empty((0, len(row)))
-    rotation = rotation_of(row)
-    if int(row[0]) != BOX or known.body.shape.solid_kind != BOX or abs(rotation[2, 2]) < LEVEL:
-        return none
-    fitting = []
-    for axes in permutations(range(3)):  # along the large box's axes
-        piece = known.size[list(axes)]
-        count = np.maximum(np.rint((row[13:16] + INEXACT) / (piece + 0.5 * GAP)), 1.0)
-        spare = row[13:16] - count * piece
-        if np.all(spare > -INEXACT) and np.all(spare < (count - 1.0) * GAP + INEXACT) and 1 < count.prod() <= MOST:
-            fitting.append((float(np.abs(spare).sum()), axes, count.astype(int)))
-    if not fitting:
-        return none
-    _, axes, count = min(fitting, key=lambda each: each[0])
-    turn = rotation[:, np.argsort(axes)]  # columns: the known box's own axes
-    turn[:, 2] *= np.sign(np.linalg.det(turn))
-    piece = known.size[list(axes)]
-    gap = np.maximum(row[13:16] - count * piece, 0.0) / np.maximum(count - 1, 1)
-    cells = []
-    for place in sorted(np.ndindex(*count), key=lambda each: each[2] * rotation[2, 2]):
-        offset = (np.array(place) - 0.5 * (count - 1)) * (piece + gap)
-        cells.append(make_row(BOX, turn, row[10:13] + rotation @ offset, known.size))
-    return np.array(cells)

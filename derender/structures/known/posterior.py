@@ -86,6 +86,13 @@ def known_posterior(
         elif chosen != leading:
             part = part_of_known(rng, placement, other, names_instead(names, placed, other), floor_pose, 1, 1)
             parts.append(replace(part, weight=weight))
+    for worse, instead, anchors in placement.rivals:
+        weight = float(np.exp(-worse / settings.temper))
+        other = [*(item for item in placed if item.anchor not in anchors), *instead]
+        if weight >= LEAST_LIKELY and enough(other):
+            total += weight
+            part = part_of_known(rng, placement, other, names_of(other), floor_pose, 1, 1)
+            parts.append(replace(part, weight=weight))
     return [replace(part, weight=part.weight / total) for part in parts]
 
 
