@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
 FAR_OFF = 2.0  # standard deviations
+SLOPING = 0.004  # share of the depth by which a surface may go on beside all that returned of it
+ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
 def intrinsics(camera: "Camera | dict[str, float]") -> tuple[float, float, float, float]:
@@ -40,11 +42,14 @@ def sampled_blocks(depth, factor, enough):
 
     It is that of the plane through the block's pixels on its side of a jump: the mean of all would be a point in the
     air. Where that pixel has no depth the median's side stands for it. (Always to take that side would make solids
-    smaller: of two pixels on either side of an edge the median of four is on the far one.)
+    smaller: of two pixels on either side of an edge the median of four is on the far one.) Where all that returned lies
+    beside it and what is ONWARD blocks on tells that the surface slopes, as where a far floor ends, there is none: from
+    row to row that rises by decimetres, and noise would be multiplied.
     """
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     out = np.zeros((height, width))
-    values, place = np.empty(factor * factor), np.empty((factor * factor, 2))
+    most = 2 * factor * factor  # pixels of a block, and as many further on
+    values, place = np.empty(most), np.empty((most, 2))
     middle = sampled(factor)
     for j in range(height):
         for i in range(width):
@@ -59,15 +64,48 @@ def sampled_blocks(depth, factor, enough):
                 about = depth[j * factor + middle, i * factor + middle]
                 if not about > 0:
                     about = np.sort(values[:n])[n // 2]
-                out[j, i] = plane_at_origin(values[:n], place[:n], about, STEP * about)
+                out[j, i] = plane_at_origin(values[:n], place[:n], about, STEP * about, False)
+                if beside(place[:n, 0]) or beside(place[:n, 1]):
+                    axis = 0 if beside(place[:n, 0]) else 1
+                    row, column, on = j * factor + middle, i * factor + middle, ONWARD * factor
+                    n = with_further(depth, row, column, axis, on, n, values, place)
+                    within = (1.0 + ONWARD) * STEP * about
+                    there = plane_at_origin(values[:n], place[:n], about, within, True)
+                    if abs(there - out[j, i]) > SLOPING * about:
+                        out[j, i] = 0.0
     return out
 
 
 @njit(cache=True, nogil=True)
-def plane_at_origin(values, place, about, within):
+def beside(place):
+    """Return whether places (n,) along one axis lie all on one side of 0."""
+    return place.min() > 0.0 or place.max() < 0.0
+
+
+@njit(cache=True, nogil=True)
+def with_further(depth, row, column, axis, pixels, count, values, place):
+    """Add what lies so many pixels on to the first `count` values and places, all on one side of 0 along an axis.
+
+    row, column : of the pixel at the places' origin. Returns how many there are then.
+    """
+    step = float(pixels) if place[0, axis] > 0.0 else -float(pixels)
+    n = count
+    for k in range(count):
+        u, v = place[k, 0] + step * (axis == 0), place[k, 1] + step * (axis == 1)
+        j, i = row + int(v), column + int(u)
+        if 0 <= j < depth.shape[0] and 0 <= i < depth.shape[1] and depth[j, i] > 0:
+            values[n], place[n, 0], place[n, 1] = depth[j, i], u, v
+            n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def plane_at_origin(values, place, about, within, outside):
     """Return the depth at (0, 0) of the plane through pixels at `place` (n, 2) whose depths (n,) are near `about`.
 
     The inverse depth of a plane is affine in an image; it is fitted twice, the second time without what is far off.
+
+    outside : whether (0, 0) lies beside all places: else it is no nearer and no farther than all of them.
     """
     low, high, limit = np.inf, 0.0, np.inf
     a, b, c = 1.0 / about, 0.0, 0.0
@@ -95,6 +133,8 @@ def plane_at_origin(values, place, about, within):
                 off = 1.0 / values[k] - a - b * place[k, 0] - c * place[k, 1]
                 square += off * off
         limit = FAR_OFF**2 * square / n
+    if outside:
+        low, high = about - within, about + within
     return min(max(1.0 / a, low), high) if a > 0.0 else about
 
 
