@@ -10,6 +10,7 @@ from derender.detection.existence import returns_about
 from derender.detection.floor import sensor_deviation
 from derender.detection.freestanding import freestanding
 from derender.detection.leftovers import leftovers
+from derender.detection.levels import floor_below
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
@@ -18,9 +19,10 @@ from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
 from derender.detection.solids.beliefs import bare_image
-from derender.detection.solids.state import State
+from derender.detection.solids.state import State, held_out
 from derender.detection.solids.support import final_parents
-from derender.detection.things import likely_things, take_things, without_background
+from derender.detection.things import BAD, likely_things, take_things, without_background
+from derender.errors import DerenderError
 
 NOISES = 3.0  # standard deviations of the noise that a floor is at least uneven by
 # Pixels of what stands on the floor that are enough of a sensor's images, and of those whose noise is independent; by
@@ -44,12 +46,52 @@ def point_estimate(
 ) -> tuple[State, Observation]:
     """Return the best explanation of a depth image (H, W) in metres, NaN = no return, and what was observed.
 
+    A floor on which nothing stands may be the top of what does: that is another explanation, on the floor below.
+
     widest : columns of the image that is searched, more where things are small. pool : takes the states that searches
     end with, with their energies. plane : the floor as it is given, see detection.floor.read_floor, or a Support;
     None: find it.
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
-    seen = observe(depth, camera, widest, plane, settings.may_float)
+    state, seen = on_one_floor(rng, depth, camera, settings, widest, pool, plane)
+    below = floor_below(seen) if plane is None and not (len(state) or seen.things or seen.interrupted) else None
+    if below is None:
+        return state, seen
+    others: list[tuple[State, float]] = []
+    try:
+        higher, other = on_one_floor(rng, depth, camera, settings, widest, others, below, seen.correlation)
+    except DerenderError:  # next to nothing shows of it
+        return state, seen
+    if len(higher) == 0 or explained(other, higher) <= explained(seen, state):
+        return state, seen
+    pool[:] = others
+    return higher, other
+
+
+def explained(seen: Observation, state: State) -> float:
+    """Return the share of an Observation's pixels that its floor and the solids on it explain."""
+    misfit = held_out(seen.image, state, -1)[2]
+    good = seen.image.weight > 0
+    return float((good & ~seen.behind & (misfit < BAD)).sum() / max(good.sum(), 1))
+
+
+def on_one_floor(
+    rng: np.random.Generator,
+    depth: np.ndarray,
+    camera: Camera | dict[str, float],
+    settings: Settings,
+    widest: int,
+    pool: list[tuple[State, float]],
+    plane: Any,
+    correlation: float | None = None,
+) -> tuple[State, Observation]:
+    """As `point_estimate`, over the floor that is given or found.
+
+    correlation : of its noise, where so little of that floor shows that it does not tell, for what stands there fills
+        the view; None: it tells.
+    """
+    fills = correlation is not None
+    seen = observe(depth, camera, widest, plane, settings.may_float, fills)
     if seen.no_floor and settings.free_forms:
         if returns_about(seen) < SPECKLED:
             coarser = observe(depth, camera, widest // 2, plane, settings.may_float)
@@ -57,8 +99,10 @@ def point_estimate(
         return State(), with_freestanding(seen, settings)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
-        closer = observe(depth, camera, wanted, plane, settings.may_float)
+        closer = observe(depth, camera, wanted, plane, settings.may_float, fills)
         seen = seen if closer.no_floor else closer
+    if correlation is not None:
+        seen = seen._replace(correlation=correlation)
     settings = settings_for(settings, seen)
     patches = patches_of(seen)
     typical = float(np.median(seen.footprint[seen.mask])) if seen.mask.any() else 0.005

@@ -94,3 +94,19 @@ def patch_of(seen: Observation) -> Any:
     low, high = ends_of(flat @ axes, ENDS)
     x, y = axes @ (0.5 * (low + high))
     return [float(x), float(y), *map(float, high - low + 2.0 * RIM), turn]
+
+
+BELOW, LOWEST = 0.05, 0.01  # share of the pixels that show what is lower, at least; share of these that shows its foot
+
+
+def floor_below(seen: Observation) -> np.ndarray | None:
+    """Return the plane (4,), camera axes, on which stands what a floor is the top of, if it is one; None: it is none.
+
+    It is parallel, and as low as what is seen below: a box that fills the view hides all or most of its own floor.
+    """
+    lower = seen.behind & (seen.image.weight > 0) & (seen.points[..., 2] < -STEP)
+    if seen.no_floor or lower.sum() < BELOW * (seen.image.weight > 0).sum():
+        return None
+    height = np.sort(seen.points[lower][:, 2])[: max(1, int(LOWEST * lower.sum()))]
+    normal = seen.floor.pose[:3, 2]
+    return np.append(normal, -normal @ seen.floor.pose[:3, 3] - float(np.median(height)))

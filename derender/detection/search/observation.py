@@ -112,11 +112,12 @@ class Support(NamedTuple):
 
 
 def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 160,
-            plane: np.ndarray | str | None = None, floating: bool = False) -> Observation:  # fmt: skip
+            plane: np.ndarray | str | None = None, floating: bool = False,
+            fills: bool = False) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
-    floating : whether solids may hang in the air.
+    floating : whether solids may hang in the air. fills : whether what is over a given floor stands there, all of it.
     """
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
@@ -131,7 +132,7 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
         backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
-        seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating)
+        seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
         try:
             seen = on_its_floor(depth, camera, factor, find_floor(depth, camera, gravity=gravity), rounding, floating)
@@ -177,11 +178,11 @@ def without_floor(depth: np.ndarray, camera: dict[str, float], factor: int, roun
 
 
 def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, backdrop: Any, rounding: float,
-               floating: bool = False, others: Any = None) -> Observation:  # fmt: skip
+               floating: bool = False, others: Any = None, fills: bool = False) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image: its noise, and its background apart from what stands on the floor.
 
     backdrop : what find_backdrop says, None for nothing. rounding : metres, see `rounding_of`.
-    others : (h, w) bool, what another floor explains: background of this one; None: nothing.
+    others : (h, w) bool, what another floor explains: background of this one; None: nothing. fills : see `observe`.
     """
     even, beyond = (floor, np.zeros(depth.shape, bool)) if backdrop is None else backdrop
     sigma = noise_map(depth, even, camera)
@@ -200,10 +201,11 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     inside = good & (beyond_edge < MARGIN)
     above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
     own = good if others is None else good & ~others
-    beyond |= walls_behind(points, own, above & own, sigma, image.origin) | (good & ~own)
+    if not fills:
+        beyond |= walls_behind(points, own, above & own, sigma, image.origin) | (good & ~own)
     held = np.zeros(good.shape, bool)
     if others is None and floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
-        held = joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
+        held = above if fills else joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
         inside |= held
     mask = above & inside & ~beyond
     if floor.inliers.any():
