@@ -23,24 +23,27 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name in the same folder; when the block ends well, the file there becomes `path`.
 
     The folder is made where it is missing. The temporary name keeps the suffix, since many writers choose their format
-    by it.  After an exception no file is left behind and an older one stays as it was.
+    by it.  After an exception no file is left behind and an older one stays as it was. A file of a set (see
+    `files_together`) has its own name from the start: nobody reads it before the set is whole.
 
-    Raises
-    ------
-    DerenderError : where the folder cannot be made, is read-only or full.
+    Raises DerenderError : where the folder cannot be made, is read-only or full.
     """
     path = Path(path)
     temporary = None
     try:
         if path.is_dir():
             raise DerenderError("this is a folder", where=path, remedy="give the name of a file")
+        if path.parent.name.startswith(UNFINISHED):
+            temporary = path
+            yield path
+            temporary = None
+            return
         make_folder(path.parent)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
         temporary = Path(name)
         yield temporary
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
+        _to_disk(temporary)
         temporary.chmod(_usual_mode())  # mkstemp makes files that only their owner reads
         temporary.replace(path)
         temporary = None
@@ -54,6 +57,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until the disk has a file."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 def _usual_mode() -> int:
@@ -94,11 +103,15 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
                 if not isinstance(error.where, Path) or error.where.parent != temporary:
                     raise
                 raise DerenderError(error.what, folder / error.where.name, error.remedy) from None
+            from concurrent.futures import ThreadPoolExecutor
+
             written = sorted(temporary.iterdir())
             for name in names:
                 if (folder / name).is_dir():
                     remedy = "move it away or choose another place"
                     raise DerenderError("this is a folder", folder / name, remedy)
+            with ThreadPoolExecutor(len(written) or 1) as pool:  # one wait for the disk is as long as that for them all
+                list(pool.map(_to_disk, written))
             for name in names:
                 (folder / name).unlink(missing_ok=True)
             for path in written:
@@ -160,9 +173,7 @@ def write_text(path: str | Path, text: str) -> None:
 def make_folder(path: str | Path, room: int = 0) -> Path:
     """Make a folder and its parents where missing, and return it; `room` bytes are to be free there.
 
-    Raises
-    ------
-    DerenderError : it cannot be made or written to, or its disk is full.
+    Raises DerenderError : it cannot be made or written to, or its disk is full.
     """
     path = Path(path)
     try:

@@ -144,3 +144,15 @@ def test_a_file_that_cannot_be_written_is_named_as_it_would_have_been_called(tmp
     with pytest.raises(DerenderError) as fault, files_together(tmp_path, ("a",)) as place:
         raise DerenderError("cannot be written: No space left on device", place / "a", "choose another place")
     assert fault.value.where == tmp_path / "a" and os.listdir(tmp_path) == []
+
+
+def test_the_disk_has_all_files_of_a_set_before_one_of_them_moves(tmp_path, monkeypatch):
+    waited, there = [], []
+    monkeypatch.setattr(atomic.os, "fsync", lambda number: waited.append(os.fstat(number).st_ino))
+    with files_together(tmp_path, ("a", "b")) as place:
+        for name in ("a", "b"):
+            write_text(place / name, name)
+            assert (place / name).exists() and not waited
+        inodes = sorted((place / name).stat().st_ino for name in ("a", "b"))
+        monkeypatch.setattr(atomic.Path, "replace", lambda path, target: there.append(sorted(waited)))
+    assert there == [inodes, inodes]
