@@ -1,7 +1,8 @@
 """derender infer: a depth image in, a posterior over scene graphs out; of many images a table of all; or a film."""
 
+import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -28,16 +29,12 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     known = {field.name for field in fields(Options)}
     wanted = Options(**{key: value for key, value in arguments.items() if key in known})
     watch = bool(arguments["watch"])
-    bar = Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 and not watch else None
-    try:
+    with _bar(talk, shown=not watch) as bar:
         outcome = track_to_folder(
             images, wanted, arguments["output"], arguments["camera"], arguments["depth_scale"], arguments["fps"],
             arguments["moving_camera"], watch, command_line(),
             progress=bar, say=talk.say, warn=talk.warn, tell=click.echo if watch else lambda line: None,
         )  # fmt: skip
-    finally:
-        if bar:
-            bar.close()
     if not watch:
         click.echo(outcome.table())
     if arguments["dynamics"]:
@@ -280,15 +277,11 @@ def _one(
     )
     reading = _reading(arguments)
     wanted = Options(**arguments)
-    bar = _bar(talk)
-    try:
+    with _bar(talk) as bar:
         outcome = infer_to_folder(
             image, wanted, prior, output, reading, gradient, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn, frames=frames, poses=poses,
         )  # fmt: skip
-    finally:
-        if bar:
-            bar.close()
     if sys.stdout.isatty():
         outcome.print_rich()
     else:
@@ -316,8 +309,6 @@ def _many(
         talk.say("--resume says nothing here: the same command run again does what is missing")
     output = output or "inferred"
     order = Order(Options(**arguments, jobs=1), prior, reading, gradient, bool(page), _words())
-    bar = _bar(talk)
-
     idle: set[str] = set()
 
     def tell(done) -> None:
@@ -341,14 +332,8 @@ def _many(
 
         return Cluster(scheduler, order, output)
 
-    try:
-        tally = infer_frames(
-            images, output, order, crew, watch, tell,
-            bar or (lambda share, words: None),
-        )  # fmt: skip
-    finally:
-        if bar:
-            bar.close()
+    with _bar(talk) as bar:
+        tally = infer_frames(images, output, order, crew, watch, tell, bar or (lambda share, words: None))
     doubtful = f" ({tally.doubtful} not to be trusted)" if tally.doubtful else ""
     before = f", {tally.before} were done before" if tally.before else ""
     failed = f", {tally.failed} failed" if tally.failed else ""
@@ -368,8 +353,15 @@ def _reading(arguments: dict[str, Any]) -> "Reading":
     return Reading(rotate=int(arguments.pop("rotate")), **{key: arguments.pop(key) for key in keys})
 
 
-def _bar(talk: Talk) -> Bar | None:
-    return Bar(sys.stderr) if sys.stderr.isatty() and talk.level >= 0 else None
+@contextlib.contextmanager
+def _bar(talk: Talk, shown: bool = True) -> Iterator[Bar | None]:
+    """Yield a bar, which is cleared in the end; None where nobody would see it."""
+    bar = Bar(sys.stderr) if shown and sys.stderr.isatty() and talk.level >= 0 else None
+    try:
+        yield bar
+    finally:
+        if bar:
+            bar.close()
 
 
 def _line_of(done: "Done") -> str:

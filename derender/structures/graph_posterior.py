@@ -137,16 +137,12 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     """
     rules, shapes = settings.rules, settings.shapes
     best, others = first, []
-    for _ in range(MOST_MERGES):
-        former = best
-        best, others = leading(best, [*others, *merges(rng, best, rules)])
-        if best is former:
-            break
-    for _ in range(MOST_CUTS):
-        former = best
-        best, others = leading(best, [*others, *recuts(rng, best, rules)])
-        if best is former:
-            break
+    for found_by, most in ((merges, MOST_MERGES), (recuts, MOST_CUTS)):
+        for _ in range(most):
+            former = best
+            best, others = leading(best, [*others, *found_by(rng, best, rules)])
+            if best is former:
+                break
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         former, others = one_solid_each(rng, best, others, rules, shapes)
         met = [] if number else from_search(rng, former, pool, energy, rules)
