@@ -49,7 +49,7 @@ from derender.structures.weighing import (
     with_own_sensor,
 )
 
-HOPELESS = 25.0  # nats below the best mode at which a change is not looked at any further
+PRUNE_THRESHOLD = 25.0  # nats below the best mode from which on a change is not looked at any further
 PROMISING = 60.0  # nats below it up to which the sensor's numbers, fitted to the best, are fitted anew to a change
 WORTHWHILE = 1.0  # nats that this has to gain for the solids to be climbed again
 LONGER = 1.4  # times as long as a cube is a box tried on one side
@@ -181,7 +181,7 @@ def stood_up(state: State, i: int, shapes: tuple[str, ...]) -> list[State]:
 def of_one_solid(
     rng: np.random.Generator, best: Refined, i: int, rules: Rules, shapes: tuple[str, ...] = ()
 ) -> list[Weighed]:
-    """Return the Weighed of the changes of one solid that are not hopeless.
+    """Return the Weighed of the changes of one solid that are not pruned.
 
     shapes : names of those that it may be instead, where that hardly shows.
     """
@@ -193,7 +193,7 @@ def of_one_solid(
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
         if height(trial) > height(best) - PROMISING:
             trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
-        if height(trial) > height(best) - HOPELESS and all_seen(trial):
+        if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial):
             found.append(trial)
     propped = []
     for state in [] if rules.floating else propped_up(best, i, shapes):
@@ -205,7 +205,7 @@ def of_one_solid(
     if height(removed) > height(best) - PROMISING:
         removed = refitted(removed)
     candidates = [(trial, [i]) for trial in likeliest_of_each(found)]
-    if height(removed) > height(best) - HOPELESS:
+    if height(removed) > height(best) - PRUNE_THRESHOLD:
         candidates.append((removed, []))
     candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
     own = Block(best, [i])
@@ -300,13 +300,13 @@ def from_search(
 def weighed_whole(
     rng: np.random.Generator, best: Refined, states: list[State], rules: Rules, steps: int
 ) -> list[Weighed]:
-    """Return the Weighed of those states that are not hopeless, by integrals over everything.
+    """Return the Weighed of those states that are not pruned, by integrals over everything.
 
     steps : of each temperature for each solid.
     """
     trials = [with_own_sensor(rng, trial, range(len(trial.state)), WORTHWHILE)
               for trial in climbed(rng, best, states, rules, steps, PROMISING)]  # fmt: skip
-    trials = [trial for trial in trials if height(trial) > height(best) - HOPELESS and all_seen(trial)]
+    trials = [trial for trial in trials if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial)]
     if not trials:
         return []
     everyone = (best, *trials)

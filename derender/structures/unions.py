@@ -17,7 +17,15 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents
 from derender.scene.solids import BOX
-from derender.structures.alternatives import HOPELESS, PROMISING, QUICK, WORTHWHILE, changed, climbed, weighed_whole
+from derender.structures.alternatives import (
+    PROMISING,
+    PRUNE_THRESHOLD,
+    QUICK,
+    WORTHWHILE,
+    changed,
+    climbed,
+    weighed_whole,
+)
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth
@@ -58,7 +66,7 @@ def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
 
 
 def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
-    """Return the Weighed of solid `j` being part of `i`; None where that is hopeless."""
+    """Return the Weighed of solid `j` being part of `i`; None where that is pruned."""
     state = best.state
     new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
     lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
@@ -69,7 +77,7 @@ def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules
     trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [place])
     if height(trial) > height(best) - PROMISING:
         trial = with_own_sensor(rng, trial, [place], WORTHWHILE)
-    if height(trial) <= height(best) - HOPELESS:
+    if height(trial) <= height(best) - PRUNE_THRESHOLD:
         return None
     return of_block(rng, trial, [place], Block(best, [i, j]))
 
