@@ -40,8 +40,6 @@ LINES = {"objects": 2, "shapes": 1, "contacts": 1, "inference": 2}  # how deep t
 class LikelihoodPrior:
     """The likelihood of a file: its type, and its parameters as numbers or distributions.
 
-    Attributes
-    ----------
     type : registered name ("gaussian", "robust").
     values : number or distribution by parameter name; what is left out has the type's default.
     """
@@ -56,6 +54,11 @@ class LikelihoodPrior:
     def log_density(self, values: Mapping[str, float]) -> float:
         """Return the log density of the parameters."""
         return math.fsum(log_density(value, values[name]) for name, value in self.values.items())
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The parameters that are numbers."""
+        return {name: value for name, value in self.values.items() if isinstance(value, int | float)}
 
     def free_addresses(self) -> dict[str, Distribution]:
         """Return the distributions by address ("likelihood.sigma")."""
@@ -75,8 +78,6 @@ class LikelihoodPrior:
 class Document:
     """What a scene file says.
 
-    Attributes
-    ----------
     prior : over scene graphs; one whose numbers are all fixed is a scene.
     camera : None where the file has none.
     likelihood : None where the file has none.
@@ -107,9 +108,7 @@ class Document:
     def graph(self) -> SceneGraph:
         """The scene graph of a file whose numbers are all fixed.
 
-        Raises
-        ------
-        DerenderError : the file is a prior, with the address of a number that is open.
+        Raises DerenderError : the file is a prior, with the address of a number that is open.
         """
         if not self.is_scene:
             raise DerenderError("this is a prior, not a scene", self.file, "draw a scene from it with derender sample")
@@ -119,9 +118,7 @@ class Document:
 def read_document(path: str | Path) -> Document:
     """Read a scene file or prior file; `-` is stdin.
 
-    Raises
-    ------
-    DerenderError : one line with file, line, address and remedy.
+    Raises DerenderError : one line with file, line, address and remedy.
     """
     if str(path) == "-":
         import sys

@@ -11,9 +11,7 @@ MOST_DEPTH = 64  # a scene, a camera or a header nests at most ten deep
 def parse_json(text: str | bytes, where: object = None) -> Any:
     """Return the tree of a JSON text.
 
-    Raises
-    ------
-    DerenderError : it is no JSON, a key stands twice in one object, or it is nested deeper than MOST_DEPTH.
+    Raises DerenderError : it is no JSON, a key stands twice in one object, or it is nested deeper than MOST_DEPTH.
     """
     try:
         tree = json.loads(text, object_pairs_hook=_without_duplicates)

@@ -20,7 +20,7 @@ from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
 from derender.scene.pose import inverse
 from derender.structures.draws.scene_density import BARE_IMAGE
-from derender.structures.options import Frame, Options
+from derender.structures.options import Frame, Options, names_objects
 from derender.structures.precompile import precompile
 
 NEARBY = (0.08, 8.0)  # metres: what depth cameras see lies between
@@ -63,8 +63,6 @@ def infer_to_folder(
 ) -> Outcome:
     """Infer the scene behind a depth image and write the folder of results.
 
-    Parameters
-    ----------
     image : file of the depth image; `-` is stdin. prior : scene file or built-in prior, or None: a bare image.
     output : folder; None: the image's name with _inferred.
     reading : how the image is read: with which camera, unit, turn and confidence.
@@ -74,9 +72,7 @@ def infer_to_folder(
     frames : files of further images of the same scene, which stands still; poses : file of where all cameras stood
         (camera/poses.py), None: as the camera file says, or else they are found.
 
-    Raises
-    ------
-    DerenderError : whatever is wrong with the images, the camera, the poses, the prior or the folder.
+    Raises DerenderError : whatever is wrong with the images, the camera, the poses, the prior or the folder.
     """
     started = time.monotonic()
     if frames:
@@ -89,8 +85,6 @@ def infer_to_folder(
 class Request(NamedTuple):
     """All that an inference needs, read and checked: it can go to another machine.
 
-    Attributes
-    ----------
     image : the image's name. seen : the image. document : of a prior or scene, or None. where : whose fault a fault is.
     options, gradient : see `infer_to_folder`.
     made : seed, command and prior, recorded in what is written.
@@ -128,7 +122,7 @@ def ask(
     made: dict[str, Any] = {"seed": options.seed, "command": command}
     if prior != "-":
         made["prior"] = BARE_IMAGE if prior is None else prior_as_seen_from(prior, folder)
-    where = prior if has_objects(document) else image
+    where = prior if names_objects(document) else image
     return Request(str(image), seen, document, where, options, gradient, made, folder.resolve())
 
 
@@ -158,20 +152,15 @@ def answer(
     from derender.sampling.workers import interruptible
 
     options, began = request.options, time.monotonic() if started is None else started
-    keeps = has_objects(request.document) or options.method in ("mcmc", "smc")  # checkpoints
+    keeps = names_objects(request.document) or options.method in ("mcmc", "smc")  # checkpoints
     if options.resume and keeps and not (folder / "checkpoint").exists():
         say(f"nothing was interrupted in {folder}: beginning anew")
     command = request.made["command"]
     try:
         with at_fault(request.where):
+            own = replace(options, folder=folder)
             posterior, likelihood = infer_image(
-                request.seen,
-                request.document,
-                replace(options, folder=folder),
-                request.gradient,
-                progress,
-                warn,
-                command,
+                request.seen, request.document, own, request.gradient, progress, warn, command
             )
             posterior = replace(posterior, command=command, meta={**posterior.meta, "image": request.image})
             with interruptible() as stop:  # what was inferred is written, whoever loses patience now
@@ -208,7 +197,7 @@ def check_request(options: Options, document: Document | None, prior: object, gr
     """Refuse, or warn of, options that say nothing about what is asked."""
     from derender.detection.solids.image import KINDS
 
-    given, method = has_objects(document), options.method
+    given, method = names_objects(document), options.method
     walks = method in ("mcmc", "smc") or given
     idle = (
         ("--gradient", gradient != "exact" and not (method == "map" and given), "it is for --method map with --scene"),
@@ -267,7 +256,7 @@ def infer_image(
 
         prior, said = without_stands(document.prior)
         document, must_stand = replace(document, prior=prior), must_stand or said
-    if document is not None and has_objects(document):
+    if document is not None and names_objects(document):
         posterior, likelihood = _given(seen, document, options, gradient, progress, warn, command)
     else:
         posterior, likelihood = _bare(seen, document, options, progress, warn)
@@ -290,13 +279,6 @@ def infer_image(
     return replace(posterior, seed=options.seed, meta=meta), likelihood
 
 
-def has_objects(document: Document | None) -> bool:
-    """Return whether there is a document that names its objects."""
-    from derender.scene.priors.tree import TreePrior
-
-    return document is not None and isinstance(document.prior, TreePrior)
-
-
 def _given(
     seen: Any, document: Any, options: Any, gradient: str, progress: Any, warn: Any, command: str
 ) -> tuple[Posterior, LikelihoodPrior]:
@@ -313,10 +295,9 @@ def _given(
         options.folder, options.resume, progress, command, gradient, warn,
     )  # fmt: skip
     likelihood = document.likelihood or LikelihoodPrior()
-    fixed = {name: value for name, value in likelihood.values.items() if isinstance(value, int | float)}
     meta = {
         **posterior.meta, "interrupted": interrupted, "lost_chains": lost,
-        "likelihood": {"type": likelihood.type, **fixed},  # what is unknown of it is among the draws
+        "likelihood": {"type": likelihood.type, **likelihood.fixed},  # what is unknown of it is among the draws
     }  # fmt: skip
     return replace(posterior, meta=meta), likelihood
 

@@ -30,7 +30,7 @@ from derender.render.renderers import find_renderer  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
 from derender.report.tables import parameter_rows  # noqa: E402
 from derender.results.trust import chain_doubts  # noqa: E402
-from derender.sampling.streams import SCENES, stream  # noqa: E402
+from derender.sampling.chains import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.jumps.run import DEFAULT_PRIOR  # noqa: E402
 from derender.structures.options import Options  # noqa: E402

@@ -38,7 +38,7 @@ from derender.cli import status_of
 from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
 from derender.evaluation.metrics import compare_scenes  # noqa: E402
 from derender.report.scene_json import scene_json  # noqa: E402
-from derender.sampling.streams import SCENES, stream  # noqa: E402
+from derender.sampling.chains import SCENES, stream  # noqa: E402
 from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 

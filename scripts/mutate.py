@@ -70,7 +70,7 @@ MUTATIONS = [
          SMC),
         ("smc: cold moves", "posterior/smc.py", "tuning._replace(temperature=exponent)",
          "tuning._replace(temperature=1.0)", SMC),
-        ("streams: sampled scenes share the seed's own", "sampling/streams.py", "spawn_key=key)", "spawn_key=key[:1])",
+        ("streams: sampled scenes share the seed's own", "sampling/chains.py", "spawn_key=key)", "spawn_key=key[:1])",
          ("tests/sampling/test_streams.py",)),
         ("diagnostics: r-hat without folding", "sampling/diagnostics.py",
          "max(_r_hat(_rank_normalise(halves)), _r_hat(_rank_normalise(folded)))", "_r_hat(_rank_normalise(halves))",

@@ -23,7 +23,7 @@ from derender.cli import status_of
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
-from derender.sampling.streams import SCENES, stream  # noqa: E402
+from derender.sampling.chains import SCENES, stream  # noqa: E402
 
 WARM_SETS = ("settled", "noisy", "mixed", "tower", "cubes")
 

@@ -47,9 +47,7 @@ def find_frames(
     empty : whether folders and patterns may have none, as when they are watched.
     topic : of the depth images of ROS bags, each of which has many frames; None: the only one.
 
-    Raises
-    ------
-    DerenderError : a pattern or a folder without an image.
+    Raises DerenderError : a pattern or a folder without an image.
     """
     found: dict[str, str] = {}  # the name within its folder, by path
     output = Path(output).resolve()

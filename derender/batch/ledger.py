@@ -25,8 +25,6 @@ class Ledger:
     frame counts as done where its folder is whole, whatever the lines say: they are made again from it where they are
     missing, as after a killed run. Several processes may write into the same folder, each other frames.
 
-    Attributes
-    ----------
     folder : the output folder. rows : by frame.
     """
 

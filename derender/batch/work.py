@@ -29,8 +29,6 @@ THUMBNAIL_WIDTH = 160  # pixels of each half, about
 class Order:
     """What is asked of every frame alike.
 
-    Attributes
-    ----------
     options, prior, reading, gradient : see `workflow.infer_to_folder`.
     page : whether each frame gets its report.html at once.
     words : the options as they were typed, for the command that each result records: it makes that result alone.
@@ -51,8 +49,6 @@ class Order:
 class Done(NamedTuple):
     """What came of a frame.
 
-    Attributes
-    ----------
     frame : which. rows : of the table, see `table.COLUMNS`.
     error : why there is no result, in a line, or "". trace : of a fault that is ours, or "".
     warnings : lines for a person. seconds : that it took.

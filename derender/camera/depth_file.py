@@ -48,8 +48,6 @@ SKY = 65504.0  # the largest half float: what Blender and others write into an .
 class DepthImage(NamedTuple):
     """A depth image with the camera that saw it.
 
-    Attributes
-    ----------
     depth : (height, width) float64, metres; NaN where there is no return.
     camera : its camera.
     camera_is_guess : True where neither the file nor the user gave one, so that it has the fallback field of view.
@@ -71,8 +69,6 @@ def read_depth(
 ) -> DepthImage:
     """Read a depth image of any known format, recognised by its first bytes, and its camera; or take an array for one.
 
-    Parameters
-    ----------
     path : the file; `-` is stdin; `recording.bag@12` is a frame of a ROS bag. Or an array (H, W), or a list of rows:
         floats are metres, integers of 16 bits or more are units of depth_scale millimetres.
     camera : a Camera, a camera file, a mapping as a camera file holds it (fx, fy, cx, cy are enough), or a 3 x 3 matrix
@@ -82,9 +78,7 @@ def read_depth(
 
     An image whose file says by EXIF that it is to be turned is turned, and its camera with it.
 
-    Raises
-    ------
-    DerenderError : anything that makes the image unusable, in one line.
+    Raises DerenderError : anything that makes the image unusable, in one line.
 
     Examples
     --------
@@ -168,8 +162,6 @@ def write_depth(
 ) -> None:
     """Write a depth image in the format of the suffix, whole or not at all; `-` writes an .npz to stdout.
 
-    Parameters
-    ----------
     depth : (height, width), metres; NaN, inf and 0 mean no return.
     camera : goes into an .npz; of the other formats a 16-bit .png uses its depth_scale.
     meta : seed, version, command; kept in an .npz only.
@@ -287,8 +279,6 @@ def _metres(array: np.ndarray, camera_scale: float, explicit: float | None, path
 class Reading:
     """How depth images are read.
 
-    Attributes
-    ----------
     camera : camera file, or None: the one in the image's file, else a guess.
     depth_scale : millimetres for one unit; None: the camera's.
     rotate : degrees, 0, 90, 180 or 270, by which the image is turned clockwise, its camera and gravity with it.
@@ -309,9 +299,7 @@ class Reading:
     def read(self, path: str | Path) -> DepthImage:
         """Return the depth image of a file.
 
-        Raises
-        ------
-        DerenderError : anything that makes the image, its camera or its confidence unusable.
+        Raises DerenderError : anything that makes the image, its camera or its confidence unusable.
         """
         seen = read_depth(path, self.camera, self.depth_scale, self.topic)
         if self.up is not None:

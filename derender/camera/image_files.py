@@ -101,9 +101,7 @@ DEPTH_NAMES = ("Z", "depth", "Depth", "V", "Y", "R")  # the renderers' names for
 def decode_exr(data: bytes) -> np.ndarray:
     """Return the (height, width) depth channel of an .exr: the only channel, or the one that is named like depth.
 
-    Raises
-    ------
-    DerenderError : a colour image, or no channel that could be depth.
+    Raises DerenderError : a colour image, or no channel that could be depth.
     """
     import OpenEXR
 

@@ -28,14 +28,10 @@ WHAT, REMEDY = "the poses", "give a 4 x 4 matrix, camera to world, for each imag
 def read_poses(path: str | Path, images: Sequence[str]) -> np.ndarray:
     """Return (V, 4, 4) float64, the poses, camera to world, of images by their names.
 
-    Parameters
-    ----------
     path : JSON, YAML, .npy or .npz: a list of matrices or an array (V, 4, 4); or matrices by the images' names, with or
         without suffix; either also under `poses`. Or a transforms.json, or a scene_camera.json with poses.
 
-    Raises
-    ------
-    DerenderError : unreadable, an image without a pose, or a matrix that is no pose; says which file.
+    Raises DerenderError : unreadable, an image without a pose, or a matrix that is no pose; says which file.
     """
     found = poses_in(_tree(path))
     if found is None:

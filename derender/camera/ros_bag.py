@@ -28,8 +28,6 @@ COMPRESSED_HEADER = 12  # bytes of compressedDepth before its PNG: a format, and
 class Bag(NamedTuple):
     """What is known of a bag before its frames are read.
 
-    Attributes
-    ----------
     topic : of the depth images. times : of each, nanoseconds. camera : a tree as a camera file holds it, or None.
     """
 
@@ -59,9 +57,7 @@ def bag_frames(path: str | Path, topic: str | None = None) -> dict[str, str]:
 def read_frame(path: str, topic: str | None = None) -> tuple[np.ndarray, dict[str, Any] | None]:
     """Return a frame's depth image (H, W), uint16 units or float32 metres, and the tree of its camera or None.
 
-    Raises
-    ------
-    DerenderError : no such bag, topic or frame, or images of another kind.
+    Raises DerenderError : no such bag, topic or frame, or images of another kind.
     """
     found = FRAME.fullmatch(path)
     if found is None:

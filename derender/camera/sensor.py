@@ -15,8 +15,6 @@ from derender.registry import suggest
 class Sensor:
     """A model of a depth camera.
 
-    Attributes
-    ----------
     noise_floor : standard deviation at `nearest`, metres.
     noise_growth : coefficient of the quadratic growth: sd = noise_floor + noise_growth (z - nearest)^2, 1 / metre.
     nearest, farthest : range in metres; outside nothing returns.

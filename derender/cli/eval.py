@@ -66,7 +66,7 @@ def command(
         derender eval results/ label.png --divisor 10 --background 0,1
     """
     from derender.errors import DerenderError
-    from derender.evaluation.batch import LABEL_SUFFIXES, paired, totals
+    from derender.evaluation.metrics import LABEL_SUFFIXES, paired, totals
 
     pairs = paired(predicted, truth)
     labels = _numbers(background)
@@ -101,8 +101,7 @@ def _compare(
     left: Path, right: Path, frame: Any, models: Any, background: list[int], divisor: int, graph_iou: float
 ) -> dict[str, Any]:
     """Compare one prediction with one truth."""
-    from derender.evaluation.batch import LABEL_SUFFIXES
-    from derender.evaluation.metrics import compare_scenes, condition_of, mask_f1
+    from derender.evaluation.metrics import LABEL_SUFFIXES, compare_scenes, condition_of, mask_f1
     from derender.evaluation.truth import read_labels
 
     scene, found = _scene(left)

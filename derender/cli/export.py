@@ -36,7 +36,7 @@ def command(scene: str, output: str, talk: Talk) -> None:
 
     found = read_scene(scene)
     if output.lower().endswith(".rrd"):
-        from derender.report.rrd import write_rrd
+        from derender.report.export import write_rrd
 
         image, camera = read_observation(scene) or (None, found.camera)
         write_rrd(output, found.graph, found.posterior, image, camera)

@@ -65,8 +65,6 @@ def counted(items: Iterable[Any], total: int, words: str, shown: bool) -> Iterat
 class Talk:
     """What a command says to a person, on stderr; stdout is for data.
 
-    Attributes
-    ----------
     level : -1 quiet (warnings only), 0 normal, 1 verbose.
     """
 
@@ -111,8 +109,6 @@ def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
 class Idle(NamedTuple):
     """Options that say nothing beside others: whoever typed one is told so, in place of being ignored in silence.
 
-    Attributes
-    ----------
     names : of the parameters. here : given all arguments by name, whether it is so. why : what they are for.
     """
 

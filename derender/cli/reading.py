@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 class Found(NamedTuple):
     """A scene, and what else its file or folder holds.
 
-    Attributes
-    ----------
     name : of the scene, for titles and files.
     graph : the scene; of a posterior, its most probable one.
     posterior, camera : or None.
@@ -50,9 +48,7 @@ def read_scene_document(path: str) -> "Document":
 def read_scene(path: str) -> Found:
     """Read a scene file (`-`: stdin) or a folder written by `derender infer`.
 
-    Raises
-    ------
-    DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
+    Raises DerenderError : no such file or folder, a folder without a scene, or a prior where a scene is needed.
     """
     from derender.report.contents import likelihood_numbers
 
@@ -74,8 +70,6 @@ def read_scene(path: str) -> Found:
 class Source(NamedTuple):
     """What `derender simulate` simulates.
 
-    Attributes
-    ----------
     graph : the scene; of a posterior the most probable one, of a prior the first drawn.
     camera : or None.
     uncertain : whether draws differ.

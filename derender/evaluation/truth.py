@@ -130,20 +130,13 @@ def numbers_of(value: object, shape: tuple[int, ...]) -> np.ndarray | None:
     return array if array.shape == shape and np.all(np.isfinite(array)) else None
 
 
-LABEL_SUFFIXES = (".png", ".npy", ".tiff", ".tif")
-
-
 def read_json_scene(path: str | Path, frame: str | None = None, models: str | Path | None = None) -> dict[str, Any]:
     """Read a scene from JSON: as `derender show --json` prints it, or one frame of BOP's scene_gt.json.
 
-    Parameters
-    ----------
     frame : of a BOP file, its key; needed where there are several.
     models : BOP's models_info.json or its folder; looked for beside the file and above it where not given.
 
-    Raises
-    ------
-    DerenderError : not JSON, or neither of the two; `frame` or `models` for what is not BOP's.
+    Raises DerenderError : not JSON, or neither of the two; `frame` or `models` for what is not BOP's.
     """
     try:
         tree = parse_json(Path(path).read_text(encoding="utf-8"), path)
@@ -161,9 +154,7 @@ def read_json_scene(path: str | Path, frame: str | None = None, models: str | Pa
 def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, Any]:
     """Return a scene after checking what the comparison needs: names, types, sizes, rigid poses, gravity.
 
-    Raises
-    ------
-    DerenderError : says which object lacks what.
+    Raises DerenderError : says which object lacks what.
     """
     seen: set[str] = set()
     for number, item in enumerate(tree["objects"]):
@@ -198,17 +189,11 @@ def checked_scene(tree: Mapping[str, Any], where: object = None) -> dict[str, An
 def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
     """Read a label image: one number for each object.
 
-    Parameters
-    ----------
     divisor : labels are the file's numbers divided by this, rounded down (10 where 21 and 22 are parts of object 2).
 
-    Returns
-    -------
-    (height, width) int64.
+    Returns (height, width) int64.
 
-    Raises
-    ------
-    DerenderError : no such picture, or one of several channels.
+    Raises DerenderError : no such picture, or one of several channels.
     """
     path = Path(path)
     try:

@@ -49,8 +49,6 @@ SMALLEST = 1e-3  # metres: no extent is moved below this
 class Placement(NamedTuple):
     """A graph as arrays, and where its free numbers go. N vertices, P free numbers.
 
-    Attributes
-    ----------
     vertices, extents : as in Model; numbers, pose, relative : as in Chain (`compiled/layout.py`).
     vertex, slot : (P,) int64, row and column of `numbers` that a free number goes to.
     """

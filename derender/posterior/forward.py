@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
-from derender.sampling.streams import SCENES, stream
+from derender.sampling.chains import SCENES, stream
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.physical import with_drawn_matter
 
@@ -20,8 +20,6 @@ WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
 class Draw:
     """One draw from a document.
 
-    Attributes
-    ----------
     graph : the scene.
     camera, likelihood : as in the document, the likelihood's numbers drawn too.
     made : seed and command.

@@ -34,8 +34,6 @@ DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's ran
 class Maximum(NamedTuple):
     """Where one ascent ended.
 
-    Attributes
-    ----------
     values : (P,) float64. log_density : log likelihood at `values`.
     path : (T + 1, P) the states on the way at full resolution, the last one `values`; log_densities : (T + 1,) theirs.
     iterations : steps taken, those on the coarse image included.
@@ -51,8 +49,6 @@ class Maximum(NamedTuple):
 class MapProblem:
     """The posterior density of some numbers of a scene graph given one depth image, and ways to its top.
 
-    Parameters
-    ----------
     graph : SceneGraph with compiled contacts. addresses : the free numbers, such as "red.contact.theta", "red.side".
     camera : Camera. observed : (height, width) metres, NaN or 0 where nothing returned.
     sigma : metres, a number or (height, width). blur : pixels. background : metres where nothing is hit (Eq. 6).
@@ -61,9 +57,7 @@ class MapProblem:
         are uniform in these ranges.
     edges : False leaves out the occlusion edges of the derivative: wrong, for comparison.
 
-    Raises
-    ------
-    DerenderError : an unknown address, a contact type without compiled form.
+    Raises DerenderError : an unknown address, a contact type without compiled form.
     """
 
     def __init__(
@@ -138,8 +132,6 @@ class MapProblem:
     ) -> list[Maximum]:
         """Ascend from each start (S, P), by default from the graph's own values, and return the ends in that order.
 
-        Parameters
-        ----------
         method : one of METHODS. gradient : one of GRADIENTS; differences go with `method="gradient"` alone.
         iterations : most steps at full resolution. step : alpha of the fixed steps. tolerance : nats.
         explore : look for the right basin on the coarse image first (gauss-newton).

@@ -56,8 +56,6 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, si
         thin: int, population: int, particles: int) -> Found | None:  # fmt: skip
     """Return what pilots found, or None where nothing possible was.
 
-    Parameters
-    ----------
     backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only; singles : the
         same, of those that move one object only, by its name.
     thin : steps in a round. population, particles : of each start, see `smc.tempered`.

@@ -22,8 +22,6 @@ KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws"
 class Settings(NamedTuple):
     """How chains are run.
 
-    Attributes
-    ----------
     kernels : entries such as {"drift": {"weight": 0.5}}, or None: the default mixture.
     cycle : kernels take turns, in the order of the file, instead of being drawn by weight.
     thin : steps for each draw.
@@ -47,9 +45,7 @@ class Settings(NamedTuple):
 def read_settings(section: Any) -> Settings:
     """Return the settings of a raw section, or the defaults where there is none.
 
-    Raises
-    ------
-    DerenderError : an unknown key or a value of the wrong kind, with its line.
+    Raises DerenderError : an unknown key or a value of the wrong kind, with its line.
     """
     settings = Settings()
     if section is None:
@@ -100,8 +96,6 @@ class Backend(Protocol):
 class MixtureSampler:
     """A mixture or cycle of kernels on a target, for `chains.run_chain`.
 
-    Parameters
-    ----------
     target : the posterior.
     parts : the mixture.
     thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.

@@ -15,14 +15,10 @@ from derender.scene.shapes import shapes
 def scene_space(prior: Any, graph: SceneGraph, likelihood: Mapping[str, Distribution] | None = None) -> Space:
     """Return the unknowns of a graph under its prior, in blocks: the root, each edge's contact, each object's shape.
 
-    Parameters
-    ----------
     prior : has `free_addresses(graph)`.
     likelihood : priors of the likelihood's unknowns by name.
 
-    Raises
-    ------
-    DerenderError : there is no unknown.
+    Raises DerenderError : there is no unknown.
     """
     free = dict(prior.free_addresses(graph))
     free.update({f"likelihood.{name}": distribution for name, distribution in (likelihood or {}).items()})

@@ -34,8 +34,6 @@ class Stop(NamedTuple):
 class Population(NamedTuple):
     """Particles of equal weight from the posterior.
 
-    Attributes
-    ----------
     values : (n, P) float64. densities : (n, 2) float64, log prior and log likelihood.
     log_evidence : estimate of log p(image); unbiased on the natural scale but for the adaptation.
     tuning : scales that the moves ended with.
@@ -92,8 +90,6 @@ def tempered(
 ) -> Population:
     """Run the sampler.
 
-    Parameters
-    ----------
     backend : see `sampler.Backend`.
     parts : the mixture that moves the particles.
     particles : how many. steps : of the mixture for each particle and stage.

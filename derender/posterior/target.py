@@ -39,8 +39,6 @@ class Images(Protocol):
 class ObservedImage:
     """One depth image under one likelihood.
 
-    Parameters
-    ----------
     camera : Camera. observed : (H, W) metres, NaN where nothing returned.
     type : registered likelihood. values : its fixed numbers by name.
     """
@@ -74,8 +72,6 @@ class ObservedImage:
 class SceneTarget:
     """Posterior density over the unknowns of one structure.
 
-    Parameters
-    ----------
     prior : the document's prior.
     graph : a scene of the structure, whose other numbers are fixed.
     images : the likelihood bound to the observed image.

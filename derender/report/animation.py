@@ -22,8 +22,6 @@ STILL = 2e-4  # metres, and sines of turns: a tenth of a pixel or less; a pictur
 def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camera: Camera) -> list[np.ndarray]:
     """Return shaded pictures of a scene as it moves, (height, width, 3) uint8 each, at 20 a second.
 
-    Parameters
-    ----------
     solids, names : the scene at the start and the names of its solids; those that the trajectory does not name stay.
     """
     from derender.render.raycast.depth import render_depth
@@ -51,9 +49,7 @@ def frames(solids: Solids, names: tuple[str, ...], trajectory: Trajectory, camer
 def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera: Camera | None) -> None:
     """Write how a scene moves, by the suffix: a picture seen by its camera (.gif, .webp, .mp4), or .glb in 3-D.
 
-    Raises
-    ------
-    DerenderError : .mp4 where there is no ffmpeg, or one that fails.
+    Raises DerenderError : .mp4 where there is no ffmpeg, or one that fails.
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":

@@ -24,8 +24,6 @@ SHOWN_DRAWS = 12
 class Report(NamedTuple):
     """What a report shows.
 
-    Attributes
-    ----------
     title : the name of the image or scene.
     scene : the most probable scene, as `derender show --json` prints it.
     solids : the solids of that scene; solid_names : their names.
@@ -76,8 +74,6 @@ def report_of(
 ) -> Report:
     """Gather what a report shows of a scene and, where there is one, of the posterior that it is the best of.
 
-    Parameters
-    ----------
     observed : (height, width) float64, metres, NaN without return.
     facts : further entries for the head, such as seconds.
     likelihood : numbers of the likelihood by name, see `Report` and `likelihood_numbers`.
@@ -143,10 +139,7 @@ def likelihood_numbers(likelihood: "LikelihoodPrior | None") -> dict[str, float]
     """Return the numbers of a file's likelihood by name, with defaults for what it leaves out or open; {} for none."""
     from derender.render.likelihoods import likelihoods
 
-    if likelihood is None:
-        return {}
-    given = {key: value for key, value in likelihood.values.items() if isinstance(value, int | float)}
-    return likelihoods[likelihood.type].complete(given)
+    return {} if likelihood is None else likelihoods[likelihood.type].complete(likelihood.fixed)
 
 
 def sensor_words(numbers: Mapping[str, Any]) -> dict[str, str]:

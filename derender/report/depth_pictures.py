@@ -12,7 +12,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.report import pictures
 from derender.report.contents import Report
-from derender.results.regions import Region
+from derender.results.trust import Region
 from derender.scene import solids as kinds
 
 FINEST = 320  # columns of an outline, at most: a page stays small

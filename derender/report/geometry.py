@@ -85,13 +85,9 @@ def solid_mesh(solids: Solids, index: int, plane_extent: float = 1.0) -> tuple[n
 def plane_patch(solids: Solids, index: int, points: np.ndarray | None = None) -> tuple[np.ndarray, float]:
     """Return where a square of a plane lies that is under the whole scene, and how large it is.
 
-    Parameters
-    ----------
     points : (P, 3) float64 that the square should reach under, in the solids' frame; default: the other solids.
 
-    Returns
-    -------
-    pose (4, 4) float64 of the middle of the square, half width in metres.
+    Returns pose (4, 4) float64 of the middle of the square, half width in metres.
     """
     pose = solids.pose[index].copy()
     others = solids.pose[solids.kind != kinds.PLANE, :3, 3]

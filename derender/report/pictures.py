@@ -71,8 +71,6 @@ def colour_table(anchors: tuple[str, ...]) -> np.ndarray:
 def depth_limits(depth: np.ndarray, objects: np.ndarray | None = None) -> tuple[float, float]:
     """Return near and far limits within which a depth image is painted.
 
-    Parameters
-    ----------
     depth : (height, width) float64, NaN without return.
     objects : (height, width) bool: where given, the limits are what these pixels span, and as much again before and
         behind: a floor that runs to the horizon must not take all the colours.

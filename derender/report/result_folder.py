@@ -25,8 +25,6 @@ WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "re
 class Outcome:
     """What there is to tell.
 
-    Attributes
-    ----------
     folder : with the files. posterior : what is in them.
     rows : of the table, see report.tables.parameter_rows.
     doubts : reasons to doubt the result.
@@ -166,20 +164,15 @@ def judged(
     return replace(posterior, meta={**posterior.meta, **judgement(report.doubts, report.fit)}), report
 
 
-def likelihood_at_best(likelihood: LikelihoodPrior, part: Any) -> LikelihoodPrior:
+def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) -> LikelihoodPrior:
     """Return the likelihood with the numbers that a structure's most probable draw has for what is unknown of it."""
     return likelihood.with_values(
         {
             address.removeprefix("likelihood."): float(value)
-            for address, value in _best_values(part).items()
+            for address, value in zip(part.addresses, part.values[part.best_place], strict=True)
             if address.startswith("likelihood.")
         }
     )
-
-
-def _best_values(part: StructurePosterior) -> dict[str, float]:
-    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
-    return dict(zip(part.addresses, part.values[chain, draw], strict=True))
 
 
 def _number(value: Any) -> float | None:

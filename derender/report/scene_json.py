@@ -10,8 +10,6 @@ from derender.scene.graph import SceneGraph
 def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     """Return the scene in camera axes: objects with type, full extents, pose, parent, contact.
 
-    Parameters
-    ----------
     graph : the scene; with a posterior, its most probable one.
     posterior : adds `size_interval`, `probability` and `parent_probability` to each object, and `support_probability`
         to what may have a second support.
@@ -71,9 +69,7 @@ def size_intervals(posterior: "Posterior") -> dict[str, list[list[float]] | None
     A structure's draws count with its weight; those without the object say nothing. None for what has no size; the size
     twice for what has nothing unknown.
 
-    Returns
-    -------
-    {name: [[low, high], [low, high], [low, high]] in metres, or None}
+    Returns {name: [[low, high], [low, high], [low, high]] in metres, or None}
     """
     found: dict[str, list[list[float]] | None] = {}
     for vertex in posterior.best_part.graph.vertices:

@@ -22,8 +22,6 @@ BACKGROUND = "(background)"
 class Share(NamedTuple):
     """What one object contributes to the log likelihood.
 
-    Attributes
-    ----------
     name : of the object; "(background)" for pixels in which the scene has none.
     pixels : in which it is seen.
     log_likelihood : the sum over these pixels; all shares sum to the whole.
@@ -41,8 +39,6 @@ class Share(NamedTuple):
 class PriorScore(NamedTuple):
     """What a prior says of a scene.
 
-    Attributes
-    ----------
     name : of the prior: a file, a built-in one, or bare-image.
     log_density : -inf where the prior cannot make such a scene, NaN where it cannot be asked.
     why : in a few words, where it is not finite; else empty.
@@ -109,8 +105,6 @@ def score_scene(
 ) -> Score:
     """Score a scene against an image.
 
-    Parameters
-    ----------
     graph : the scene. observed : (height, width) metres, NaN where nothing returned.
     likelihood, values : the type of likelihood and its numbers, see `render.likelihoods`.
     """

@@ -18,8 +18,6 @@ MOST_ABREAST = 5  # objects beside each other whose words can be read
 def graph_svg(scene: Mapping[str, Any], colours: Mapping[str, str] | None = None) -> str:
     """Return the scene graph as a tree that stands on its root, as the things themselves do; a broad one lies.
 
-    Parameters
-    ----------
     scene : as `derender show --json` prints it; probabilities, where there, are written at their edges.
     colours : of the objects by name, as #rrggbb.
     """
@@ -115,8 +113,6 @@ def tree_places(objects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, flo
 def trace_svg(draws: np.ndarray) -> str:
     """Return the traces of the chains.
 
-    Parameters
-    ----------
     draws : (chains, draws) float64.
     """
     width, height = TRACE_SIZE
@@ -136,8 +132,6 @@ def trace_svg(draws: np.ndarray) -> str:
 def rank_svg(draws: np.ndarray) -> str:
     """Return the rank plot: how the ranks of each chain's draws among all draws spread. Level lines are good chains.
 
-    Parameters
-    ----------
     draws : (chains, draws) float64.
     """
     width, height = RANK_SIZE

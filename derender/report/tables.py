@@ -44,8 +44,6 @@ def parameter_rows(
 ) -> list[dict[str, Any]]:
     """Return a row for each free number of one structure.
 
-    Parameters
-    ----------
     values : (chains, draws, P) float64, in metres and radians.
     periods : of those that are angles; they are unwrapped about their circular mean.
 

@@ -14,8 +14,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise, neighbourhood
 from derender.results.focal import wrong_focal_length
-from derender.results.regions import LETTERS, Region, components, opened
-from derender.results.trust import Doubt
+from derender.results.trust import LETTERS, Doubt, Region, components, opened
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -109,8 +108,6 @@ def check_fit(
 ) -> tuple[Doubt, ...]:
     """Return the doubts that an image raises about what was found in it, the serious ones first.
 
-    Parameters
-    ----------
     graph : the best scene. fit : of it. camera : of the image.
     observed : (H, W) metres, NaN where nothing returned.
     likelihood : numbers of the likelihood that was fitted, by name.

@@ -40,8 +40,6 @@ class Face(NamedTuple):
 def wrong_focal_length(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
     """Return a doubt where another focal length makes far more of the angles right that should be.
 
-    Parameters
-    ----------
     graph : the best scene. fit : of it to the depths `observed` (H, W) in metres that this camera saw.
     """
     return doubts_of(faces_of(graph, fit, camera, observed), camera)

@@ -17,13 +17,9 @@ def merge_runs(posteriors: Sequence[Posterior], names: Sequence[str]) -> Posteri
     Of each its most probable structure counts. Where runs found the floor in a bare image each for itself, what stands
     on it is told in the first one's frame.
 
-    Parameters
-    ----------
     names : of the runs, for what is said of them.
 
-    Raises
-    ------
-    DerenderError : their unknowns differ.
+    Raises DerenderError : their unknowns differ.
     """
     parts = [posterior.best_part for posterior in posteriors]
     first = parts[0]

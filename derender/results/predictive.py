@@ -24,8 +24,6 @@ class Blocks(NamedTuple):
 
     Neighbouring pixels share their errors, so a block counts as one observation.
 
-    Attributes
-    ----------
     rows, columns : (N,) int, image coordinates of the blocks' first pixels; side : of a block, pixels.
     observed : (N,) metres, mean depth of the pixels that returned one.
     scored : (S,) int, numbers of the draws in each chain that were scored.
@@ -108,9 +106,7 @@ def likelihood_at(
 ) -> tuple[str, Mapping[str, float]]:
     """Return the type of the likelihood and its numbers in one draw.
 
-    Raises
-    ------
-    DerenderError : the posterior does not say under which likelihood it came about.
+    Raises DerenderError : the posterior does not say under which likelihood it came about.
     """
     told: dict[str, Any] = dict(posterior.meta.get("likelihood") or {})
     if "type" not in told:

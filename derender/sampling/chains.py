@@ -19,7 +19,27 @@ import numpy as np
 from derender.atomic import atomic_path
 from derender.errors import DerenderError
 from derender.json_text import parse_json
-from derender.sampling.streams import stream
+
+# Uses of a seed besides chains: drawn scenes, structures of one prior, tempered populations. Each has its own streams,
+# children of a SeedSequence: numpy takes a list such as [seed, 0] for the seed alone, and seed + 1 for the next seed,
+# which would share numbers. A chain has the child of its own number, without a use before it.
+SCENES, STRUCTURES, POPULATIONS = range(1, 4)
+
+
+def sequence(seed: int, *key: int) -> np.random.SeedSequence:
+    """Return the child of a seed for a use and its number (or numbers)."""
+    return np.random.SeedSequence(seed, spawn_key=key)
+
+
+def stream(seed: int, *key: int) -> np.random.Generator:
+    """Return the random generator of a seed for a use and its number (or numbers)."""
+    return np.random.Generator(np.random.PCG64(sequence(seed, *key)))
+
+
+def child_seed(seed: int, *key: int) -> int:
+    """Return a seed, below 2^63, for a use and its number."""
+    return int(sequence(seed, *key).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
 
 FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be resumed
 
@@ -27,8 +47,6 @@ FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be r
 class Record(NamedTuple):
     """A chain up to now.
 
-    Attributes
-    ----------
     warmed : steps of warm-up that are done.
     values : (draws, P) float, draws kept so far.
     log_prior, log_likelihood : (draws,) float.
@@ -131,8 +149,6 @@ class Sampler(Protocol):
 class Plan(NamedTuple):
     """What one run of several chains is.
 
-    Attributes
-    ----------
     sampler : walks each chain.
     seed : int; chain k uses the k-th spawn of its SeedSequence.
     chains, warmup, draws : counts; warm-up rounds and draws are per chain.

@@ -53,17 +53,13 @@ def anneal(
 ) -> tuple[float, list[float]]:
     """Raise the exponent on a population's gain from 0 to 1.
 
-    Parameters
-    ----------
     gain : (n,) log increments of the particles, -inf allowed.
     advance : called at each stage with the indices of the particles that are kept, copies among them, and the exponent;
         moves them and returns their gains in full.
     count : of particles after the first stage; None: n.
     share : of the particles, the effective number that a stage leaves: the smaller, the fewer stages.
 
-    Returns
-    -------
-    log of the estimated mean weight; the exponents, from 0 to 1.
+    Returns log of the estimated mean weight; the exponents, from 0 to 1.
     """
     count = len(gain) if count is None else count
     log_mean, exponents = 0.0, [0.0]

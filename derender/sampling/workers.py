@@ -24,8 +24,6 @@ from derender.sampling.chains import Plan, Progress, Record, run_chain
 class Outcome(NamedTuple):
     """What came of a run.
 
-    Attributes
-    ----------
     records : one for each chain that ran, by its number.
     lost : why a chain was lost, by its number.
     interrupted : whether someone asked to stop before the end.
@@ -41,9 +39,7 @@ def run(plan: Plan, jobs: int = 1, processes: bool = True, progress: Progress = 
 
     The first Ctrl-C lets every chain finish its segment and write its checkpoint; a second one raises.
 
-    Raises
-    ------
-    DerenderError : the fault of the user that stopped a chain (no checkpoint of this run, for instance).
+    Raises DerenderError : the fault of the user that stopped a chain (no checkpoint of this run, for instance).
     RuntimeError : every chain was lost.
     """
     jobs = min(jobs, plan.chains)
@@ -107,8 +103,6 @@ def _run_threads(
 class _Processes:
     """Chains over processes, a process for each of `jobs` at a time.
 
-    Attributes
-    ----------
     workers : by our end of a process's pipe: the process, and the number of its chain or None.
     records, lost : by chain, see `Outcome`. fault : of the user's, which ends all.
     """

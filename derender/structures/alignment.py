@@ -45,9 +45,7 @@ def found_over(first: "Look", state: State, seen: Observation, settings: Setting
 
     first : Look. state, seen : what was found in the image, its Observation. name : of it, for a fault.
 
-    Raises
-    ------
-    DerenderError : nothing stands in both images.
+    Raises DerenderError : nothing stands in both images.
     """
 
     def energy(over):

@@ -27,8 +27,6 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
 
     That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
 
-    Parameters
-    ----------
     observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
         which say in how many independent pixels each solid shows and how many spots are unexplained. missed : Missed,
         what the prior says. explained : share of the pixels.

@@ -38,8 +38,6 @@ GAPS = 60  # draws looked at
 class Candidate(NamedTuple):
     """A contact besides the tree's.
 
-    Attributes
-    ----------
     name, other : the solid, and what else it may rest on.
     mean, spread : metres, of the gap between them over the draws.
     balanced : whether the parent alone could carry it.
@@ -182,8 +180,6 @@ def together(part: StructurePosterior, other: StructurePosterior) -> StructurePo
 class SupportResidual(NamedTuple):
     """How far an object is from resting on a second support.
 
-    Attributes
-    ----------
     parent_face, child_face : the faces that would touch.
     gap : metres between them along the support's normal; negative where they interpenetrate.
     tilt : radians between them.

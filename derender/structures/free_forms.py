@@ -54,7 +54,6 @@ def _with_all(
 ) -> "StructurePosterior":
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
-    best = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
     for number, (thing, surface, size, centre) in enumerate(made):
         name = thing_name(number)
         row = thing.row.copy()
@@ -76,7 +75,7 @@ def _with_all(
             hidden = farther * value if key != "height" else 0.0
             more, off = rng.standard_normal((2, chains, draws, 1))
             drawn = np.maximum(value + hidden * np.abs(more) + noise * off, LEAST * value)
-            drawn[best] = value
+            drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)
             periods.append(None)

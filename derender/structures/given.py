@@ -31,13 +31,13 @@ from derender.posterior.target import ObservedImage, SceneTarget, default_parts
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import workers
-from derender.sampling.chains import Plan, Record, fingerprint
-from derender.sampling.streams import POPULATIONS, STRUCTURES, child_seed, stream
+from derender.sampling.chains import POPULATIONS, STRUCTURES, Plan, Record, child_seed, fingerprint, stream
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import bound_by, total_log_density
 from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes import Body
+from derender.structures.options import names_objects
 
 STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
 DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
@@ -148,11 +148,6 @@ class Result(NamedTuple):
     lost: dict[int, str]
 
 
-def has_fixed_objects(document: Document) -> bool:
-    """Return whether the document names its objects: then chains can walk over their numbers."""
-    return isinstance(document.prior, TreePrior)
-
-
 def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrior) -> ObservedImage:
     """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means.
 
@@ -163,7 +158,7 @@ def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrio
     if worth_less and noise:
         what = "of an image that counts as so many effective_pixels the noise cannot be found: less noise undoes that"
         raise DerenderError(what, noise[0], "give it as a number, or leave effective_pixels out")
-    fixed = {name: value for name, value in likelihood.values.items() if isinstance(value, float)}
+    fixed = likelihood.fixed
     free = {a.removeprefix("likelihood."): law.mean() for a, law in likelihood.free_addresses().items()}
     likelihoods[likelihood.type].complete({**fixed, **free})
     return ObservedImage(camera, image, likelihood.type, {**fixed, **free})
@@ -174,9 +169,7 @@ def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) ->
 
     Structures that say the same of the world (see `representative`) are one.
 
-    Raises
-    ------
-    DerenderError : nothing is unknown, or there are too many structures.
+    Raises DerenderError : nothing is unknown, or there are too many structures.
     """
     likelihood = document.likelihood or LikelihoodPrior()
     images = observed_image(image, camera, likelihood)
@@ -186,7 +179,7 @@ def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) ->
     shared: dict[tuple, tuple[SceneGraph, list[float]]] = {}
     for graph in found:
         free = prior.free_addresses(graph)
-        numbers = {**graph.numbers(), **_root_values(prior, graph)}
+        numbers = {**graph.numbers(), **prior.root.values(graph.root_pose)}
         density = prior.log_density(graph) - total_log_density(prior.constraints, graph)
         for address, law in free.items():
             value = numbers.get(address)
@@ -198,10 +191,6 @@ def targets(document: Document, image: np.ndarray, camera: Camera, seed: int) ->
         raise DerenderError(what, document.file, "fix some of them, or infer without --scene")
     return [(SceneTarget(prior, graph, images, unknown), float(np.logaddexp.reduce(densities)))
             for graph, densities in shared.values()]  # fmt: skip
-
-
-def _root_values(prior: TreePrior, graph: SceneGraph) -> dict:
-    return dict(prior.root.values(graph.root_pose))
 
 
 def infer_scene(
@@ -221,8 +210,6 @@ def infer_scene(
 ) -> Result:
     """Infer the unknown numbers of a document's scene from a depth image.
 
-    Parameters
-    ----------
     image : (H, W) metres, NaN where nothing returned.
     method : "auto" or "mcmc": chains; "smc": tempered particles; "map": the best scene only.
     jobs : threads, or for long runs processes; the draws do not depend on it.
@@ -237,7 +224,7 @@ def infer_scene(
     DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
     """
     settings = settings or Settings()
-    if not has_fixed_objects(document):
+    if not names_objects(document):
         raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
     found = targets(document, image, camera, seed)
     tell = progress or (lambda fraction, words: None)
@@ -283,7 +270,7 @@ def infer_scene(
         interrupted = interrupted or outcome.interrupted
         part = part_of(target, list(outcome.records.values()), mixed, weight)
         if part is not None:
-            parts.append(summit(target, best_only(part), gradient, seed) if method == "map" else part)
+            parts.append(summit(target, part.best_only(), gradient, seed) if method == "map" else part)
     if not parts:
         raise KeyboardInterrupt
     total_weight = sum(part.weight for part in parts)
@@ -339,13 +326,6 @@ def _part(
     )
 
 
-def best_only(part: StructurePosterior) -> StructurePosterior:
-    """Return the part with its best draw alone."""
-    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
-    place = np.s_[chain : chain + 1, draw : draw + 1]
-    return part.at(place)
-
-
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:
     """Return a part of one draw moved to the end of ascents by gradient, if that is more probable."""
     from derender.posterior.map import climb
@@ -371,6 +351,3 @@ def _particles(
     extras = {"log_evidence": [population.log_evidence for population in populations]}
     values = np.stack([population.values for population in populations])
     return _part(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
-
-
-__all__ = ["Result", "has_fixed_objects", "infer_scene", "targets"]

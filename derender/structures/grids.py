@@ -34,7 +34,9 @@ from derender.scene.solids import BOX
 from derender.structures.draws.numbers import numbers_at
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
-HOPELESS = -12.0  # nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below
+PRUNE_THRESHOLD = (
+    -12.0
+)  # nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below
 GAPS = np.linspace(0.0, 1.0, 9)  # shares of the widest gap that are summed over
 OUTLIERS, RANGE = 0.01, 1.0  # share of pixels that may show anything, within so many metres
 LEAST_SLOPE = 1e-3  # metres across a gap for each of depth, of rays along it
@@ -49,8 +51,6 @@ EXTENTS = ("length", "width", "height")
 class Shown(NamedTuple):
     """The K pixels that show a box.
 
-    Attributes
-    ----------
     place : (K, 3) metres from the box's low corner, along its axes, of what they show.
     step : (K, 3) metres along each axis from a pixel's place to the next one's. slope : (K, 3) metres along each axis
         for each metre of depth, of their rays. normal : (K,) the axis across the face.
@@ -190,10 +190,10 @@ def blocks_of(graph: SceneGraph) -> list[str]:
 
 
 def grids_of(graph: SceneGraph, name: str, image: Image, beliefs: Beliefs) -> list[Grid]:
-    """Return the Grids that a box may be; none where the prior leaves no hope."""
+    """Return the Grids that a box may be; none where the prior makes all of them too improbable."""
     cartons, size = beliefs.loose.cartons, np.array(graph.body(name).size())
     before = prior_odds(size, cartons, beliefs, image.unit)
-    if max(before.values()) < HOPELESS:
+    if max(before.values()) < PRUNE_THRESHOLD:
         return []
     index = render_depth(graph.solids(), image.camera)[1]
     mask = index == list(graph.solid_names).index(name)
@@ -243,14 +243,8 @@ def divide(part: StructurePosterior, name: str, grids: Sequence[Grid]) -> list[S
     made = [part.scaled(float(one))] if one else []
     for k in kept:
         leads = k == kept[0] and others[k] > one
-        made.append(as_grid(part if leads else only_best(part), name, grids[k]).scaled(float(among * others[k])))
+        made.append(as_grid(part if leads else part.best_only(), name, grids[k]).scaled(float(among * others[k])))
     return made
-
-
-def only_best(part: StructurePosterior) -> StructurePosterior:
-    """Return a structure with its likeliest draw alone."""
-    chain, draw = np.unravel_index(np.argmax(part.log_density), part.log_density.shape)
-    return part.at((slice(chain, chain + 1), slice(draw, draw + 1)))
 
 
 def as_grid(part: StructurePosterior, name: str, grid: Grid) -> StructurePosterior:

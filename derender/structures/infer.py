@@ -34,8 +34,6 @@ Progress = Callable[[float, str], None]
 class Case(NamedTuple):
     """An image to explain, and what is asked.
 
-    Attributes
-    ----------
     depth : (H, W) metres, NaN = no return. camera : its Camera. frames : further images of the same scene.
     options : Options. settings : of the search, as asked. library : of known objects, empty: none.
     plane : the floor as it is given, see detection.floor.read_floor; None: find it.
@@ -74,8 +72,6 @@ def infer_structure(
 ) -> "Posterior":
     """Infer which solids are there and what rests on what.
 
-    Parameters
-    ----------
     image : (H, W) float metres, NaN or 0 = no return.
     camera : Camera, or a mapping with fx, fy, cx, cy.
     options : Options; None: all as it comes.

@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
 from derender.registry import suggest
+
+if TYPE_CHECKING:
+    from derender.document import Document
 
 METHODS = ("auto", "mcmc", "map", "smc")
 
@@ -28,8 +31,6 @@ class Frame(NamedTuple):
 class Options:
     """How a bare image is inferred, and what is known of it beforehand. Every field may be left out.
 
-    Attributes
-    ----------
     method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
         "mcmc" or "smc" (reversible jumps or structure SMC under a prior of open structure, see jumps/run.py).
     quick : with "map", one search and one climb to the mode: twice as fast, and sometimes beside the best.
@@ -91,3 +92,10 @@ class Options:
 NOT_DECIDING = frozenset(
     {"assume_stable", "folder", "resume", "jobs", "draws", "prior", "likelihood", "budget", "unit", "frames"}
 )
+
+
+def names_objects(document: "Document | None") -> bool:
+    """Return whether there is a document that names its objects: then chains can walk over their numbers."""
+    from derender.scene.priors.tree import TreePrior
+
+    return document is not None and isinstance(document.prior, TreePrior)

@@ -27,9 +27,7 @@ def averaged(
 ) -> tuple[np.ndarray, list[Frame]]:
     """Return (depth (H, W), Frames) with images from one place averaged, each about the first of its place.
 
-    Raises
-    ------
-    DerenderError : images from one place do not show the same.
+    Raises DerenderError : images from one place do not show the same.
     """
     places = [[Frame(depth, camera, np.eye(4), name)]]
     for frame in frames:

@@ -49,8 +49,6 @@ SETTLING = 30  # steps of each temperature for each solid that changes, where th
 class Weighed(NamedTuple):
     """A structure and its odds against the best.
 
-    Attributes
-    ----------
     trial : Refined. odds : log. error : standard error of the odds.
     places : indices of the solids whose coordinates are not shared with the best, here and there; None: all are.
     """

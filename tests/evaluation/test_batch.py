@@ -3,7 +3,7 @@
 import pytest
 
 from derender.errors import DerenderError
-from derender.evaluation.batch import paired, totals
+from derender.evaluation.metrics import paired, totals
 
 
 def touch(folder, *names):

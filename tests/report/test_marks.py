@@ -7,7 +7,7 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.report.depth_pictures import area_path, marks_svg, outline_path, scale_bar
-from derender.results.regions import Region
+from derender.results.trust import Region
 
 
 def test_an_area_is_its_mask_and_an_outline_its_border():

@@ -7,9 +7,8 @@ from test_html import report as gathered  # noqa: F401  the fixture, under a nam
 
 from derender.batch.ledger import index_page
 from derender.report.html import page
-from derender.results.regions import Region
 from derender.results.table import failed_row, rows_of
-from derender.results.trust import Doubt
+from derender.results.trust import Doubt, Region
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from derender.camera.intrinsics import Camera
 from derender.cli.export import command
 from derender.document import write_document
 from derender.errors import DerenderError
-from derender.report.rrd import write_rrd
+from derender.report.export import write_rrd
 from derender.results.posterior import Posterior, StructurePosterior
 
 CAMERA = Camera.from_field_of_view(32, 24)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from derender.results.regions import components, opened, place_words
+from derender.results.trust import components, opened, place_words
 
 
 def flooded(mask):

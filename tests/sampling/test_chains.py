@@ -12,8 +12,7 @@ from toy_samplers import Walk
 
 from derender.errors import DerenderError
 from derender.sampling import chains, workers
-from derender.sampling.chains import Plan, chain, run_chain
-from derender.sampling.streams import stream
+from derender.sampling.chains import Plan, chain, run_chain, stream
 
 NEVER = lambda: False  # noqa: E731
 SILENT = lambda *_: None  # noqa: E731

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from derender.sampling.streams import POPULATIONS, SCENES, child_seed, stream
+from derender.sampling.chains import POPULATIONS, SCENES, child_seed, stream
 
 
 def test_uses_and_numbers_share_nothing():

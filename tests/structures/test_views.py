@@ -21,8 +21,8 @@ from derender.structures.draws.refined import refined_at
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.infer import infer_structure
 from derender.structures.options import Frame, Options
-from derender.structures.shared_errors import shared
 from derender.structures.stills import averaged
+from derender.structures.together import shared
 
 UPRIGHT = 0
 BOTH = ("gaussian", "robust")

@@ -29,8 +29,6 @@ AROUND = ("face-to-face", "point-on-face")  # contacts by which solids stand upr
 class Beliefs(NamedTuple):
     """What is believed before an image is seen.
 
-    Attributes
-    ----------
     sizes : (4, 3, FIRST + NODES), see sizes.py.
     kinds : (4,) log probability of each kind by its row of `sizes`. tilted : (4,) log probability that one of the kind
         is not upright; upright : (4,) that it is.
@@ -130,8 +128,6 @@ __all__ = ["BARE_IMAGE", "CUBE", "ROWS", "Beliefs", "bare_image", "beliefs_of"]
 class Rules(NamedTuple):
     """What solids may do to each other.
 
-    Attributes
-    ----------
     slack : metres within which a solid that is not held stands on its support.
     overlap : metres by which solids may interpenetrate, inf: the term against interpenetration is off; None: as the
         prior says.

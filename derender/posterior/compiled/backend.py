@@ -53,9 +53,7 @@ class CompiledBackend:
     Kernels that move likelihood numbers whose change means to draw or score the whole image anew are interpreted, in
     between.
 
-    Raises
-    ------
-    NotCompiled : something of the model has no compiled form.
+    Raises NotCompiled : something of the model has no compiled form.
     """
 
     def __init__(self, target: Any, parts: list[Part], cycle: bool = False) -> None:

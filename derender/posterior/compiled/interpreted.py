@@ -30,8 +30,6 @@ class InterpretedBackend:
     What the compiled sweep asks of the engine is asked of the target here: densities, and where children stay
     (`keep_children`) or objects are put down (`put`).
 
-    Parameters
-    ----------
     replaced : functions by name, in place of those that the sweep and the proposals call by that name.
     """
 

@@ -229,8 +229,6 @@ def held(target: "SceneTarget") -> dict[str, int]:
 def chain_of(target: Any, model: Model, window: int, cycle: bool) -> Chain:
     """Return the arrays of a chain that stands at the template, not loaded yet.
 
-    Parameters
-    ----------
     window : the most places that a kernel of the mixture weighs at once. cycle : kernels take turns.
     """
     graph = target.template

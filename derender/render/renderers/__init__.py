@@ -28,9 +28,7 @@ def renderer_names() -> list[str]:
 def find_renderer(name: str) -> Any:
     """Import and return a renderer by name.
 
-    Raises
-    ------
-    DerenderError : no renderer of that name; says which there are.
+    Raises DerenderError : no renderer of that name; says which there are.
     """
     if name in RENDERERS:
         return importlib.import_module(RENDERERS[name])

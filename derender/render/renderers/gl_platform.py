@@ -35,9 +35,7 @@ OSMESA_ATTRIBUTES = {
 def choose_platform() -> str:
     """Return "osmesa" or "egl": what PYOPENGL_PLATFORM names, else the first whose library is here.
 
-    Raises
-    ------
-    DerenderError : neither library is installed.
+    Raises DerenderError : neither library is installed.
     """
     named = os.environ.get("PYOPENGL_PLATFORM")
     if named in PLATFORMS:
@@ -52,9 +50,7 @@ def choose_platform() -> str:
 def load_pyrender() -> types.ModuleType:
     """Import pyrender, patched; see the module's docstring.
 
-    Raises
-    ------
-    DerenderError : pyrender or an OpenGL library is missing.
+    Raises DerenderError : pyrender or an OpenGL library is missing.
     """
     platform = choose_platform()
     os.environ["PYOPENGL_PLATFORM"] = platform

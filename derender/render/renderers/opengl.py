@@ -34,9 +34,7 @@ def render_depth(
     label : (height, width) int32, index into `solids` or -1; always from the sample at the pixel's centre,
         or next to it where antialias is even.
 
-    Raises
-    ------
-    DerenderError : OpenGL does not work here; says what to install.
+    Raises DerenderError : OpenGL does not work here; says what to install.
     """
     sampled = enlarged(camera, antialias)
     depth, label = _shared_renderer(os.getpid()).draw(solids, sampled)
@@ -51,13 +49,9 @@ def render_depth(
 def render_colour(solids: Solids, camera: Camera, colours: np.ndarray | None = None) -> np.ndarray:
     """Render a shaded picture on white.
 
-    Parameters
-    ----------
     colours : (N, 3) uint8, one for each solid; default: a palette for solids, light grey for planes.
 
-    Returns
-    -------
-    (height, width, 3) uint8.
+    Returns (height, width, 3) uint8.
     """
     if colours is None:
         colours = default_colours(solids)

@@ -43,15 +43,11 @@ def draw_preview(
 ) -> np.ndarray:
     """Draw a shaded picture on white.
 
-    Parameters
-    ----------
     render_depth : a renderer's.
     colours : (N, 3) uint8, one for each solid. samples : of each pixel, along either side.
     shadows : whether solids cast them, which takes as long as all else.
 
-    Returns
-    -------
-    (height, width, 3) uint8.
+    Returns (height, width, 3) uint8.
     """
     colours = default_colours(solids) if colours is None else colours
     large = enlarged(camera, samples)

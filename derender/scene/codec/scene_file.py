@@ -111,9 +111,7 @@ MOST_OBJECTS = 2000
 def read_prior(top: Section, folder: Path) -> Prior:
     """Return the prior that a file describes; `folder` is where its relative paths start.
 
-    Raises
-    ------
-    DerenderError : with file, line, address and remedy.
+    Raises DerenderError : with file, line, address and remedy.
     """
     root = read_root(top.get("root"))
     objects = read_objects(top.get("objects"), folder)

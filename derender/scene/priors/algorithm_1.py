@@ -25,8 +25,6 @@ class Algorithm1Prior(Prior):
     Z = 1 - exp(-mean_parents) (1 - exp(-mean_children)), the mass of all graphs under Eq. 4; `log_normaliser` is log Z.
     The root, always a frame, takes no part in the product over shapes.
 
-    Attributes
-    ----------
     root : prior on z_root, which Eq. 4 does not cover; its log density is added.
     shapes : the finite set S by name, each as likely.
     contacts : p_{s,t}(c) and p_c(phi); under the root only `6dof` counts.

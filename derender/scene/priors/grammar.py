@@ -29,8 +29,6 @@ MOST_OBJECTS = 10_000
 class GrammarPrior(Prior):
     """Objects that grow on a base.
 
-    Attributes
-    ----------
     root : prior on the root's pose.
     base : objects that are always there, under their names (a floor); they may have distributions too.
     shapes : kinds of objects that grow, by name.

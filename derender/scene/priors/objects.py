@@ -28,8 +28,6 @@ from derender.scene.shapes import shapes
 class ShapePrior:
     """A shape type, what is fixed about it, and the distribution of its parameters.
 
-    Attributes
-    ----------
     type : name of a registered shape.
     values : number or distribution by parameter name; one that is left out takes its default, which must exist.
     options : what is no number: a mesh's file, mass, friction.
@@ -124,8 +122,6 @@ _OPPOSITE = {"+": "-", "-": "+"}
 class ContactRule:
     """One kind of contact that a prior allows.
 
-    Attributes
-    ----------
     type : a registered contact type.
     weight : relative probability among the rules that fit a pair of shapes.
     parent_face, child_face : None (all faces are as likely), the name of one, a `Categorical` over names; the parent's

@@ -60,8 +60,6 @@ ROOT = "root"
 class TreeObject:
     """One named object.
 
-    Attributes
-    ----------
     parent : name of another object, "root", or a `Categorical` over such names.
     supports : names of further objects on which it rests (a bridge).
     place : where it stands in its file.
@@ -82,9 +80,7 @@ class TreeObject:
 def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
     """Return the objects with every possible parent before its children, else as given.
 
-    Raises
-    ------
-    DerenderError : a parent that is missing, or a cycle.
+    Raises DerenderError : a parent that is missing, or a cycle.
     """
     from derender.registry import suggest
 
@@ -114,8 +110,6 @@ def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
 class TreePrior(Prior):
     """Fixed objects under a root.
 
-    Attributes
-    ----------
     root : prior on the root's pose.
     objects : sorted so that parents come first.
     constraints : terms that multiply the density; with them it is known up to a constant.

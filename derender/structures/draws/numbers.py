@@ -60,14 +60,10 @@ def contact_numbers(
 
     Only the inverse itself is compiled: the loop around it would cost seconds to compile and saves milliseconds.
 
-    Parameters
-    ----------
     parents : (N,) int64: index of a solid, FLOOR (-1) or NO_PARENT. codes : (N, 3) int64: contact, parent's face,
         child's face.
 
-    Returns
-    -------
-    phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
+    Returns phi (n, N, SLOTS), extents (n, N, 3), floor to camera (n, 4, 4) float64.
     """
     count, total = len(chart.flags), len(draws)
     rows, extents = np.empty((count, ROW)), np.empty((count + 1, 3))

@@ -54,8 +54,6 @@ WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any
 class Refined(NamedTuple):
     """A state at its mode under a sensor model.
 
-    Attributes
-    ----------
     state : State with its rows there; chart : Chart; values : (D,) its coordinates; sensor : Sensor.
     log_prior, log_likelihood : there.
     """

@@ -23,9 +23,7 @@ from derender.structures.draws.chart import log_prior, make_chart, place_rows
 def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     """Return the log density of a scene of boxes, cubes, cylinders and spheres over one floor.
 
-    Raises
-    ------
-    DerenderError : there is no floor, or more than one, or a solid of another kind.
+    Raises DerenderError : there is no floor, or more than one, or a solid of another kind.
     """
     state, floor_pose = state_of(graph)
     chart, values = make_chart(state, floor_pose, Rules(bare_image().loose.slack) if rules is None else rules)

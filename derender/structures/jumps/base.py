@@ -43,14 +43,10 @@ Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack
 class Vocabulary:
     """What may be born, where, and touching how.
 
-    Parameters
-    ----------
     prior : Algorithm1Prior or GrammarPrior.
     proposal : from which births are drawn (`sample(rng, words, graph)`, `log_density(words, graph, vertex)`); None:
         the prior itself.
 
-    Attributes
-    ----------
     base : names of the objects that are always there.
     shapes : ShapePrior of each kind of object that can be born.
     """
@@ -171,8 +167,6 @@ class Applied(NamedTuple):
 class Move:
     """One reversible jump. Subclasses are registered; one instance serves all.
 
-    Attributes
-    ----------
     name : in the registry.
     weight : share of the steps, before normalisation.
     even : whether q(u' | G') = q(u | G) always: then neither is computed.
@@ -201,8 +195,6 @@ moves: Registry[Move] = Registry("jump", "derender.jumps")
 class Target:
     """The posterior over scenes: `prior.log_density + prior.log_orderings + image(graph)`.
 
-    Parameters
-    ----------
     prior : Prior. image : has `propose(graph) -> float` (log likelihood), `accept()` and `reject()`; None: no image,
         the target is the prior itself.
     temperature : exponent on the likelihood.
@@ -270,9 +262,7 @@ def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move
 def mixture(weights: Mapping[str, float] | None = None) -> list[tuple[Move, float]]:
     """Return moves with their shares of the steps; `weights` replaces the default ones, 0 leaves a move out.
 
-    Raises
-    ------
-    DerenderError : an unknown move, a negative weight, nothing left.
+    Raises DerenderError : an unknown move, a negative weight, nothing left.
     """
     given = dict(weights or {})
     for name, weight in given.items():

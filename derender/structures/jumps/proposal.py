@@ -55,8 +55,6 @@ class PriorProposal:
 class Hypothesis(NamedTuple):
     """A solid that the image suggests.
 
-    Attributes
-    ----------
     kind : of the prior's shapes. parameters : psi by name.
     pose : (4, 4) object to camera.
     weight : relative probability. length, angle : standard deviations, metres and radians, of where it really is.

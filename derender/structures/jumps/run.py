@@ -176,9 +176,7 @@ def infer_by_jumps(
     options : Options: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
         chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
-    Raises
-    ------
-    DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
+    Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
     from derender.detection.estimate import point_estimate
     from derender.detection.solids.graph import scene_graph

@@ -38,8 +38,6 @@ SMALL = np.full(3, 1e-3)
 class SlotImage:
     """Log likelihoods of scenes by difference. `propose(graph)`, then `accept()` or `reject()`.
 
-    Parameters
-    ----------
     camera, observed (H, W), likelihood, values : as of `DepthEvaluator`.
     """
 
@@ -160,8 +158,6 @@ STEPS, ANNEAL = 60, 4  # of populations, see `structure_smc`
 class JumpSampler:
     """Walks one chain, or makes one population at a go.
 
-    Attributes
-    ----------
     prior : Algorithm1Prior or GrammarPrior. start_graph : a scene of positive prior density.
     camera, image (H, W), likelihood, values : as of `SlotImage`.
     hypotheses : what births are drawn from besides the prior. weights : of moves by name, see `mixture`.

@@ -87,8 +87,6 @@ def structure_smc(
 ) -> Draws:
     """Return particles of equal weight from the posterior over scenes of at most `most` grown objects.
 
-    Parameters
-    ----------
     start : the scene without any grown object; with a root whose pose is unknown it is where the jumps start from.
     steps : of the jumps for each particle and each number of objects. new_steps : of a new object at each exponent.
     """
