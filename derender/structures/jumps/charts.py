@@ -19,6 +19,7 @@ itself from the uniform distribution.
 """
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -170,42 +171,45 @@ def chartable(kind: str, table: Any) -> bool:
 # ---- the rest -----------------------------------------------------------------------------------------------------
 
 
-def _missing(
-    kind: str, parent: Shape, child: Shape, faces: tuple[str | None, str | None], table: dict[str, Distribution | float]
-) -> list[tuple[str, float, str, float | None]]:
-    """Return (name, centre, unit, period where uniform) of the contact numbers that are not free."""
-    found = []
-    for parameter in contacts[kind].parameters(parent, child, *faces):
-        value = table.get(parameter.name)
-        if isinstance(value, Distribution) or (kind == "6dof" and parameter.name in ROTATION):
-            continue
-        centre = float(parameter.default or 0.0) if value is None else float(value)
-        period = None
-        if parameter.slack and parameter.name in ("theta", "roll"):
-            period = math.tau
-        found.append((parameter.name, centre, parameter.unit, period))
-    return found
+class OwnChart(NamedTuple):
+    """What tells which numbers a vertex lacks.
+
+    kind : of its contact. parent, child : shapes. faces : that touch. table : the contact's numbers and distributions
+    by name. entry : ShapePrior of the vertex.
+    """
+
+    kind: str
+    parent: Shape
+    child: Shape
+    faces: tuple[str | None, str | None]
+    table: Mapping[str, Distribution | float]
+    entry: "ShapePrior"
+
+    def missing(self) -> list[tuple[str, float, str, float | None]]:
+        """Return (name, centre, unit, period where uniform) of the contact numbers that are not free."""
+        found = []
+        for parameter in contacts[self.kind].parameters(self.parent, self.child, *self.faces):
+            value = self.table.get(parameter.name)
+            if isinstance(value, Distribution) or (self.kind == "6dof" and parameter.name in ROTATION):
+                continue
+            centre = float(parameter.default or 0.0) if value is None else float(value)
+            period = math.tau if parameter.slack and parameter.name in ("theta", "roll") else None
+            found.append((parameter.name, centre, parameter.unit, period))
+        return found
+
+    def turns_freely(self) -> bool:
+        """Return whether all three angles of a ball are missing: then its rotation is uniform."""
+        return self.child.name == "sphere" and {"theta", "tilt_x", "tilt_y"} <= {name for name, *_ in self.missing()}
+
+    def sizes_missing(self) -> int:
+        """Return how many of three extents are not free."""
+        return 3 - len(self.entry.free())
 
 
-def _turns_freely(child: Shape, missing: list[tuple[str, float, str, float | None]]) -> bool:
-    """Return whether all three angles of a ball are missing: then its rotation is uniform."""
-    return child.name == "sphere" and {"theta", "tilt_x", "tilt_y"} <= {name for name, *_ in missing}
-
-
-def draw_rest(
-    rng: np.random.Generator,
-    kind: str,
-    parent: Shape,
-    child: Shape,
-    faces: tuple[str | None, str | None],
-    table: dict[str, Distribution | float],
-    entry: "ShapePrior",
-) -> Rest:
-    """Return the numbers that a vertex of this kind in this contact lacks, drawn at random."""
-    numbers = {}
-    missing = _missing(kind, parent, child, faces, table)
-    ball = _turns_freely(child, missing)
-    for name, centre, unit, period in missing:
+def draw_rest(rng: np.random.Generator, own: OwnChart) -> Rest:
+    """Return the numbers that a vertex with this chart lacks, drawn at random."""
+    numbers, ball = {}, own.turns_freely()
+    for name, centre, unit, period in own.missing():
         if ball and name.startswith("tilt"):
             continue
         if period is not None:
@@ -217,25 +221,15 @@ def draw_rest(
         numbers["theta"] = math.tau * rng.random()
         lean, towards = math.acos(1.0 - 2.0 * rng.random()), math.tau * rng.random()
         numbers["tilt_x"], numbers["tilt_y"] = lean * math.cos(towards), lean * math.sin(towards)
-    lacking = 3 - len(entry.free())
-    return Rest(numbers, tuple(draw_two_scales(rng, "log") for _ in range(lacking)))
+    return Rest(numbers, tuple(draw_two_scales(rng, "log") for _ in range(own.sizes_missing())))
 
 
-def log_rest(
-    rest: Rest,
-    kind: str,
-    parent: Shape,
-    child: Shape,
-    faces: tuple[str | None, str | None],
-    table: dict[str, Distribution | float],
-    entry: "ShapePrior",
-) -> float:
+def log_rest(rest: Rest, own: OwnChart) -> float:
     """Return the log density of `draw_rest`."""
-    missing = _missing(kind, parent, child, faces, table)
-    if {name for name, *_ in missing} != set(rest.contact) or len(rest.shape) != 3 - len(entry.free()):
+    missing, ball = own.missing(), own.turns_freely()
+    if {name for name, *_ in missing} != set(rest.contact) or len(rest.shape) != own.sizes_missing():
         return -math.inf
     total = sum(log_two_scales(x, "log") for x in rest.shape)
-    ball = _turns_freely(child, missing)
     for name, centre, unit, period in missing:
         if ball and name in ("theta", "tilt_x", "tilt_y"):
             continue

@@ -26,7 +26,7 @@ from derender.sampling.smc import anneal
 from derender.scene.graph import SceneGraph
 from derender.structures.jumps.base import Move, State, Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import Draws, acceptance_of, walk
-from derender.structures.jumps.resimulate import Shift, Wiggle
+from derender.structures.jumps.resimulate import Wiggle
 
 STAY = 0.5  # probability that a particle that could take one more object does not
 
@@ -159,7 +159,7 @@ def _rejuvenate(
     evaluate(target, particle.state.graph)
     present = density(particle)
     for _ in range(steps):
-        shift = _shift_of(rng, wiggle, words, particle)
+        shift = wiggle.steps_of(rng, words, particle.state.graph, born)
         applied = wiggle.apply(words, particle.state.graph, shift)
         if applied is None:
             continue
@@ -174,8 +174,3 @@ def _rejuvenate(
         if accepted:
             particle, present = proposed, new
     return particle
-
-
-def _shift_of(rng: np.random.Generator, wiggle: Wiggle, words: Vocabulary, particle: Particle) -> Shift:
-    """Return steps of the new object's numbers."""
-    return wiggle.steps_of(rng, words, particle.state.graph, particle.born)

@@ -9,7 +9,7 @@ import numpy as np
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.shapes import shapes
 from derender.structures.jumps.base import Applied, Move, Vocabulary, log_uniform_choice, moves
-from derender.structures.jumps.charts import Rest, draw_rest, log_rest
+from derender.structures.jumps.charts import OwnChart, Rest, draw_rest, log_rest
 from derender.structures.jumps.reparametrise import (
     Slot,
     allowed,
@@ -72,7 +72,7 @@ class Reparametrise(Move):
         own = own_chart(words, graph, name)
         if own is None:
             return None
-        rest = draw_rest(rng, *own)
+        rest = draw_rest(rng, own)
         _, _, places = self._places(words, graph, name, slot, rest)
         if not len(places):
             return None
@@ -102,7 +102,7 @@ class Reparametrise(Move):
         if choice.rotation not in places:
             return -np.inf
         total = log_uniform_choice(len(names)) + log_uniform_choice(len(slots)) + log_uniform_choice(len(places))
-        return total + log_rest(choice.rest, *own)
+        return total + log_rest(choice.rest, own)
 
     def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
         name, slot = choice.name, choice.slot
@@ -125,15 +125,15 @@ class Reparametrise(Move):
         return Applied(new, back, posed.log_element - element + log_jacobian)
 
 
-def own_chart(words: Vocabulary, graph: SceneGraph, name: str) -> Any:
-    """Return what `draw_rest` asks of a vertex's present chart; None where jumps do not know it."""
+def own_chart(words: Vocabulary, graph: SceneGraph, name: str) -> OwnChart | None:
+    """Return the present chart of a vertex; None where jumps do not know it."""
     vertex = graph.vertex(name)
     slot = slot_of(words, graph, name)
     table = table_of(words, graph, slot)
     if table is None:
         return None
     parent = graph.body(vertex.parent).shape
-    return slot.choice[0], parent, shapes[vertex.shape], slot.choice[1:], table, words.shapes[slot.kind]
+    return OwnChart(slot.choice[0], parent, shapes[vertex.shape], slot.choice[1:], table, words.shapes[slot.kind])
 
 
 def slots_on(words: Vocabulary, graph: SceneGraph, parent: str, kind: str) -> list[Slot]:
@@ -154,11 +154,10 @@ class Reparent(Reparametrise):
     def slots(self, words: Vocabulary, graph: SceneGraph, name: str) -> list[Slot]:
         vertex = graph.vertex(name)
         out = {name, vertex.parent, *graph.descendants(name)}
-        lifted = graph  # what may bear does not depend on the object itself, which is no parent of its parents
         kind = words.kind_of(vertex)
         return [
-            slot for parent in words.bearers(lifted) if parent not in out
-            for slot in slots_on(words, lifted, parent, kind)
+            slot for parent in words.bearers(graph) if parent not in out
+            for slot in slots_on(words, graph, parent, kind)
         ]  # fmt: skip
 
 
