@@ -82,15 +82,16 @@ def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray
     about = (key[:-2, 1:-1], key[2:, 1:-1], key[1:-1, :-2], key[1:-1, 2:])
     inner[1:-1, 1:-1] = np.all([middle == side for side in about], axis=0)
     inner &= np.isfinite(observed) & (key >= 0)
+    rows, columns = np.nonzero(inner)
+    numbers = key[rows, columns]
+    order = np.argsort(numbers, kind="stable")
+    each, first = np.unique(numbers[order], return_index=True)
     found = []
-    for each in np.unique(key[inner]):
-        rows, columns = np.nonzero(inner & (key == each))
-        some = slice(None, None, -(-len(rows) // MOST_PIXELS))
-        rows, columns = rows[some], columns[some]
-        face = fitted(int(each) // 6, columns - camera.cx, rows - camera.cy, observed[rows, columns])
-        if face is not None:
-            found.append(face)
-    return found
+    for number, of_face in zip(each, np.split(order, first[1:]), strict=True):
+        some = of_face[:: -(-len(of_face) // MOST_PIXELS)]
+        across, down = columns[some] - camera.cx, rows[some] - camera.cy
+        found.append(fitted(int(number) // 6, across, down, observed[rows[some], columns[some]]))
+    return [face for face in found if face is not None]
 
 
 def fitted(label: int, across: np.ndarray, down: np.ndarray, depth: np.ndarray) -> Face | None:
