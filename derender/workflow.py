@@ -19,7 +19,7 @@ from derender.registry import suggest
 from derender.report.result_folder import Outcome, write_results
 from derender.results.posterior import Posterior
 from derender.scene.pose import inverse
-from derender.structures.draws.scene_density import BARE_IMAGE
+from derender.structures.draws.numbers import BARE_IMAGE
 from derender.structures.options import Frame, Options, names_objects
 from derender.structures.precompile import precompile
 

@@ -78,7 +78,7 @@ def score_prior(document: Document, given: str | None = None) -> PriorScore:
     given : a prior file, a built-in prior or "bare-image"; None: the prior that the scene file itself names (`made:`),
         and where it names none the default one.
     """
-    from derender.structures.draws.scene_density import BARE_IMAGE, scene_log_prior
+    from derender.structures.draws.numbers import BARE_IMAGE, scene_log_prior
 
     name = given or document.made_with or "tabletop"
     if name == BARE_IMAGE:

@@ -14,7 +14,7 @@ from derender.render.raycast.depth import render_depth
 from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.separation import overlaps
 from derender.structures.draws.chart import log_prior, make_chart, place_rows
-from derender.structures.draws.scene_density import state_of
+from derender.structures.draws.numbers import state_of
 from derender.structures.infer import infer_structure, settings_of
 from derender.structures.options import Options
 

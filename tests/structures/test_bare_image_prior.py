@@ -19,7 +19,7 @@ from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.priors.bare_image import Missed, Shared, Things, tips
 from derender.scene.solids import BOX
 from derender.structures import free_forms
-from derender.structures.draws.scene_density import scene_log_prior
+from derender.structures.draws.numbers import scene_log_prior
 
 PRIOR = read_prior_document(BARE_IMAGE).prior
 FACES = {"parent_face": "+z", "child_face": "-z"}

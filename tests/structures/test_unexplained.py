@@ -13,8 +13,8 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
-from derender.structures.answer import missed_by
 from derender.structures.draws.refined import at_mode, pixels_of
+from derender.structures.infer import missed_by
 from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
 
 RULES = Rules(0.0015)

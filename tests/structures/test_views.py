@@ -21,8 +21,7 @@ from derender.structures.draws.refined import refined_at
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.infer import infer_structure
 from derender.structures.options import Frame, Options
-from derender.structures.stills import averaged
-from derender.structures.together import shared
+from derender.structures.together import averaged, shared
 
 UPRIGHT = 0
 BOTH = ("gaussian", "robust")

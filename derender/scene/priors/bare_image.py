@@ -44,7 +44,7 @@ class Existence:
 
 @dataclass(frozen=True)
 class Missed:
-    """How probable it is that a search has not found what is there at all, see `structures.answer.missed_by`.
+    """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
 
     Attributes
     ----------

@@ -180,8 +180,7 @@ def infer_by_jumps(
     """
     from derender.detection.estimate import point_estimate
     from derender.detection.solids.graph import scene_graph
-    from derender.structures.answer import explanation_of
-    from derender.structures.infer import settings_of
+    from derender.structures.infer import explanation_of, settings_of
 
     method, chain = options.method, options.method == "mcmc"
     if not chain and options.warmup is not None:
