@@ -1,8 +1,7 @@
 """derender infer: a depth image in, a posterior over scene graphs out; of many images a table of all; or a film."""
 
-import contextlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import click
 from click.core import ParameterSource
 
 from derender.cli import options
-from derender.cli.options import Bar, Idle, Talk, command_line
+from derender.cli.options import Idle, Talk, command_line
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     known = {field.name for field in fields(Options)}
     wanted = Options(**{key: value for key, value in arguments.items() if key in known})
     watch = bool(arguments["watch"])
-    with _bar(talk, shown=not watch) as bar:
+    with talk.bar(not watch) as bar:
         outcome = track_to_folder(
             images, wanted, arguments["output"], arguments["camera"], arguments["depth_scale"], arguments["fps"],
             arguments["moving_camera"], watch, command_line(),
@@ -277,7 +276,7 @@ def _one(
     )
     reading = _reading(arguments)
     wanted = Options(**arguments)
-    with _bar(talk) as bar:
+    with talk.bar() as bar:
         outcome = infer_to_folder(
             image, wanted, prior, output, reading, gradient, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn, frames=frames, poses=poses,
@@ -332,7 +331,7 @@ def _many(
 
         return Cluster(scheduler, order, output)
 
-    with _bar(talk) as bar:
+    with talk.bar() as bar:
         tally = infer_frames(images, output, order, crew, watch, tell, bar or (lambda share, words: None))
     doubtful = f" ({tally.doubtful} not to be trusted)" if tally.doubtful else ""
     before = f", {tally.before} were done before" if tally.before else ""
@@ -351,17 +350,6 @@ def _reading(arguments: dict[str, Any]) -> "Reading":
 
     keys = ("camera", "depth_scale", "confidence", "least_confidence", "up", "topic")
     return Reading(rotate=int(arguments.pop("rotate")), **{key: arguments.pop(key) for key in keys})
-
-
-@contextlib.contextmanager
-def _bar(talk: Talk, shown: bool = True) -> Iterator[Bar | None]:
-    """Yield a bar, which is cleared in the end; None where nobody would see it."""
-    bar = Bar(sys.stderr) if shown and sys.stderr.isatty() and talk.level >= 0 else None
-    try:
-        yield bar
-    finally:
-        if bar:
-            bar.close()
 
 
 def _line_of(done: "Done") -> str:

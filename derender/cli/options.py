@@ -10,6 +10,7 @@ A command is written as
 Paths are plain strings, not click.Path: a file that is missing is the user's input at fault (status 1), not usage (2).
 """
 
+import contextlib
 import functools
 import math
 import os
@@ -48,20 +49,6 @@ class Bar:
             self.stream.flush()
 
 
-def counted(items: Iterable[Any], total: int, words: str, shown: bool) -> Iterator[Any]:
-    """Yield the items; after two seconds a bar says how many of the total are done, if it is to be shown at all."""
-    bar = Bar(sys.stderr) if shown and sys.stderr.isatty() else None
-    started = time.monotonic()
-    try:
-        for done, item in enumerate(items, 1):
-            yield item
-            if bar and time.monotonic() - started > PATIENCE:
-                bar(done / total, f"{words} {done} of {total}")
-    finally:
-        if bar:
-            bar.close()
-
-
 class Talk:
     """What a command says to a person, on stderr; stdout is for data.
 
@@ -76,9 +63,24 @@ class Talk:
         if always or self.level >= 0:
             click.echo(message, err=True)
 
+    @contextlib.contextmanager
+    def bar(self, shown: bool = True) -> Iterator[Bar | None]:
+        """Yield a progress bar, which is cleared in the end; None where nobody would see it."""
+        bar = Bar(sys.stderr) if shown and self.level >= 0 and sys.stderr.isatty() else None
+        try:
+            yield bar
+        finally:
+            if bar:
+                bar.close()
+
     def counted(self, items: Iterable[Any], total: int, words: str) -> Iterator[Any]:
-        """Yield the items, with a progress bar where it takes long and stderr is a terminal."""
-        return counted(items, total, words, self.level >= 0)
+        """Yield the items; after two seconds a bar says how many of the total are done."""
+        started = time.monotonic()
+        with self.bar() as bar:
+            for done, item in enumerate(items, 1):
+                yield item
+                if bar and time.monotonic() - started > PATIENCE:
+                    bar(done / total, f"{words} {done} of {total}")
 
     def detail(self, message: str) -> None:
         """Say what a person who asked with -v wants to know."""

@@ -95,7 +95,7 @@ def read_source(path: str, seed: int) -> Source:
         posterior = found.posterior
         if posterior is not None:
             uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
-            return Source(found.graph, found.camera, uncertain, lambda rng, count: _chunks(posterior, rng, count))
+            return Source(found.graph, found.camera, uncertain, posterior.each_graph)
         return Source(found.graph, found.camera, False, lambda rng, count: iter([found.graph] * count))
     named = path in built_in_priors() and not folder.exists()
     document = read_prior_document(path) if named else read_document(path)
@@ -110,14 +110,6 @@ def read_source(path: str, seed: int) -> Source:
             yield with_drawn_matter(prior.sample(rng), rng)
 
     return Source(next(drawn(np.random.default_rng(seed), 1)), document.camera, True, drawn)
-
-
-CHUNK = 200  # scenes that are built at a time
-
-
-def _chunks(posterior: "Posterior", rng: "np.random.Generator", count: int) -> "Iterator[SceneGraph]":
-    for first in range(0, count, CHUNK):
-        yield from posterior.graphs(rng, min(CHUNK, count - first))
 
 
 def scene_paths(paths: "Sequence[str]") -> list[str]:

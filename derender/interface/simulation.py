@@ -1,6 +1,7 @@
 """What `derender.simulate`, `Scene.simulate` and `Posterior.probability` do: physics, without files."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -14,7 +15,7 @@ from derender.physics.outcome import Chance, Outcome, probability, simulate_scen
 from derender.registry import only_its_keywords
 from derender.scene.graph import SceneGraph
 
-MOST_DRAWS, AT_ONCE = 100_000, 100  # simulated where an error is asked for, and made ready at a time
+MOST_DRAWS = 100_000  # simulated where an error is asked for
 
 
 class Acts(TypedDict, total=False):
@@ -140,15 +141,9 @@ def chance_that(
 ) -> Chance:
     """Return how probable an event is, of a scene with jitter or of a posterior; see `Posterior.probability`."""
     count = draws if until is None else MOST_DRAWS
-    return probability(_graphs(of, count, seed), event, until=until, seed=seed, **_several(how))
-
-
-def _graphs(of: Posterior | Scene, count: int, seed: int) -> Iterator[SceneGraph]:
-    """Yield so many scenes."""
     rng = np.random.default_rng(seed)
-    for first in range(0, count, AT_ONCE):
-        size = min(AT_ONCE, count - first)
-        yield from of.graphs(rng, size) if isinstance(of, Posterior) else [of.graph] * size
+    graphs = of.each_graph(rng, count) if isinstance(of, Posterior) else repeat(of.graph, count)
+    return probability(graphs, event, until=until, seed=seed, **_several(how))
 
 
 def _several(acts: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from derender.scene.shapes import shapes
 from derender.scene.vertex import is_name
 
 FORMAT = 1  # of posterior.npz
+AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
 UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
               NotImplementedError, OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile,
@@ -218,9 +219,10 @@ class Posterior:
             scenes.append(self.parts[number].graph_at(int(chain), int(draw)))
         return scenes
 
-    def graph_at(self, part: int, chain: int, draw: int) -> SceneGraph:
-        """Return the scene of one draw of one part."""
-        return self.parts[part].graph_at(chain, draw)
+    def each_graph(self, rng: np.random.Generator, count: int) -> Iterator[SceneGraph]:
+        """Yield so many scenes as `graphs` draws them, AT_ONCE of which are built at a time."""
+        for first in range(0, count, AT_ONCE):
+            yield from self.graphs(rng, min(AT_ONCE, count - first))
 
     def save(self, path: str | Path) -> None:
         """Write an .npz, whole or not at all."""

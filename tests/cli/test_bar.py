@@ -17,7 +17,7 @@ def shown(monkeypatch):
     def run(stream, patience, show=True):
         monkeypatch.setattr(bar.sys, "stderr", stream)
         monkeypatch.setattr(bar, "PATIENCE", patience)
-        assert list(bar.counted("abc", 3, "reading letter", show)) == ["a", "b", "c"]
+        assert list(bar.Talk(0 if show else -1).counted("abc", 3, "reading letter")) == ["a", "b", "c"]
         return stream.getvalue()
 
     return run
