@@ -13,7 +13,7 @@ from derender.atomic import locked, make_folder, write_text
 from derender.batch.frames import LEDGER, Frame
 from derender.batch.work import THUMBNAIL, Done, Order, is_done, rows_in
 from derender.errors import DerenderError
-from derender.results.table import SIDES, as_csv, as_lines, read_lines
+from derender.results.table import SIDES, as_csv, as_lines, as_page, read_lines
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
 
@@ -130,11 +130,8 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
         for name in ("frame", "result", "objects", "misgivings")
     )
     body = "".join(_row(folder, name, states[name], rows) for name, rows in frames.items())
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>derender: {len(frames)} frames</title><style>{(HERE / 'index.css').read_text()}</style></head><body>"
-        f"<main><h1>{len(frames)} frame{'s' if len(frames) != 1 else ''}</h1>"
+    inside = (
+        f"<h1>{len(frames)} frame{'s' if len(frames) != 1 else ''}</h1>"
         f'<form><fieldset><legend>Show</legend>{filters}</fieldset><label class="search">Search '
         '<input type="search" name="words" placeholder="frame, object or type"></label></form>'
         '<p class="soft"><a href="results.csv">results.csv</a> · <a href="results.jsonl">results.jsonl</a> · '
@@ -142,9 +139,10 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
         '<div class="scroll" tabindex="0" role="region" aria-label="frames"><table><thead><tr>'
         f'<th scope="col">depth and best scene</th>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
         f'<p class="soft">Sizes are length × width × height in centimetres, ± half of their 90 % ranges. '
-        f"derender {__version__}</p></main>"
-        f"<script>{(HERE / 'index.js').read_text()}</script></body></html>\n"
+        f"derender {__version__}</p>"
     )
+    style, script = ((HERE / name).read_text() for name in ("index.css", "index.js"))
+    return as_page(f"derender: {len(frames)} frames", style, inside, script)
 
 
 def state_of(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -12,7 +12,7 @@ from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.report.depth_pictures import depth_pictures
 from derender.results import trust
-from derender.results.table import probability_text
+from derender.results.table import as_page, probability_text
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table
@@ -39,13 +39,7 @@ def page(report: Report) -> str:
         _objects(report, named),
         _parameters(report),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(report.title)}</title><style>{(HERE / 'page.css').read_text()}</style></head><body><main>"
-        + "".join(sections)
-        + f"</main><script>{(HERE / 'page.js').read_text()}</script></body></html>\n"
-    )
+    return as_page(report.title, (HERE / "page.css").read_text(), "".join(sections), (HERE / "page.js").read_text())
 
 
 def _head(report: Report) -> str:

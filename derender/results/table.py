@@ -1,10 +1,11 @@
-"""How results are told: a row for each object of many frames, as CSV and as JSON lines; probabilities in words."""
+"""How results are told: a row for each object of many frames, as CSV and JSON lines; pages; probabilities in words."""
 
 import csv
 import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,16 @@ def as_csv(rows: Iterable[Mapping[str, Any]]) -> str:
         trusted = str(bool(row["trusted"])).lower()
         writer.writerow({**row, "trusted": trusted, "doubts": "; ".join(row["doubts"] or ())})
     return text.getvalue()
+
+
+def as_page(title: str, style: str, body: str, script: str) -> str:
+    """Return an HTML page that needs no network, of a style sheet, the inside of its `main`, and a script."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{style}</style></head><body><main>{body}</main>"
+        f"<script>{script}</script></body></html>\n"
+    )
 
 
 SURE = 0.99  # no probability is said to be surer than that: what a search has missed it cannot know

@@ -11,6 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures
 from derender.report.html import wide
+from derender.results.table import as_page
 from derender.scene.solids import PLANE, Solids
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
@@ -35,17 +36,14 @@ def report_page(
     )
     words += f"; lost in {lost} object-frames" if lost else "; nothing lost"
     notes = "".join(f'<p class="bad">{escape(note[0].upper() + note[1:])}.</p>' for note in track.notes)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{PAGE_STYLE.read_text()}{STYLE}</style></head><body>"
-        f"<main><h1>{escape(title)}</h1><p>{words}</p>{notes}"
+    inside = (
+        f"<h1>{escape(title)}</h1><p>{words}</p>{notes}"
         + _film(track, frames, camera)
         + "<h2>What rests on what</h2>" + _time_line(track, events, named)
         + "<h2>Events</h2>" + _events(events, named)
         + "<h2>Things</h2>" + _things(track, named)
-        + f"</main><script>{SCRIPT}{PAGE_SCRIPT.read_text()}</script></body></html>\n"
     )  # fmt: skip
+    return as_page(title, PAGE_STYLE.read_text() + STYLE, inside, SCRIPT + PAGE_SCRIPT.read_text())
 
 
 def solids_at(track: Track, t: int) -> Solids:
