@@ -218,7 +218,7 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
     """Read a camera of any of the known formats, recognised by its keys.
 
     path : a JSON or YAML file: BOP camera.json or scene_camera.json, Open3D, ROS camera_info, RealSense
-        intrinsics, what devices and apps write (device_files.py), or a derender scene; or a 3 x 3 matrix as JSON, CSV,
+        intrinsics, what devices and apps write, or a derender scene; or a 3 x 3 matrix as JSON, CSV,
         text or .npy; `-` is stdin.
     shape : (height, width) of the image it belongs to; fills in a size that the file does not give.
     frame : name of the image, which chooses among the frames of a scene_camera.json ("000003" or "3").
