@@ -33,9 +33,8 @@ from derender.structures.draws.chart import (
 )
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample
-from derender.structures.draws.numbers import numbers_of_draws
+from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
 from derender.structures.draws.refined import Refined, chains_of, pixels_of, structure_posterior, with_lost_back
-from derender.structures.draws.numbers import scene_log_prior
 from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
 from derender.structures.draws.steps import (
     FLOOR_SHARE,
