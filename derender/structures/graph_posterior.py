@@ -21,6 +21,7 @@ from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import from_search, of_one_solid
+from derender.structures.combined import combinations
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
     WARM,
@@ -149,6 +150,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
         best, others = leading(former, [*others, *met, *additions(rng, former, settings)])
         if made is not None and best is former:
             others = surest_of_each(others)
+            others = [*others, *combinations(rng, best, others, rules)]
             found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
             best, others = leading(best, found)
         if best is former:
