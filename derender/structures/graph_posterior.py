@@ -79,7 +79,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     """
     if only_best:
         part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
-        return [replace(part, extras={**part.extras, **shown_and_left(first)})]
+        return [replace(part, extras={**part.extras, **shown_and_left(first), "weighed": False})]
     made = DrawsOfOne(chains, draws)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]

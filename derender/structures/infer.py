@@ -297,11 +297,12 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
 
     observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
-        which say in how many independent pixels each solid shows and how many spots are unexplained. missed : Missed,
-        what the prior says. explained : share of the pixels.
+        which say in how many independent pixels each solid shows, how many spots are unexplained, and whether it was
+        weighed against others at all. missed : Missed, what the prior says. explained : share of the pixels.
     """
     seen = observations[0]
     settled = all(each.agreed for each in observations) and extras.get("unexplained", 0) == 0
+    settled = settled and bool(extras.get("weighed", True))
     whole = missed.no_floor if seen.no_floor else missed.settled if settled else missed.open
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))

@@ -489,6 +489,8 @@ def test_structures_too_many_to_be_told_keep_their_share(monkeypatch):
     monkeypatch.setattr(graph_posterior, "weighed_structures", lambda *_: [(refined, 0.0, [], 0.0)] * 20)
     parts = independent_parts(np.random.default_rng(0), refined, 0.0, [], Settings(), 1, 2, False)
     assert [part.weight for part in parts] == pytest.approx([0.05] * MOST_PARTS)
+    (alone,) = independent_parts(np.random.default_rng(0), refined, 0.0, [], Settings(), 1, 2, True)
+    assert alone.extras["weighed"] is False and "weighed" not in parts[0].extras
 
 
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():

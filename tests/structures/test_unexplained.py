@@ -110,6 +110,7 @@ def test_no_answer_is_surer_than_the_search():
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()
     assert told({"unexplained": 1, "pixels": [300.0]}) == pytest.approx(missed.open, abs=1e-6)
+    assert told({"pixels": [300.0], "weighed": False}) == pytest.approx(missed.open, abs=1e-6)  # by --method map
     assert told(agreed=False) == pytest.approx(missed.open, abs=1e-6)
     assert told(no_floor=True) == pytest.approx(missed.no_floor, abs=1e-6) and missed.no_floor > missed.open
     one = missed.few * np.exp(-30.0 / missed.pixels)

@@ -48,8 +48,8 @@ class Missed:
 
     Attributes
     ----------
-    settled : of an image, where two searches agreed and nothing is left unexplained. open : where not. no_floor : where
-        nothing was found to stand on.
+    settled : of an image, where two searches agreed, nothing is left unexplained, and what was found was weighed
+        against others (`--method map` does not). open : where not. no_floor : where nothing was found to stand on.
     sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
         fewer answers are right.
     few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
