@@ -9,9 +9,12 @@ from test_graph_posterior import camera, floor_pose, observe, row
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
+from derender.document import LikelihoodPrior
 from derender.scene.solids import BOX, CYLINDER
-from derender.structures.draws.refined import at_mode
-from derender.structures.draws.sensor import model_depth
+from derender.structures.draws.chart import SIZE
+from derender.structures.draws.metropolis import engine_of, load
+from derender.structures.draws.refined import Refined, at_mode, over_blur
+from derender.structures.draws.sensor import blurs_about, final_sensor, first_sensor, model_depth, same_sensor_refitted
 from derender.structures.weighing import with_own_sensor
 
 RULES, PRIOR = Rules(0.0015), bare_image().sensor
@@ -48,3 +51,45 @@ def test_numbers_of_the_sensor_take_about_the_same_from_every_structure(other):
     fitted = [mode.log_likelihood + mode.sensor.log_prior() for mode in modes]
     whole = [integrated(mode) for mode in modes]
     assert abs((fitted[0] - fitted[1]) - (whole[0] - whole[1])) < 0.5
+
+
+def fits(kind, given):
+    """Return the first, final and again refitted Sensor of a cube's image, and its (chart, values), by a prior."""
+    cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    seen, chart, values = observe(np.random.default_rng(1), cube, {"sigma": 0.002, "blur": 0.5}, camera(32, 24))
+    first = first_sensor(seen.camera, seen.observed, chart, values, LikelihoodPrior(kind, given))
+    final = final_sensor(first, chart, values)
+    return first, final, same_sensor_refitted(final, chart, values), chart, values
+
+
+@pytest.mark.parametrize("kind", ["robust", "gaussian"])
+def test_numbers_of_the_sensor_that_a_file_gives_hold(kind):
+    given = {"sigma": 0.006, "blur": 0.75}
+    if kind == "robust":
+        given |= {"sigma_growth": 0.001, "outlier": 3e-4, "missing": 0.01}
+    first, final, again, chart, values = fits(kind, given)
+    assert final.likelihood.name == again.likelihood.name == kind
+    for sensor in (first, final, again):
+        assert {name: sensor.values[name] for name in given} == given
+    assert blurs_about(final, model_depth(chart, values, final.camera)).tolist() == [0.75]
+    alone = over_blur(np.random.default_rng(2), refined_at_mode(final, chart, values), ())
+    assert alone.log == 0.0  # there is no other to be integrated over
+    free = fits("robust", dict(PRIOR.values))[1]
+    assert free.values["sigma"] == pytest.approx(0.002, rel=0.1)
+
+
+def refined_at_mode(sensor, chart, values):
+    cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
+    return Refined(cube, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+
+
+def test_odds_follow_the_noise_that_a_file_gives():
+    """Where noise is normal and known to be twice as large, the image speaks a quarter as loud."""
+    apart = []
+    for sigma in (0.002, 0.004):
+        _, final, _, chart, values = fits("gaussian", {"sigma": sigma, "blur": 0.5})
+        shorter = values.copy()
+        shorter[chart.slots[0, SIZE]] -= 0.01
+        engine = engine_of(chart, final)
+        apart.append(load(engine, chart, values)[1] - load(engine, chart, shorter)[1])
+    assert apart[0] > 20.0 and apart[0] / apart[1] == pytest.approx(4.0, rel=1e-3)

@@ -352,6 +352,8 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
     held = open_ = under_own.sum(axis=1) - proposed
     for view in sensor.views:  # given the scene each view's blur is its own
         nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
+        if len(nodes) == 1:  # it is known
+            continue
         step = np.log(nodes[1] - nodes[0])
         believed = [log_prior_of(view.prior, {"blur": float(node)}) + step for node in nodes]
         each = [densities(view.changed(blur=float(node)))[:, 1] + more

@@ -1,7 +1,8 @@
 """What the image says about the sensor: noise, its growth with depth, blur, outliers, given a first explanation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,10 @@ BACKGROUND = 10.0
 LOOKED_AT = 160  # columns, at least, from which an image's likelihood is fitted
 NEAR, FAR = 0.1, 10.0  # metres, of outliers
 FAR_AWAY = 2.5  # times the median depth: pixels beyond it are left out
+
+
+ROBUST = {"outlier", "sigma_growth", "missing", "missing_edge"}  # numbers that only the robust likelihood has
+NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
 
 
 class Sensor(NamedTuple):
@@ -158,6 +163,11 @@ def log_prior_of(prior: LikelihoodPrior | None, numbers: dict[str, float]) -> fl
     return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
+def held_by(prior: LikelihoodPrior | None) -> dict[str, float]:
+    """Return {name: value} of a sensor's numbers that a prior gives as numbers: they are known, and not fitted."""
+    return {} if prior is None else {k: v for k, v in prior.values.items() if not isinstance(v, Distribution)}
+
+
 def first_sensor(
     camera: Camera,
     observed: np.ndarray,
@@ -170,7 +180,9 @@ def first_sensor(
     observed = np.where(too_far(observed), np.nan, observed)
     into = np.eye(4) if into is None else into
     clean = model_depth(chart, values, camera, into)
-    best = max((robust_fit(observed, clean, blurred, FIRST_OUTLIERS) for blurred in BLURS), key=density_of)
+    held = NONE if shares_noise(prior) else held_by(prior)
+    fitted = partial(robust_fit, observed, clean, outliers=FIRST_OUTLIERS, held=held)
+    best = max((fitted(blurred) for blurred in BLURS), key=density_of)
     sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior, into).changed("robust", **best[2])
     if not shares_noise(prior):
         return sensor
@@ -195,8 +207,7 @@ def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
     neighbours share are the likeliest. To seek the noise with these leaves it open: what tells firmly is by how much
     neighbours differ, and more noise that reaches farther differs by as much.
     """
-    given = sensor.prior.values
-    held = {name: value for name, value in given.items() if not isinstance(value, Distribution)}
+    given, held = sensor.prior.values, held_by(sensor.prior)
     begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
     begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
     sigma, growth = noise_of(sensor.returned - blur(clean, begin["blur"]), clean)
@@ -224,21 +235,29 @@ def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
 
 
 def robust_fit(
-    observed: np.ndarray, clean: np.ndarray, blurred: float, outliers: float, every: int = 1
+    observed: np.ndarray,
+    clean: np.ndarray,
+    blurred: float,
+    outliers: float,
+    every: int = 1,
+    held: Mapping[str, float] = NONE,
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a robust likelihood with a blur of so many pixels, the noise fitted.
 
     The density is that of the depths where something returned; whether it did says nothing here: pixels are lost at
     edges and elsewhere at one rate, the image's own.
-    every : look at each `every`-th pixel of each `every`-th row.
+    every : look at each `every`-th pixel of each `every`-th row. held : numbers that are known, whatever is asked.
     """
+    blurred, outliers = held.get("blur", blurred), held.get("outlier", outliers)
     model = blur(clean, blurred)[::every, ::every]
     residual = shown(observed)[::every, ::every] - model
     sigma, growth = noise_of(residual, model)
+    sigma, growth = held.get("sigma", sigma), held.get("sigma_growth", growth)
     seen = np.isfinite(residual)
     missing = float(np.clip(np.mean(np.isnan(observed)), LEAST_MISSING, MOST_MISSING))
     numbers = {"sigma": sigma, "sigma_growth": growth, "blur": float(blurred), "outlier": outliers, "missing": missing,
                "missing_edge": missing, "background": BACKGROUND, **outlier_range(observed)}  # fmt: skip
+    numbers |= {name: held[name] for name in ("missing", "missing_edge") if name in held}
     spread = sigma + growth * model[seen] ** 2
     surface = np.exp(-0.5 * (residual[seen] / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
     density = np.log((1.0 - outliers) * surface + outliers / (numbers["far"] - numbers["near"])).sum()
@@ -253,12 +272,13 @@ def outlier_range(observed: np.ndarray) -> dict[str, float]:
 
 
 def gaussian_fit(
-    observed: np.ndarray, clean: np.ndarray, blurred: float, every: int = 1
+    observed: np.ndarray, clean: np.ndarray, blurred: float, every: int = 1, held: Mapping[str, float] = NONE
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers) of a normal likelihood with a blur of so many pixels, the noise fitted."""
+    blurred = held.get("blur", blurred)
     residual = (observed - blur(clean, blurred))[::every, ::every]
     square = float(np.nanmean(residual**2)) if np.isfinite(residual).any() else 0.0
-    sigma = float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA))
+    sigma = held.get("sigma", float(np.clip(np.sqrt(square), LEAST_SIGMA, MOST_SIGMA)))
     count = int(np.isfinite(residual).sum())
     density = -count * (0.5 * square / sigma**2 + np.log(sigma) + 0.5 * np.log(2.0 * np.pi))
     return density, "gaussian", {"sigma": sigma, "blur": float(blurred), "background": BACKGROUND}
@@ -271,23 +291,29 @@ def best_fit(
     rates: tuple[float, ...],
     steps: tuple[float, ...],
     every: int = 1,
+    prior: LikelihoodPrior | None = None,
 ) -> tuple[float, str, dict[str, float]]:
     """Return (log density, name, numbers): the blur near the best of `blurs`, gaussian where that suffices.
 
     rates : of outliers, the first while the blur is sought. steps : pixels by which the blur is then improved.
+    prior : see Sensor: its numbers hold, and gaussian noise that it says is gaussian.
     """
-    best = max((robust_fit(observed, clean, blurred, rates[0], every) for blurred in blurs), key=density_of)
+    held = held_by(prior)
+    fitted = partial(robust_fit, observed, clean, every=every, held=held)
+    best = max((fitted(blurred, rates[0]) for blurred in blurs), key=density_of)
     for step in steps:
         at = best[2]["blur"]
         if at > 0.0:
-            trials = [robust_fit(observed, clean, max(at + way * step, 0.0), rates[0], every) for way in (-1, 1)]
+            trials = [fitted(max(at + way * step, 0.0), rates[0]) for way in (-1, 1)]
             best = max([best, *trials], key=density_of)
     at = best[2]["blur"]
-    robust = max([best, *(robust_fit(observed, clean, at, rate, every) for rate in rates[1:])], key=density_of)
+    robust = max([best, *(fitted(at, rate) for rate in rates[1:])], key=density_of)
     if (observed < 0.0).any():  # only the robust likelihood knows of what is no part of the scene
         return robust
-    plain = gaussian_fit(observed, clean, at, every)
-    return plain if density_of(plain) > density_of(robust) else robust
+    plain = gaussian_fit(observed, clean, at, every, held)
+    if prior is not None and prior.type == "gaussian":
+        return plain
+    return plain if density_of(plain) > density_of(robust) and not held.keys() & ROBUST else robust
 
 
 def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
@@ -298,7 +324,8 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
         if shares_noise(view.prior):
             return under_shared_noise(view, clean, ROUNDS)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
-        _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125))
+        _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125),
+                                    prior=view.prior)  # fmt: skip
         return view.changed(name, **numbers)
 
     return sensor.each(refitted)
@@ -313,12 +340,13 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
     if shares_noise(sensor.prior):
         return under_shared_noise(sensor, clean, 0)
+    held = held_by(sensor.prior)
 
     def fitted(blurred, outliers):
         if sensor.likelihood.name == "gaussian":
-            fit = gaussian_fit(sensor.observed, clean, blurred)
+            fit = gaussian_fit(sensor.observed, clean, blurred, held=held)
         else:
-            fit = robust_fit(sensor.observed, clean, blurred, outliers)
+            fit = robust_fit(sensor.observed, clean, blurred, outliers, held=held)
         return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
 
     rate = sensor.values.get("outlier", RATES[0])
@@ -336,8 +364,13 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
 
 
 def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
-    """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open."""
-    at = sensor.values["blur"]
+    """Return (NODES,) blurs in equal steps over which a view of this clean depth (H, W) leaves the blur open.
+
+    One that is known is the only one.
+    """
+    at, known = sensor.values["blur"], held_by(sensor.prior)
+    if "blur" in known:
+        return np.array([at])
     every = max(1, sensor.camera.width // LOOKED_AT) if sensor.worth < 1.0 else 1  # of rows and of columns
 
     shared = sensor.likelihood.name == "correlated"
@@ -347,7 +380,7 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
         if image is not None:
             return image.set_values({"blur": blurred})
         fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
-        return every**2 * fit(sensor.observed, clean, blurred, every=every)[0]
+        return every**2 * fit(sensor.observed, clean, blurred, every=every, held=known)[0]
 
     ends = []
     for way in (-1.0, 1.0):  # outwards, ever farther, to where the image rules a blur out
@@ -377,5 +410,5 @@ def image_likelihood(
         return found.likelihood.name, found.values
     numbers: dict[str, float]
     _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),
-                                (0.25, 0.1), every)  # fmt: skip
+                                (0.25, 0.1), every, prior)  # fmt: skip
     return name, numbers if np.isinf(effective_pixels) else {**numbers, "effective_pixels": float(effective_pixels)}
