@@ -9,11 +9,9 @@ from derender import data_path
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, read_document, read_prior_document
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import independent_share
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
-from derender.structures.draws.curvature import whitened
 from derender.structures.draws.sensor import Sensor, under_shared_noise
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
@@ -46,27 +44,6 @@ def test_what_neighbours_share_is_found_again_and_what_a_file_gives_as_a_number_
     held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0, "sigma": 0.002})
     found = under_shared_noise(sensor._replace(prior=held), depth, 40).values
     assert found["reach"] == 7.0 and found["sigma"] == 0.002
-
-
-def test_the_precision_of_a_change_is_the_density_s_curvature():
-    """Of changes inside one surface and across a jump; taking each pixel as so many independent ones is far from it."""
-    values = likelihoods["correlated"].complete(
-        {**NOISE, "sigma": 0.005, "sigma_growth": 0.0, "tail": 0.0, "outlier": 1e-12}
-    )
-    depth, changes = np.full((24, 30), 0.8), np.zeros((2, 24, 30))
-    depth[:, 14:] = 1.1
-    changes[0, 5:15, 3:12], changes[1, 8:20, 16:28] = 0.001, np.linspace(0.0, 0.002, 12)
-    observed = likelihoods["correlated"].sample(np.random.default_rng(0), depth, values)
-    smooth = np.ones(depth.shape, bool)
-    smooth[:, 13:15] = False  # beside the jump, where no change is
-    found = whitened(np.float32(changes / values["sigma"]), smooth, values)
-    for change, left, few in zip(changes, found, np.sum(changes**2, axis=(1, 2)), strict=True):
-        back, here, ahead = (
-            likelihoods["correlated"].log_density(observed, depth + step * change, values) for step in (-0.3, 0.0, 0.3)
-        )
-        # the residual's own scale, x m in place of m^2, and pixels beside the jump make a few hundredths
-        assert np.sum(left**2) == pytest.approx((2.0 * here - back - ahead) / 0.3**2, rel=0.05)
-        assert np.sum(left**2) > 10.0 * few * independent_share(values) / values["sigma"] ** 2
 
 
 @pytest.mark.slow

@@ -3,9 +3,7 @@
 An image J of derivatives by a coordinate is the difference of two renders half a pixel apart on either side. Inside a
 silhouette residuals are those of Gauss-Newton: J J' / sigma^2. At a depth step s of a point-sampled image they are not:
 the likelihood does not change until an edge crosses a pixel's centre, then at once. Such a pixel tells where an edge is
-to some tenth of a pixel, however great the step: its noise is taken as sqrt(sigma^2 + s^2 / SHARP). Where neighbouring
-pixels share noise J is, away from steps, what is left of it when what earlier neighbours tell is taken out, as it is of
-residuals.
+to some tenth of a pixel, however great the step: its noise is taken as sqrt(sigma^2 + s^2 / SHARP).
 
 This is for steps to be made from: what a walk meets corrects it, and nothing that is drawn depends on it.
 """
@@ -20,7 +18,6 @@ from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
 from derender.render.blur import blur
-from derender.render.likelihoods.correlated import GROUPS, NEIGHBOURS, prediction
 from derender.render.raycast.engine import propose_in, settle_in
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
@@ -74,15 +71,7 @@ class ImageCurvature:
         pixels = slice(PAD, PAD + width)
         self.weight = np.zeros(engine.images.shape[1:], np.float32)
         base = engine.images[DEPTH + CURRENT][:height, pixels].astype(float)
-        base = blur(base, sensor.values["blur"])
-        precision = weights(sensor, base)
-        self.shared = sensor.values if sensor.likelihood.name == "correlated" else None
-        if self.shared is not None:
-            precision /= sensor.worth  # what neighbours tell is taken out instead
-            noise = sensor.values["sigma"] + sensor.values["sigma_growth"] * base**2
-            self.smooth = np.zeros(self.weight.shape, bool)  # where no step makes a pixel more uncertain than its noise
-            self.smooth[:height, pixels] = precision * noise**2 > 0.5
-        self.weight[:height, pixels] = np.sqrt(precision)
+        self.weight[:height, pixels] = np.sqrt(weights(sensor, blur(base, sensor.values["blur"])))
         # half a pixel at the depth of each coordinate's solid
         self.apart = np.full(len(values), FLOOR_APART)
         floor = sensor.into @ chart.floor
@@ -101,27 +90,7 @@ class ImageCurvature:
         images = np.zeros((len(members), *self.weight.shape), np.float32)
         top, bottom = write_derivatives(self.engine, self.chart, self.values, np.ascontiguousarray(self.into), members,
                                         self.apart[members], touched, self.weight, images)  # fmt: skip
-        if self.shared is not None:
-            rows = slice(top, min(bottom + 2, len(self.smooth)))  # a pixel tells of those up to two rows below it
-            return whitened(images[:, rows], self.smooth[rows], self.shared).reshape(len(members), -1)
         return images[:, top:bottom].reshape(len(members), -1)
-
-
-def whitened(images: np.ndarray, smooth: np.ndarray, values: dict[str, float]) -> np.ndarray:
-    """Return changes of residuals (n, R, P), in deviations of what earlier neighbours leave, less what they let expect.
-
-    smooth : (R, P) bool, pixels beside no step, of which neighbours tell. values : of the likelihood `correlated`.
-    """
-    weights, deviations = (table.astype(np.float32) for table in prediction(values))
-    (height, width), padded = smooth.shape, np.pad(smooth, 2)
-    change = np.pad(np.where(smooth, images, np.float32(0.0)), ((0, 0), (2, 2), (2, 2)))
-    at = [(slice(2 - up, 2 - up + height), slice(2 - left, 2 - left + width)) for up, left in NEIGHBOURS]
-    told = [smooth.copy() for _ in range(1 + max(GROUPS))]
-    for place, group in zip(at, GROUPS, strict=True):
-        told[group] &= padded[place]
-    some = sum(each.astype(np.int64) << group for group, each in enumerate(told))
-    left = images - sum(weights[k][some] * change[:, *place] for k, place in enumerate(at))
-    return left / deviations[some]
 
 
 @njit(cache=True, nogil=True)
