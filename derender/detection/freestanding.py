@@ -10,11 +10,11 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of
-from derender.detection.segments import TIGHT, joined, segments
+from derender.detection.search.bodies import SLANTED, TIGHT
+from derender.detection.segments import joined, segments
 
 REACH = 6  # pixels within which what lies beyond an outline is looked for: what a silhouette leaves without returns
 JOINED, FARTHER, NEARER, NOTHING, BORDER = range(5)  # what lies beyond a pixel of the outline
-SLANTED = 2.0  # widths of a pixel between neighbours of one surface that is seen at a slant
 # Of an outline: the least beyond which something farther is seen, which is more than is joined to others (to what a
 # piece stands on foremost), hidden by something nearer, or cut by the image's border; and what may be cut.
 FREE, CUT = 0.4, 0.1

@@ -12,7 +12,7 @@ import numpy as np
 from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of
-from derender.detection.search.bodies import APART, body_hypotheses, box_about, label_bodies
+from derender.detection.search.bodies import APART, body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
 from derender.detection.search.surface import Hypothesis
@@ -20,7 +20,18 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
 from derender.detection.solids.support import assign_supports, share_over
-from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, clear_of_edges, cost_of, shows_below, standing
+from derender.detection.things import (
+    BAD,
+    BENEATH,
+    ENDS,
+    INNER,
+    LARGEST,
+    PATCH,
+    clear_of_edges,
+    cost_of,
+    shows_below,
+    standing,
+)
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least
@@ -40,15 +51,15 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
-    piece, count = label_bodies(seen.points, left, jump)
     cost = cost_of(seen, jump)
+    piece, count = label_bodies(*bridged(seen.points, left, jump, seen.footprint, image.weight == 0, PATCH))
     shows = seen.mask & ~left & (image.floor > depth)
     for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
-        mask = piece == k
+        whole, mask = piece == k, (piece == k) & left
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
         if (
-            interior(mask).sum() < INNER * mask.sum()
+            (interior(whole) & left).sum() < INNER * mask.sum()
             or high[2] <= max(LEFT_HEIGHT * seen.scale, settings.uneven)
             or max(high[:2] - low[:2]) >= LARGEST
         ):

@@ -11,10 +11,9 @@ import numpy as np
 from derender.detection.floor import LEVEL, back_project
 from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of
-from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.search.bodies import APART, TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.segments import TIGHT
 
 LEAST_SHARE = 0.03  # of the pixels with a depth that show a plane: less carries nothing that can be told
 LEAST_AREA = 0.04  # square metres of it that are seen: a tray of 20 by 20 cm

@@ -10,11 +10,10 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.detection.local_planes import separation
 from derender.detection.outline import convex_outline
-from derender.detection.search.bodies import label_bodies
+from derender.detection.search.bodies import TIGHT, label_bodies
 
 REACH = 2  # pixels on either side over which the normals are compared
 CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
-TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
 NECK = 0.25  # of the side of the square as large as the smaller piece, that a common edge has at least
 SPECK = 5  # pixels: smaller pieces join their neighbours
 ROUNDS = 6  # in which pixels on edges join the nearest piece

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.detection.estimate import point_estimate
-from derender.detection.search.bodies import body_hypotheses, find_bodies
+from derender.detection.search.bodies import body_hypotheses, bridged, find_bodies, label_bodies
 from derender.detection.search.greedy import Settings, complexity, settle, sweep, total_energy
 from derender.detection.search.moves import explain_anew
 from derender.detection.search.places import find_places
@@ -179,3 +179,24 @@ def test_solids_that_a_change_does_not_concern_keep_their_supports():
         held, free = (assign_supports(seen.image, changed, settings, only) for only in (near, None))
         assert held.parents == free.parents and held.bottoms == free.bottoms
         assert held.rows == pytest.approx(free.rows, abs=1e-12)
+
+
+def test_a_surface_goes_on_over_a_hole_but_not_over_the_shadow_beside_a_silhouette():
+    footprint, missing = np.full((12, 40), 0.002), np.zeros((12, 40), bool)
+    missing[:, 18:24] = True
+    column = np.arange(40.0)
+    for step, slope, longest, bodies in (
+        (0.0, 0.0, 0.03, 1),
+        (0.0, 1.5, 0.03, 1),
+        (0.0, 0.0, 0.01, 2),
+        (0.1, 0.0, 0.03, 2),
+    ):
+        points = np.zeros((12, 40, 3))
+        points[..., :2] = 0.002 * np.stack(np.meshgrid(column, np.arange(12.0)), axis=-1)
+        points[..., 2] = slope * points[..., 0] + step * (column > 20)
+        points[missing] = 0.0
+        _, count = label_bodies(*bridged(points, ~missing, np.full((12, 40), 0.012), footprint, missing, longest))
+        assert count == bodies
+    points[..., 2] = 0.0
+    floor = ~missing & (column != 17)  # the hole is no hole in the thing: beside it the floor is seen
+    assert not bridged(points, floor, np.full((12, 40), 0.012), footprint, missing, 0.03)[1][missing].any()

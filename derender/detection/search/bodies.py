@@ -20,6 +20,8 @@ from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 FEWEST = 5  # pixels of a body
+TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
+SLANTED = 2.0  # widths of a pixel between neighbours of one surface that is seen at a slant
 APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
 
 
@@ -54,6 +56,45 @@ def label_bodies(points, wanted, jump):
                     top += 1
             count += 1
     return label, count
+
+
+@njit(cache=True, nogil=True)
+def bridged(points, mask, jump, footprint, missing, longest):
+    """Return (points, mask, jump) of a surface that goes on over holes in the midst of it, along rows or columns.
+
+    A hole is a run of missing pixels, `longest` metres at most. Its sides must be as near as on a surface that slants
+    by SLANTED: the shadow beside a silhouette, which has no returns either, is as wide as the step is deep times the
+    sensor's baseline over the distance, a tenth or so.
+    """
+    height, width = mask.shape
+    filled, whole, jumps = points.copy(), mask.copy(), jump.copy()
+    shortest = np.full((height, width), height + width)
+    for way in range(2):
+        for line in range(height if way == 0 else width):
+            last = -1
+            for place in range(width if way == 0 else height):
+                j, i = (line, place) if way == 0 else (place, line)
+                if missing[j, i]:
+                    continue
+                b, a = (j, last) if way == 0 else (last, i)
+                n, first = place - last - 1, last < 0
+                last = place
+                if first or n == 0 or not mask[j, i] or not mask[b, a]:
+                    continue
+                across = 0.5 * n * (footprint[j, i] + footprint[b, a])
+                most = 0.5 * TIGHT * (jump[j, i] + jump[b, a]) + SLANTED * across
+                if across > longest or separation(points, b, a, j, i) > most * most:
+                    continue
+                for k in range(1, n + 1):
+                    v, u = (j, i - k) if way == 0 else (j - k, i)
+                    if n >= shortest[v, u]:
+                        continue
+                    share = k / (n + 1.0)
+                    shortest[v, u], whole[v, u] = n, True
+                    jumps[v, u] = (1.0 - share) * jump[j, i] + share * jump[b, a]
+                    for axis in range(3):
+                        filled[v, u, axis] = (1.0 - share) * points[j, i, axis] + share * points[b, a, axis]
+    return filled, whole, jumps
 
 
 def find_bodies(points: np.ndarray, wanted: np.ndarray, footprint: np.ndarray) -> list[np.ndarray]:
