@@ -11,18 +11,17 @@ import numpy as np
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of
-from derender.detection.search.bodies import APART
+from derender.detection.search.bodies import APART, TIGHT
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.segments import TIGHT
 from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, held_out, subset
-from derender.detection.solids.support import flat_top, shares_of_load
+from derender.detection.solids.support import flat_top, share_over, shares_of_load
 from derender.detection.symmetry import vertical_axis
-from derender.detection.things import ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
+from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
@@ -53,7 +52,7 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
 
     A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
     a mallet does. A tilted box that its contacts cannot hold is the slope of something else, as of a wedge. What hangs
-    in the air is a handle of what it goes on from.
+    in the air is a handle of what it goes on from, and what is over it beyond a convex edge, as a gable is.
 
     masks : [(mask, gain)] of free-form things.
     """
@@ -61,10 +60,15 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
     while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state, jump):
         state, found = joined(seen, state, parts)
         masks += found
+    if not masks or not len(state):
+        return state, masks
+    normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
     for k in range(len(masks)):
-        if (part := hangs_on(seen, state, masks[k][0])) is not None or (
-            part := below_cap(seen, state, masks[k][0], jump)
-        ) is not None:
+        if (
+            (part := hangs_on(seen, state, masks[k][0])) is not None
+            or (part := below_cap(seen, state, masks[k][0], jump)) is not None
+            or (part := slope_of(seen, state, masks[k][0], normal, jump)) is not None
+        ):
             state, found = joined(seen, state, (part,), *masks[k])
             masks[k] = found[0]
     return state, masks
@@ -191,6 +195,18 @@ def gable(seen: Observation, state: State, jump: Any) -> Any:
             if goes_on(seen.points, label == i, label == j, normal, jump):
                 return i, j
     return None
+
+
+def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> int | None:
+    """Return the solid, nothing on it, over which a thing goes on across a convex edge as a carton's gable; else None.
+
+    mask : (H, W) bool, the thing's pixels. normal : (H, W, 3) of the surface.
+    """
+    shows = (held_out(seen.image, state, -1)[1] >= 0) & (seen.image.weight > 0) & ~mask
+    if not goes_on(seen.points, mask, shows, normal, jump):
+        return None
+    part = goes_on_from(seen, state, mask)
+    return part if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH else None
 
 
 def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> Any:

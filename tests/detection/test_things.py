@@ -7,10 +7,11 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, seen_on_the_table
 
-from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck
+from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, slope_of
 from derender.detection.estimate import point_estimate
 from derender.detection.existence import outstanding
 from derender.detection.leftovers import interior
+from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
@@ -172,6 +173,24 @@ def test_what_hangs_in_the_air_is_the_handle_of_what_it_goes_on_from():
         beside = seen.mask & (seen.points[..., 0] > centre[0] + 0.042)
         assert beside.sum() >= 8
         assert hangs_on(seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), beside) == expected
+
+
+def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
+    wide, tall, high = 0.08, 0.12, 0.04
+    carton = trimesh.creation.box([wide, wide, tall])
+    ridge = [[0.5 * side * wide, 0.0, 0.5 * tall + high] for side in (-1, 1)]
+    upper = trimesh.creation.box([0.5 * wide, 0.5 * wide, high])
+    upper.apply_translation([0.0, 0.0, 0.5 * (tall + high)])
+    gable = trimesh.convex.convex_hull(np.vstack([carton.vertices, ridge]))
+    for whole, expected in ((gable, 0), (trimesh.util.concatenate([carton, upper]), None)):
+        mesh = whole.vertices - whole.bounds.mean(axis=0), np.ascontiguousarray(whole.faces, np.int32)
+        seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, (wide, wide, tall + high), mesh)]), CAMERA)
+        place = np.linalg.inv(seen.floor.pose) @ TABLE
+        row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.5 * tall, 1.0], np.array([wide, wide, tall]))
+        state, jump = State().add(row, UPRIGHT, False, FLOOR, 0.0), np.ascontiguousarray(APART * seen.footprint)
+        over = seen.mask & (seen.points[..., 2] > tall + 0.003)
+        normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
+        assert over.sum() > 50 and slope_of(seen, state, over, normal, jump) == expected
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
