@@ -9,8 +9,10 @@ from derender.detection.solids.beliefs import Beliefs, bare_image
 from derender.detection.solids.image import CENTRE, ROTATION, SIZE, make_row
 from derender.detection.solids.interpenetration import penetration
 from derender.detection.solids.sizes import CUBE, FIRST, HIGH, LOW, NODES
+from derender.detection.solids.state import FLOOR
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
+from derender.structures.draws.chart import PARENT
 from derender.structures.draws.sensor import floor_depth, model_depth
 
 TRIES = 400  # solids of the prior that are put down behind what is seen
@@ -26,7 +28,7 @@ def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | N
 
     Solids of the prior are put on the parts of the floor that what stands in front hides from the camera, no farther
     away than floor is seen; those count whose corners all lie behind it, in the image, and that enter nothing. How
-    many there are on a square metre is what the prior says, were that one look at a floor, and what this floor shows.
+    many there are on a square metre is what the prior says, and as this floor shows, see `rate_on_floor`.
     """
     beliefs = bare_image() if beliefs is None else beliefs
     camera, floor = refined.sensor.camera, refined.chart.floor
@@ -50,7 +52,8 @@ def hidden_expected(rng: np.random.Generator, refined: Any, beliefs: Beliefs | N
         there = model_depth(refined.chart, refined.values, view.camera, view.into)
         drawn = drawn[out_of_sight(drawn, view.into @ floor, view.camera, there)]
     count = sum(all(penetration(row, other) <= 0.0 for other in refined.state.rows) for row in drawn)
-    return rate_on_floor(beliefs, len(refined.state), shown) * total * count / TRIES
+    standing = int(np.sum(refined.chart.flags[:, PARENT] == FLOOR))
+    return rate_on_floor(beliefs, standing, shown) * total * count / TRIES
 
 
 def floor_areas(pixels: np.ndarray, depth: np.ndarray, floor: np.ndarray, camera: Camera) -> np.ndarray:
@@ -64,10 +67,10 @@ def floor_areas(pixels: np.ndarray, depth: np.ndarray, floor: np.ndarray, camera
 def rate_on_floor(beliefs: Beliefs, count: int, area: float) -> float:
     """Return how many solids are expected on one more square metre of a floor that shows so many on so much area.
 
-    The rate is exponential about the prior's: the gamma distribution of a rate, after `count` were counted.
+    The rate is gamma about the prior's, which is worth as many solids as the prior says, after `count` were counted.
     """
-    prior = float(np.exp(beliefs.on_floor[1] - beliefs.on_floor[0]))
-    return (1.0 + count) / (1.0 / prior + area)
+    prior, worth = float(np.exp(beliefs.on_floor[1] - beliefs.on_floor[0])), beliefs.loose.crowding
+    return (worth + count) / (worth / prior + area)
 
 
 def drawn_rows(rng: np.random.Generator, places: np.ndarray, beliefs: Beliefs) -> np.ndarray:

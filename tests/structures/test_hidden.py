@@ -1,5 +1,6 @@
 """Solids that nothing shows: what is said to be out of sight changes no pixel, and the prior's are drawn as it says."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -76,6 +77,22 @@ def test_what_a_floor_shows_corrects_how_many_solids_the_prior_expects_on_it():
     assert abs(prior - 24.0) < 1e-6  # a square metre, as data/priors/bare-image.yaml says
     assert rate_on_floor(beliefs, 4, 4.0 / prior) == pytest.approx(prior)  # as many as expected
     assert rate_on_floor(beliefs, 6, 1e4) == pytest.approx(7e-4, rel=1e-2)
+    sure = beliefs._replace(loose=replace(beliefs.loose, crowding=1e6))  # the file's number, whatever is seen
+    assert rate_on_floor(sure, 6, 4.0) == pytest.approx(prior, rel=1e-3)
+
+
+def test_what_stands_on_another_solid_says_nothing_of_how_crowded_a_floor_is():
+    """A small cube on a wide box hides next to nothing more of the floor."""
+    lone, numbers = wide_box(), []
+    tower = lone.add(row(BOX, 0.0, 0.0, 0.05, 0.2, (0.03,) * 3), UPRIGHT, True, 0, 0.2)
+    for state in (lone, tower):
+        chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+        sensor = Sensor(VIEW, model_depth(chart, values, VIEW), None, {})
+        found = SimpleNamespace(state=state, chart=chart, values=values, sensor=sensor)
+        numbers.append(hidden_expected(np.random.default_rng(1), found))
+    assert numbers[1] == pytest.approx(
+        numbers[0], rel=0.3
+    )  # counted as one more on the floor it made half as many more
 
 
 def test_extents_are_drawn_as_their_table_says():

@@ -131,6 +131,7 @@ class Loose:
         real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
     missed : Missed, what a search may not have found.
+    crowding : how many solids seen on a floor tell as much of how crowded it is as the number in `offspring`.
     stranger : probability that a solid is none of the known objects, where others than those may be.
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
@@ -147,6 +148,7 @@ class Loose:
     hanging: float = 1e-13
     tipping: float = 0.01
     missed: Missed = field(default_factory=Missed)
+    crowding: float = 1.0
     stranger: float = 0.05
     second_support: float = 0.5
     within: float = 0.06
@@ -225,8 +227,8 @@ NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hangi
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "stranger", "second_support", "shared",
-                  "existence", "things", "cartons", *NUMBERS)  # fmt: skip
+    section.allow("type", "offspring", "unit", "seen_from", "missed", "crowding", "stranger", "second_support",
+                  "shared", "existence", "things", "cartons", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -246,6 +248,8 @@ def read_loose(section: Section) -> Loose:
             name: told[name].number(lower=1e-9, upper=None if name == "pixels" else 1.0)
             for name in names if name in told
         })  # fmt: skip
+    if "crowding" in section:
+        found["crowding"] = section["crowding"].number(lower=1e-9)
     if "stranger" in section:
         found["stranger"] = section["stranger"].number(lower=1e-9, upper=1.0 - 1e-9)
     if "second_support" in section:
