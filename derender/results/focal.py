@@ -84,6 +84,8 @@ def faces_of(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray
     inner &= np.isfinite(observed) & (key >= 0)
     rows, columns = np.nonzero(inner)
     numbers = key[rows, columns]
+    if len(numbers) == 0:
+        return []
     order = np.argsort(numbers, kind="stable")
     each, first = np.unique(numbers[order], return_index=True)
     found = []

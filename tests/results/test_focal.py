@@ -69,3 +69,10 @@ def test_what_is_inferred_with_a_wrong_focal_length_is_not_trusted(wrong):
     _, observed = seen((10, 55), sigma=0.001)
     posterior = infer(observed, camera=replace(CAMERA, fx=wrong * CAMERA.fx, fy=wrong * CAMERA.fy))
     assert not posterior.trusted and any("focal length" in words for words in posterior.doubts)
+
+
+def test_where_neither_floor_nor_box_shows_there_are_no_faces():
+    graph, observed = seen((30,))
+    nothing = fit_of(graph, CAMERA, observed, {})._replace(explained=np.zeros(observed.shape, bool),
+                                                           label=np.zeros(observed.shape, np.uint16))  # fmt: skip
+    assert faces_of(graph, nothing, CAMERA, observed) == []
