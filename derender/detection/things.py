@@ -65,12 +65,15 @@ class Thing(NamedTuple):
     row : (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on.
     parent : FLOOR, or the index of the solid that it stands on.
     existence : (probability that it is an object and no clutter, standard error of that).
+    away : (3,) along its box's axes, the level unit vector away from the camera, on which side what is hidden of it
+        reaches farther than its box; zeros of what is round, for whose far side the axis tells.
     """
 
     mask: np.ndarray
     row: np.ndarray
     parent: int
     existence: tuple[float, float]
+    away: np.ndarray
 
 
 class Cost(NamedTuple):
@@ -380,4 +383,5 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     if axis is None and size[k] < SHALLOW * usual:
         ends[int(away[k] > 0.0), k] += np.sign(away[k]) * (DEPTH * usual - size[k])
     size = np.maximum(ends[1] - ends[0], THINNEST)
-    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, existence)
+    away = np.zeros(3) if axis is not None else np.append(away[:2] / max(float(np.hypot(*away[:2])), 1e-9), 0.0)
+    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, existence, away)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from derender.results.posterior import StructurePosterior
 
 SLACK = ("gap", "tilt_x", "tilt_y")
+MEDIAN = 0.6745  # of the absolute value of a standard normal
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
@@ -38,9 +39,24 @@ def with_things(
         return parts
     jump = APART * seen.footprint + 3.0 * seen.sigma
     names = names_of(state)
-    made = [(thing, *surface_of(seen.image, thing.mask, thing.row, jump)) for thing in seen.things]
+    made = []
+    for thing in seen.things:
+        row, hidden = reaching(thing, believed.hidden)
+        made.append((thing, *surface_of(seen.image, thing.mask, row, jump), hidden))
     noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
-    return [_with_all(rng, part, state, names, made, noise, believed.hidden) for part in parts]
+    return [_with_all(rng, part, state, names, made, noise) for part in parts]
+
+
+def reaching(thing: "Thing", farther: float) -> "tuple[np.ndarray, np.ndarray]":
+    """Return (row (ROW,) of a thing's box as far as it reaches in the median, metres (3,) not known of that).
+
+    farther : share of an extent along the line of sight, the standard deviation of a normal whose absolute value is how
+        much farther it reaches than is seen: what is best said of a thing is the median of its draws.
+    """
+    row, hidden = thing.row.copy(), farther * thing.row[SIZE:] * np.abs(thing.away)
+    row[SIZE:] += MEDIAN * hidden
+    row[CENTRE:SIZE] += rotation_of(row) @ (0.5 * MEDIAN * hidden * np.sign(thing.away))
+    return row, hidden
 
 
 def _with_all(
@@ -48,13 +64,12 @@ def _with_all(
     part: "StructurePosterior",
     state: State,
     names: list[str],
-    made: "list[tuple[Thing, str, np.ndarray, np.ndarray]]",
+    made: "list[tuple[Thing, str, np.ndarray, np.ndarray, np.ndarray]]",
     noise: float,
-    farther: float,
 ) -> "StructurePosterior":
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
-    for number, (thing, surface, size, centre) in enumerate(made):
+    for number, (thing, surface, size, centre, hidden) in enumerate(made):
         name = thing_name(number)
         row = thing.row.copy()
         row[CENTRE:SIZE], row[SIZE:] = centre, size
@@ -71,10 +86,9 @@ def _with_all(
             exact = replace(contact, values=held)
             vertex = replace(vertex, parent=parent, contact=exact)
         graph = graph.add(vertex)
-        for key, value in numbers.items():
-            hidden = farther * value if key != "height" else 0.0
+        for (key, value), behind in zip(numbers.items(), hidden, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))
-            drawn = np.maximum(value + hidden * np.abs(more) + noise * off, LEAST * value)
+            drawn = np.maximum(value + behind * (np.abs(more) - MEDIAN) + noise * off, LEAST * value)
             drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)

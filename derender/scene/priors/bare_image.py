@@ -74,7 +74,8 @@ class Things:
 
     Attributes
     ----------
-    hidden : standard deviation, as a share of an extent, of how much farther it reaches than is seen.
+    hidden : standard deviation, as a share of an extent along the line of sight, of how much farther it reaches than is
+        seen; what is round reaches as far as its axis tells.
     silhouette : pixels by which an extent is off because silhouettes lie anywhere between two.
     """
 
