@@ -5,6 +5,9 @@ so that its top is not seen, or that floats, or lies beyond the support's outlin
 room behind: explained as it is seen, and no solid. An object that fills the image stands beyond the outline too, but it
 is joined to what stands over visible floor, is no higher than the camera, and no wider than FILLING. A wall is an
 upright plane that ends the floor, with nothing of the image behind it.
+
+All lengths here are counted in metres as they would be were the floor seen from `USUAL` metres (`floor.scale_of`):
+what is long on a desk is short in a hall.
 """
 
 from typing import Any
@@ -13,7 +16,7 @@ import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
 from derender.detection.local_planes import local_planes
-from derender.detection.outline import ends_of
+from derender.detection.outline import convex_outline, ends_of, outline_planes
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.segments import segments
 
@@ -28,6 +31,7 @@ HANGS = 0.6  # share of a floating body's lower edge under which the support or 
 BORNE = 0.1  # share of that edge under which what shows is high enough to bear it from which on it does not hang
 FEWEST = 8  # pixels of a body that is told apart; smaller ones are as their pixels are
 DIRECTIONS = 8  # in which a body's length along the support is taken
+MAIN = 0.1  # of the floor's largest piece in pixels: smaller pieces of its plane lie there by chance
 MARGIN = 0.01  # metres beyond the outline that still count as over it
 WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and how near the edge how much of it stands
 # Over the support that the lowest point of a piece of a longer body may be: metres, and standard deviations of noise,
@@ -55,7 +59,7 @@ def standing_bodies(
 
     Parameters
     ----------
-    points : (H, W, 3) float64, floor frame. above : (H, W) bool, pixels over the support's plane.
+    points : (H, W, 3) float64, floor frame, lengths as above. above : (H, W) bool, pixels over the support's plane.
     beyond : (H, W) metres by which points lie beyond the outline of its visible part, negative over it.
     good : (H, W) bool, pixels with a depth.
     footprint, sigma : (H, W) metres across a pixel, and of noise.
@@ -312,3 +316,28 @@ def wall_behind(
         return none
     own = (flat @ normal)[np.abs(flat @ normal - place) < tolerance]
     return good & ((points[..., :2] - origin[:2]) @ normal > np.median(own) - tolerance)
+
+
+def main_part(points: np.ndarray, inliers: np.ndarray, footprint: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
+    slope = np.abs(points[..., 2] - origin[2]) / np.linalg.norm(points - origin, axis=-1)  # of the rays to the floor
+    part, count = label_bodies(points, inliers, np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3)))
+    pixels = np.bincount(part[part >= 0], minlength=max(count, 1))
+    return inliers & (pixels[part] > MAIN * pixels.max())
+
+
+def beyond_outline(points: np.ndarray, inliers: np.ndarray, good: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return (H, W) metres by which points lie beyond the hull of the floor's visible part and the camera's foot.
+
+    Negative over the hull, and -inf everywhere where there is none.
+
+    origin : (3,) the camera's centre: what stands before the visible floor is no background.
+    """
+    flat = points[inliers][:, :2]
+    outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
+    if outline is None:
+        return np.full(good.shape, -np.inf)
+    planes = outline_planes(outline)
+    beyond = np.full(good.shape, -np.inf)
+    beyond[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1)
+    return beyond

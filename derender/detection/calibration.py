@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.detection.floor import back_project, find_floor
+from derender.detection.floor import back_project
+from derender.detection.floors import find_floor
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated
 from derender.render.raycast.evaluator import DepthEvaluator

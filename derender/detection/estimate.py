@@ -1,5 +1,6 @@
 """From a depth image to the one state that explains it best: observe, propose, search, tell things from background."""
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -7,14 +8,14 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.compounds import compounds
 from derender.detection.existence import returns_about
-from derender.detection.floor import sensor_deviation
+from derender.detection.floor import NoFloor, sensor_deviation
 from derender.detection.freestanding import freestanding
 from derender.detection.leftovers import leftovers
 from derender.detection.levels import floor_below
 from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
-from derender.detection.search.observation import CORRELATED, Observation, observe, patches_of
+from derender.detection.search.observation import CORRELATED, Observation, Support, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
@@ -99,8 +100,10 @@ def on_one_floor(
         return State(), with_freestanding(seen, settings)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
-        closer = observe(depth, camera, wanted, plane, settings.may_float, fills)
-        seen = seen if closer.no_floor else closer
+        same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
+        with contextlib.suppress(NoFloor):  # it is one in this resolution
+            closer = observe(depth, camera, wanted, same, settings.may_float, fills)
+            seen = seen if closer.no_floor else closer._replace(rivals=seen.rivals)
     if correlation is not None:
         seen = seen._replace(correlation=correlation)
     settings = settings_for(settings, seen)

@@ -1,7 +1,4 @@
-"""The supporting plane of a depth image: planes tried on a coarse grid of points, then a robust least-squares refit.
-
-The same image has the same floor, and its mirror image the mirrored one: what is background follows from it, so that
-two seeds with two floors would answer two questions.
+"""The supporting plane of a depth image, fitted robustly about a first guess of it (`floors.py`), or given.
 
 A real sensor's depths are off by a slow bias (1 to 9 mm on planes before consumer sensors), and bins and carpets are no
 planes: `bend_of` tells it. Without it a floor's noise seems to be that large, and what is lower is lost in it.
@@ -19,16 +16,15 @@ from derender.detection.pyramid import intrinsics
 from derender.errors import DerenderError
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
 
-BESIDE = 0.1  # metres from its foot over which the floor beside a solid counts by half or more
-FLOOR_SHARE = 0.1  # of the pixels: the least that a floor before a wall holds
-SMALL_FLOOR = 0.06  # of the pixels: the least of a floor before a wall that has next to nothing under it
-WALL = 0.25  # sine of the angle by which a wall faces up at most, as a level camera sees it
-ACROSS, UPWARD = 0.5, 0.3  # cosines: at most between a floor's and a wall's normals; by how much more a floor faces up
+USUAL = 0.8  # metres from which household things are looked at
+BESIDE = 0.1  # metres, seen from USUAL, from its foot over which the floor beside a solid counts by half or more
 LEVEL = np.cos(np.radians(12.0))  # of a floor's normal with gravity: an accelerometer's error, and a fitted plane's
-SAMPLE = 1500  # points looked at, about
-SIDES = (1, 2, 4, 8)  # rows and columns of these points that squares span whose corners planes are put through
-TRIPLES, STREAM = 300, 2026  # planes tried through any three of these points, and the seed of these triples
+ROUGHEST = 6.0  # standard deviations of consumer sensors by which a floor is off its plane at most
 FEET = 100  # points of what stands on the floor, at most, to which distances are taken
+
+
+NO_PLANE = "no plane holds a tenth of the pixels"
+SAY_FLOOR = "say --floor none, give the plane with --floor, or crop the image"
 
 
 class NoFloor(DerenderError):
@@ -58,106 +54,14 @@ def back_project(depth: np.ndarray, camera: Camera | dict[str, float]) -> np.nda
     return np.stack([(column - cx) / fx * depth, (row - cy) / fy * depth, depth], axis=-1)
 
 
-def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], tolerance: Any = 0.008,
-               gravity: tuple[float, float, float] | np.ndarray | None = None) -> Floor:  # fmt: skip
-    """Find the plane that most pixels lie on.
+def scale_of(depth: np.ndarray, floor: Floor) -> float:
+    """Return how far away the floor is seen in an image (H, W), against USUAL; at most 1.
 
-    Parameters
-    ----------
-    depth : (H, W) float metres, NaN = no return.
-    tolerance : metres; how near the plane a point counts during the search.
-    gravity : (3,) in camera axes, the direction in which things fall, where the camera knows it: only a level plane
-        is a floor then, if there is one.
-
-    Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
+    Lengths by which people tell things from walls shrink with it: from nearer they look at smaller ones. From farther
+    off furniture is furniture; what is so far that it is not is counted in another unit, see `unit.py`.
     """
-    points = back_project(depth, camera)
-    count = int((np.isfinite(depth) & (depth > 0)).sum())
-    if count < 50:
-        what = f"the image has too few pixels with depth ({count}, at least 50 are needed)"
-        raise DerenderError(what, remedy="check the export, or go nearer")
-    grid = coarse_grid(points)
-    sample = grid[np.isfinite(grid[..., 2])]
-    normal, offset = planes_through(triples_of(grid, sample))
-    if len(normal) == 0:
-        raise DerenderError("all pixels with depth lie on one line", remedy="give a whole image")
-    # A wall may fill more of the image than the floor before it; the floor is what faces the image's upper edge.
-    score, share, under = scores(sample, normal, offset, tolerance, gravity)
-    best = np.argmax(score)
-    upward = -normal[:, 1]
-    small = (share > SMALL_FLOOR) & (under < SMALL_FLOOR / 2) & (score > 0.0) & (upward[best] < WALL)
-    floors = (score > FLOOR_SHARE) | small
-    floors &= (np.abs(normal @ normal[best]) < ACROSS) & (upward > upward[best] + UPWARD)
-    if floors.any():
-        best = np.argmax(np.where(floors, score, -np.inf))
-    return plane_through(depth, points, normal[best], offset[best], tolerance)
-
-
-def coarse_grid(points: np.ndarray) -> np.ndarray:
-    """Return (h, w, 3) some SAMPLE points of an image (H, W, 3), NaN where there is no return: every so many rows and
-    columns, as many left out at either end, so that an image's mirror image has the mirrored ones.
-    """
-    height, width = points.shape[:2]
-    step = max(1, round(np.sqrt(np.isfinite(points[..., 2]).sum() / SAMPLE)))
-    rows, columns = (np.arange((count - 1) % step // 2, count, step) for count in (height, width))
-    return points[np.ix_(rows, columns)]
-
-
-def triples_of(grid: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Return (N, 3, 3) triples of points to put planes through: corners of squares of the grid, which lie on one
-    surface more often than others do, and some of any three, where holes leave no squares.
-    """
-    found = []
-    for side in SIDES:
-        corners = np.stack([grid[:-side, :-side], grid[:-side, side:], grid[side:, :-side], grid[side:, side:]], axis=2)
-        corners = corners.reshape(-1, 4, 3)
-        corners = corners[np.isfinite(corners).all(axis=(1, 2))]
-        if len(corners):
-            found += [corners[:, [0, 1, 2]], corners[:, [3, 2, 1]]]
-    rng = np.random.default_rng(STREAM)
-    found.append(sample[rng.integers(len(sample), size=(TRIPLES, 3))])
-    return np.concatenate(found)
-
-
-def planes_through(triples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (normals (N, 3) towards the camera, offsets (N,)) of the planes through triples of points (N', 3, 3)."""
-    normal = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    normal = normal[length > 1e-8] / length[length > 1e-8, None]
-    offset = np.einsum("ij,ij->i", normal, triples[length > 1e-8, 0])
-    side = np.where(offset > 0, -1.0, 1.0)  # the camera is at -offset
-    return normal * side[:, None], offset * side
-
-
-def scores(sample: np.ndarray, normal: np.ndarray, offset: np.ndarray, tolerance: float,
-           gravity: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return (score, share of a sample of points (S, 3) on it, share far under it), each (N,), of planes as floors.
-
-    Points far under a plane cannot lie on what stands on it: a table top with the room's floor behind it may have some,
-    the side of a box has many. Where gravity is known only level planes have a score, if there is one.
-    """
-    share, under = on_and_under(np.ascontiguousarray(sample.T), normal, offset, tolerance).T / len(sample)
-    score = share - 0.3 * under
-    if gravity is not None:
-        level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
-        score = np.where(level, score, -1.0) if level.any() else score
-    return score, share, under
-
-
-@njit(cache=True, nogil=True)
-def on_and_under(points, normal, offset, tolerance):
-    """Return (N, 2) how many of the points (3, S) lie on each plane, and how many far under it."""
-    found = np.zeros((len(offset), 2))
-    x, y, z = points[0], points[1], points[2]
-    near = tolerance * np.maximum(1.0, z * z)
-    for k in range(len(offset)):
-        a, b, c, d, on, under = normal[k, 0], normal[k, 1], normal[k, 2], offset[k], 0, 0
-        for n in range(x.size):  # without a branch, so that it is vectorised
-            distance = a * x[n] + b * y[n] + c * z[n] - d
-            on += abs(distance) < near[n]
-            under += distance < -3.0 * tolerance
-        found[k, 0], found[k, 1] = on, under
-    return found
+    on = depth[floor.inliers] if floor.inliers.any() else depth[np.isfinite(depth) & (depth > 0)]
+    return min(1.0, float(np.median(on)) / USUAL) if len(on) else 1.0
 
 
 def floor_beside(floor: Floor, depth: np.ndarray, camera: dict[str, float], standing: np.ndarray) -> Floor:
@@ -178,7 +82,7 @@ def floor_beside(floor: Floor, depth: np.ndarray, camera: dict[str, float], stan
         return floor
     nearest = squares_to_nearest(np.ascontiguousarray(flat), feet)
     normal = floor.pose[:3, 2]
-    weight = 1.0 / (1.0 + nearest / BESIDE**2)
+    weight = 1.0 / (1.0 + nearest / (BESIDE * scale_of(depth, floor)) ** 2)
     return plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma, weight)
 
 
@@ -213,8 +117,7 @@ def plane_through(
             break
         chosen = flat[inner]
         if len(chosen) < max(20, 0.05 * len(good)):
-            remedy = "say --floor none, give the plane with --floor, or crop the image"
-            raise NoFloor("no plane holds a tenth of the pixels", remedy=remedy)
+            raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
         worth = weight[inner] / chosen[:, 2] ** 4  # the noise of disparity sensors grows with the squared depth
         centre = worth @ chosen / worth.sum()
         away = (chosen - centre) * np.sqrt(worth)[:, None]
@@ -308,7 +211,6 @@ def scatter(residual: Any) -> float:
 
 
 NEAR = 0.02  # metres off a given plane within which its own points are looked for
-BACKDROP, SIDE = 0.3, 0.2  # least shares of the pixels, and of three of the image's sides, that a backdrop holds
 MOST_NOISE = 0.02  # metres: where neighbouring pixels differ by more there is no surface
 FAR_BELOW = 10.0  # metres under the lowest point at which the floor lies where there is none
 
@@ -364,22 +266,6 @@ def given_floor(depth: np.ndarray, camera: dict[str, float], floor: np.ndarray |
     return Floor(frame_of(normal, offset, points[inliers].mean(axis=0)), sigma, inliers)
 
 
-def find_backdrop(depth: np.ndarray, camera: Any) -> Any:
-    """Return the Floor of a plane before which everything is seen, a table or a wall, and (H, W) bool: what lies on it
-    or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
-    """
-    try:
-        plane = find_floor(depth, camera)
-    except DerenderError:
-        return None
-    seen = np.isfinite(depth) & (depth > 0)
-    height = (back_project(depth, camera) - plane.pose[:3, 3]) @ plane.pose[:3, 2]
-    beyond = seen & ((height < max(0.004, 4.0 * plane.sigma)) | plane.inliers)
-    edges = (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1])
-    reached = sum(edge.mean() > SIDE for edge in edges)
-    return (plane, beyond) if reached >= 3 and plane.inliers.sum() > BACKDROP * seen.sum() else None
-
-
 def frame_of(normal: np.ndarray, offset: float, near: np.ndarray) -> np.ndarray:
     """Return the pose (4, 4) of the frame in the plane normal . p = offset, z along the normal, origin under `near`."""
     fx = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
@@ -392,9 +278,12 @@ def frame_of(normal: np.ndarray, offset: float, near: np.ndarray) -> np.ndarray:
 
 
 def pixel_noise(depth: np.ndarray) -> float:
-    """Return the standard deviation of independent noise, from second differences along the rows."""
+    """Return the standard deviation of independent noise in metres, within what surfaces may have."""
+    return float(np.clip(neighbour_noise(depth), 3e-4, MOST_NOISE))
+
+
+def neighbour_noise(depth: np.ndarray) -> float:
+    """Return the standard deviation of independent noise in metres, from second differences along the rows."""
     second = depth[:, :-2] - 2 * depth[:, 1:-1] + depth[:, 2:]
     second = second[np.isfinite(second)]
-    if len(second) < 50:
-        return 0.001
-    return float(np.clip(1.4826 * np.median(np.abs(second)) / np.sqrt(6), 3e-4, MOST_NOISE))
+    return 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) >= 50 else 0.001

@@ -1,7 +1,7 @@
 """Planes at other heights than the main one: a second table, a shelf's boards, the steps of a stair.
 
 They are looked for among what the main plane takes as background: level, with a good part of the image. What stands on
-one rises from it as from any floor.
+one rises from it as from any floor. Lengths are those of a main plane that is seen from `USUAL` metres.
 """
 
 from typing import Any, NamedTuple
@@ -22,7 +22,8 @@ NEAR, NOISES = 0.01, 4.0  # metres, and standard deviations of the noise, off a 
 # the last pixels that show it.
 ENDS, RIM = 0.002, 0.01
 MOST = 4  # planes
-# Metres below the main plane from which on a plane is the room's floor below a table: what stands there is furniture.
+# Metres below the main plane, however far away, from which on a plane is the room's floor below a table: what stands
+# there is furniture.
 ROOM = 0.45
 STEP = 0.03  # metres over or under the main plane, at least: less may be its own bend, or a mat on it
 
@@ -55,6 +56,7 @@ def levels_of(seen: Observation) -> list[Any]:
     level = candidate & (normal[..., 2] > LEVEL)
     label, count = label_bodies(seen.points, level, TIGHT * jump)
     found: list[Level] = []
+    scale = seen.floor_scale
     pixels = np.bincount(label[label >= 0], minlength=count)
     points = back_project(np.where(good, seen.image.depth, np.nan), seen.camera)
     taken = np.zeros(good.shape, bool)
@@ -70,11 +72,12 @@ def levels_of(seen: Observation) -> list[Any]:
         offset = float(across @ centre)
         height = points @ across - offset
         with np.errstate(invalid="ignore"):
-            mask = level & ~taken & (np.abs(height) < np.maximum(NOISES * seen.sigma, NEAR))
+            mask = level & ~taken & (np.abs(height) < np.maximum(NOISES * seen.sigma, NEAR * scale))
         slope = np.maximum(np.abs(points @ across) / np.linalg.norm(points, axis=-1), 1e-3)
         area = float(np.nansum(np.where(mask, seen.footprint**2 / slope, 0.0)))
         rise = float(seen.points[mask][:, 2].mean()) if mask.any() else 0.0
-        if across @ seen.floor.pose[:3, 2] > LEVEL and area > LEAST_AREA and rise > -ROOM and abs(rise) > STEP:
+        rises = rise > -ROOM and abs(rise) > STEP * scale
+        if across @ seen.floor.pose[:3, 2] > LEVEL and area > LEAST_AREA * scale**2 and rises:
             found.append(Level(across, offset, mask))
             taken |= mask
     return found
@@ -92,7 +95,7 @@ def patch_of(seen: Observation) -> Any:
     axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     low, high = ends_of(flat @ axes, ENDS)
     x, y = axes @ (0.5 * (low + high))
-    return [float(x), float(y), *map(float, high - low + 2.0 * RIM), turn]
+    return [float(x), float(y), *map(float, high - low + 2.0 * RIM * seen.floor_scale), turn]
 
 
 BELOW, LOWEST = 0.05, 0.01  # share of the pixels that show what is lower, at least; share of these that shows its foot

@@ -276,9 +276,10 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     normal, _, _ = local_planes(seen.points, good, image.origin, jump, 2)
     behind, gone = seen.behind, np.zeros(good.shape, bool)
+    points, beyond = seen.points / seen.floor_scale, seen.beyond / seen.floor_scale
 
     def goes(mask):
-        return mask.sum() >= FEWEST and is_background(seen.points, mask, normal, behind, seen.beyond, frame)
+        return mask.sum() >= FEWEST and is_background(points, mask, normal, behind, beyond, frame)
 
     keep, shown = set(), good & (misfit < LIMIT)
     for k in range(len(state)):

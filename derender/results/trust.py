@@ -99,6 +99,7 @@ QUICK = 1000  # draws of all chains together, below which it was a quick look
 SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where too few change it to tell R-hat
 MARGIN = 2.5  # times the draws that seem enough
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
+LIKELY_FLOOR = 0.05  # probability of another plane to be the floor from which on the result is not to be trusted
 LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answer is an object
 APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
@@ -156,6 +157,13 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     doubts = [f"{lost} of the chains died"] if lost else []
     if posterior.meta.get("no_floor"):
         doubts.append("no surface was found that things could stand on: only what stands free of all about it is told")
+    doubts += [
+        "another plane may be the floor, with a probability of {:.2f}: --floor={:.3g},{:.3g},{:.3g},{:.3g}".format(
+            other["probability"], *other["plane"]
+        )
+        for other in posterior.meta.get("other_floors", ())
+        if other["probability"] > LIKELY_FLOOR
+    ]
     doubts += [
         f"{name} is an object with a probability of {known:.2f} only: it may be clutter or a piece of one"
         for name, (known, _) in posterior.meta.get("existence", {}).items()

@@ -219,6 +219,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     settings = settings_for(case.settings, seen)
     meta: dict[str, Any] = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
             "backdrop": seen.background if seen.backdrop else 0.0,
+            "other_floors": [rival._asdict() for rival in seen.rivals],
             "no_floor": seen.no_floor, "interrupted": interrupted,
             "existence": {thing_name(k): thing.existence for k, thing in enumerate(things)},
             "hidden_expected": extras.get("hidden_expected"),
@@ -294,7 +295,8 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
               missed: Missed, explained: float) -> float:  # fmt: skip
     """Return the probability that the search has missed what is there.
 
-    That of the image as a whole, and of each solid: what shows in few pixels may be something else, or two.
+    That of the image as a whole, of each solid (what shows in few pixels may be something else, or two), and that
+    another plane is the floor.
 
     observations : of the image, one for each plane on which something stands. extras : of the likeliest structure,
         which say in how many independent pixels each solid shows, how many spots are unexplained, and whether it was
@@ -307,7 +309,8 @@ def missed_by(observations: list[Observation], extras: dict[str, dict[str, float
     if seen.correlation > CORRELATED:
         whole = max(whole, 1.0 - (1.0 - missed.sensor) * np.exp(-(1.0 - explained) / missed.unexplained))
     found = 1.0 - missed.few * np.exp(-np.array(extras.get("pixels", [])) / missed.pixels)
-    return float(1.0 - (1.0 - whole) * np.prod(found))
+    same = 1.0 - sum(rival.probability for rival in seen.rivals)
+    return float(1.0 - same * (1.0 - whole) * np.prod(found))
 
 
 def view_data(

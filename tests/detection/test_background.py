@@ -5,7 +5,8 @@ import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
 from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length
-from derender.detection.search.observation import local_noise, observe
+from derender.detection.floor_noise import local_noise
+from derender.detection.search.observation import observe
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
 from derender.scene.solids import BOX, PLANE, Solids

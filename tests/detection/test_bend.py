@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, seen_on_the_table
 
-from derender.detection.floor import bend_of, find_floor
+from derender.detection.floor import bend_of
+from derender.detection.floors import find_floor
 from derender.scene.solids import BOX
 
 

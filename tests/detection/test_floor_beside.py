@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from derender.detection.floor import find_floor, floor_beside
+from derender.detection.floor import floor_beside
+from derender.detection.floors import find_floor
 from derender.detection.solids.image import render_floor_scene
 from derender.evaluation.made_scenes import camera_of
 from derender.scene.pose import rotation_x, rotation_z, translation

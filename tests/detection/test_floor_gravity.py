@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.floor import find_floor
+from derender.detection.floors import find_floor
 from derender.detection.search.observation import observe
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)

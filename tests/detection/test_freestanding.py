@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.floor import find_floor
+from derender.detection.floors import find_floor
 from derender.detection.freestanding import FARTHER, JOINED, NEARER, outlines, stand_free
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options

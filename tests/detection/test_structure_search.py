@@ -7,11 +7,12 @@ import pytest
 
 from derender.camera.depth_file import read_depth
 from derender.detection.estimate import point_estimate
-from derender.detection.floor import find_floor
+from derender.detection.floor_noise import drawn, neighbour_correlation, rounding_of
+from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.crossover import crossed, parts
 from derender.detection.search.greedy import Settings, total_energy
-from derender.detection.search.observation import drawn, neighbour_correlation, observe, patches_of, rounding_of
+from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.searches import explain_otherwise, explain_rest
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene

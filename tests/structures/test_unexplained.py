@@ -105,7 +105,7 @@ def test_no_answer_is_surer_than_the_search():
 
     def told(part=None, explained=1.0, **seen):
         part = {"unexplained": 0, "pixels": [300.0]} if part is None else part
-        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, **seen})
+        seen = SimpleNamespace(**{"correlation": 0.0, "agreed": True, "no_floor": False, "rivals": (), **seen})
         return missed_by((seen,), part, missed, explained)
 
     assert told() == pytest.approx(missed.settled, abs=1e-6) and told(explained=0.9) == told()

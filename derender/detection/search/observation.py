@@ -1,31 +1,44 @@
 """A depth image made ready for the search: reduced, in the floor's axes, its noise known, its background told apart."""
 
+import contextlib
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.background import joined_to_floor, standing_bodies, walls_behind
+from derender.detection.background import beyond_outline, joined_to_floor, main_part, standing_bodies, walls_behind
 from derender.detection.floor import (
     MOST_NOISE,
+    NO_PLANE,
+    ROUGHEST,
+    SAY_FLOOR,
+    USUAL,
     Floor,
     NoFloor,
     back_project,
     bend_of,
-    find_backdrop,
-    find_floor,
     floor_beside,
     given_floor,
     pixel_noise,
     plane_through,
+    scale_of,
     sensor_deviation,
 )
-from derender.detection.local_planes import local_planes
-from derender.detection.noise import estimate_blur, noise_of
-from derender.detection.outline import convex_outline, outline_planes
+from derender.detection.floor_noise import GRAZING, drawn, neighbour_correlation, noise_map, rounding_of
+from derender.detection.floors import (
+    UNDER,
+    WIDTHS,
+    Candidate,
+    find_backdrop,
+    fitted,
+    floors_of,
+    near_plane,
+    prior_of,
+    tolerance_of,
+)
+from derender.detection.noise import estimate_blur
 from derender.detection.patches import Patches, find_patches
 from derender.detection.pyramid import reduce, sampled, single_pixels
-from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 
@@ -33,18 +46,27 @@ from derender.detection.solids.image import FAR, Image, make_image
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
 CORRELATED = 0.3
 MOST_SHARED = 0.98  # of the noise: of a bent floor neighbours would share all of it, and more
-AWAY = 0.05  # metres from what stands on it from which on a real sensor's floor is as it is seen
-GRAZING = 0.15  # sine of the angle at which rays meet the floor
+AWAY = 0.05  # metres, seen from USUAL, off what stands on it from which on a real sensor's floor is as it is seen
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
-MAIN = 0.1  # of the floor's largest piece in pixels: smaller pieces of its plane lie there by chance
-MARGIN = 0.01  # metres beyond the outline of the visible floor that still count as over it
-# Noise of the worst sensors (stereo, Kinect v1): metres, and metres a square metre. A floor that is off its plane by
-# more is no plane, or not the floor; but where neighbours scatter so, by ROUGHER times less, it is noise.
-SENSOR_SIGMA, SENSOR_GROWTH, ROUGHER = 0.002, 0.004, 3.0
-NO_FLOOR = 6.0  # standard deviations of consumer sensors by which a floor is off its plane at most
-TOLERANCE = 0.008  # metres off a plane, as it is seen at first, that points on it may be
-LEAST_SIGMA = 5e-4  # metres: no image is taken to be surer than that
-USUAL = 0.8  # metres from which household things are looked at; from nearer, smaller ones
+MARGIN = 0.01  # metres, seen from USUAL, beyond the outline of the visible floor that still count as over it
+LOWEST = 0.004  # metres over the floor from which on something stands on it; less of it where it is nearer than USUAL
+# What a share of the pixels that a floor and what stands on it explain is worth, in nats for each nat of it; the least
+# probability at which another plane is told of.
+EXPLAINED, TOLD = 4.0, 0.01
+SURE_SHARE = 0.2  # of the pixels: the least that a plane holds that is one only when fitted closely
+SAME = 0.5  # of a plane's pixels that are another's too, from which on it is the same floor
+
+
+class Rival(NamedTuple):
+    """A plane that may be the floor instead.
+
+    Attributes
+    ----------
+    plane : a, b, c, d of a x + b y + c z + d = 0, camera axes, (a, b, c) towards the camera. probability : that it is.
+    """
+
+    plane: tuple[float, float, float, float]
+    probability: float
 
 
 class Observation(NamedTuple):
@@ -68,6 +90,7 @@ class Observation(NamedTuple):
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     interrupted : whether the search that looked at it was, so that what it found is the best so far.
     agreed : whether two searches found the same.
+    rivals : planes that may be the floor instead, each a Rival, the likeliest first.
     """
 
     image: Image
@@ -89,12 +112,18 @@ class Observation(NamedTuple):
     things: tuple = ()
     interrupted: bool = False
     agreed: bool = True
+    rivals: tuple = ()
 
     @property
     def scale(self) -> float:
         """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
         good = self.image.weight > 0
         return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
+
+    @property
+    def floor_scale(self) -> float:
+        """See `scale_of`: lengths by which background is told are as much shorter."""
+        return scale_of(self.image.depth, self.floor)
 
 
 class Support(NamedTuple):
@@ -103,16 +132,23 @@ class Support(NamedTuple):
     Attributes
     ----------
     normal, offset : of the plane at first sight, in camera axes: normal . p = offset.
-    others : (H, W) bool, pixels of the image as it came that show the others or what stands on them.
+    others : (H, W) bool, pixels of the image as it came that show the others or what stands on them; None: there are
+        none, and it was the floor of the image in another resolution.
     """
 
     normal: np.ndarray
     offset: float
-    others: np.ndarray
+    others: np.ndarray | None
+
+    @classmethod
+    def over(cls, floor: Floor) -> "Support":
+        """Return the Support that a Floor is for the same image in another resolution."""
+        normal = floor.pose[:3, 2]
+        return cls(normal, float(normal @ floor.pose[:3, 3]), None)
 
 
 def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 160,
-            plane: np.ndarray | str | None = None, floating: bool = False,
+            plane: "np.ndarray | str | Support | None" = None, floating: bool = False,
             fills: bool = False) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
@@ -124,23 +160,89 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     whole = depth
     depth, camera, factor = reduce(whole, camera, widest)
     if isinstance(plane, Support):
-        others = single_pixels(plane.others, factor) > 0.0
-        alone = np.where(others, np.nan, depth)
-        floor = plane_through(alone, back_project(alone, camera), plane.normal, plane.offset, TOLERANCE)
-        seen = on_its_floor(depth, camera, factor, floor, rounding, floating, others)
+        others = None if plane.others is None else single_pixels(plane.others, factor) > 0.0
+        alone = depth if others is None else np.where(others, np.nan, depth)
+        seen_points = back_project(alone, camera)[np.isfinite(alone)]
+        near = tolerance_of(seen_points[:, 2], pixel_noise(depth))
+        _, at = near_plane(seen_points, near, plane.normal, plane.offset)
+        candidate = Candidate(plane.normal, plane.offset, at, 0.0)
+        seen = over_candidate(depth, camera, factor, candidate, rounding, floating, others)
+        if seen is None:
+            raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     elif plane is not None:
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
         backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
-        try:
-            seen = on_its_floor(depth, camera, factor, find_floor(depth, camera, gravity=gravity), rounding, floating)
-        except NoFloor:
-            if pixel_noise(depth) >= MOST_NOISE:
-                raise
-            seen = without_floor(depth, camera, factor, rounding)
+        seen = likeliest(depth, camera, factor, gravity, rounding, floating)
     return seen._replace(single=single_pixels(whole, factor))
+
+
+def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,
+              floating: bool) -> Observation:  # fmt: skip
+    """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
+
+    Floors that come near the first are weighed by what they and the things on them explain (these hide no more of a
+    floor than shows of it), less a part of what lies under them. Only what a sensor saw is weighed so; what is drawn
+    shows the floor of its prior.
+
+    gravity : see `find_floor`.
+    """
+    found: list[tuple[float, Observation]] = []
+    try:
+        candidates = floors_of(depth, camera, gravity)
+    except NoFloor:
+        candidates = []
+    for candidate in candidates:
+        seen = over_candidate(depth, camera, factor, candidate, rounding, floating)
+        if seen is None and not found:
+            break  # the likeliest comes first: where it is none there is none
+        if seen is None or any(same_floor(seen.floor, other.floor) for _, other in found):
+            continue
+        normal, on, standing = seen.floor.pose[:3, 2], seen.floor.inliers.sum(), seen.mask.sum()
+        under = ((seen.image.weight > 0) & (seen.points[..., 2] < -ROUGHEST * seen.sigma)).sum()
+        explained = max(float(on + min(standing, on) - UNDER * under), 1.0) / depth.size
+        prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), gravity is not None)
+        found.append((float(prior[0]) + EXPLAINED * np.log(explained), seen))
+        if seen.correlation <= CORRELATED:
+            break
+    if not found and pixel_noise(depth) >= MOST_NOISE:
+        raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
+    if not found:
+        return without_floor(depth, camera, factor, rounding)
+    odds = np.array([value for value, _ in found])
+    probability = np.exp(odds - odds.max())
+    probability /= probability.sum()
+    order = np.argsort(-probability, kind="stable")
+    rivals = tuple(Rival(plane_of(found[k][1].floor), float(probability[k])) for k in order[1:]
+                   if probability[k] > TOLD)  # fmt: skip
+    return found[order[0]][1]._replace(rivals=rivals)
+
+
+def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, candidate: Candidate, rounding: float,
+                   floating: bool, others: Any = None) -> Observation | None:  # fmt: skip
+    """Return the Observation of a reduced image over a Candidate, see `on_its_floor`; None where no plane fits."""
+    alone = depth if others is None else np.where(others, np.nan, depth)
+    points = back_project(alone, camera)
+    for share in WIDTHS:
+        with contextlib.suppress(NoFloor):
+            floor = fitted(alone, points, candidate, share)
+            if share < 1.0 and floor.inliers.mean() < SURE_SHARE:
+                return None  # a hill is flat too where it is tried closely enough
+            return on_its_floor(depth, camera, factor, floor, rounding, floating, others)
+    return None
+
+
+def same_floor(one: Floor, other: Floor) -> bool:
+    """Return whether most of a Floor's pixels are another's too."""
+    return bool((one.inliers & other.inliers).sum() > SAME * one.inliers.sum())
+
+
+def plane_of(floor: Floor) -> tuple[float, float, float, float]:
+    """Return a, b, c, d of a Floor's plane a x + b y + c z + d = 0, in camera axes."""
+    a, b, c = map(float, floor.pose[:3, 2])
+    return a, b, c, -float(floor.pose[:3, 2] @ floor.pose[:3, 3])
 
 
 def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, rounding: float,
@@ -162,7 +264,7 @@ def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor
         floor = plane_through(depth, points, normal, normal @ floor.pose[:3, 3], floor.sigma)
     if seen.mask.any():
         floor = floor_beside(floor, depth, camera, seen.mask)
-    if floor.sigma > NO_FLOOR * sensor_deviation(float(np.median(depth[floor.inliers]))):
+    if floor.sigma > ROUGHEST * sensor_deviation(float(np.median(depth[floor.inliers]))):
         raise NoFloor("no plane is one that things could stand on")
     straight = tell_apart(depth, camera, factor, floor, None, rounding, floating, others)
     # The bend is taken from the floor alone: what stands there is off by as much as before, over as many pixels.
@@ -198,25 +300,28 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     good = image.weight > 0
     footprint = np.nan_to_num(depth) / camera["fx"]
     beyond_edge = beyond_outline(points, main_part(points, floor.inliers, footprint, image.origin), good, image.origin)
-    inside = good & (beyond_edge < MARGIN)
-    above = good & (points[..., 2] > np.maximum(0.004, 4 * sigma))
+    scale = scale_of(depth, floor)
+    inside = good & (beyond_edge < MARGIN * scale)
+    above = good & (points[..., 2] > np.maximum(LOWEST * scale, 4 * sigma))
     own = good if others is None else good & ~others
+    # From here to the mask lengths are counted in this scale.
+    there, eye, wide, rough = (each / scale for each in (points, image.origin, footprint, sigma))
     if not fills:
-        beyond |= walls_behind(points, own, above & own, sigma, image.origin) | (good & ~own)
+        beyond |= walls_behind(there, own, above & own, rough, eye) | (good & ~own)
     held = np.zeros(good.shape, bool)
     if others is None and floor.inliers.sum() < HIDDEN_FLOOR * good.sum():
-        held = above if fills else joined_to_floor(points, above & ~beyond, inside, footprint, image.origin[2])
+        held = above if fills else joined_to_floor(there, above & ~beyond, inside, wide, eye[2])
         inside |= held
     mask = above & inside & ~beyond
     if floor.inliers.any():
         mask = standing_bodies(
-            points,
+            there,
             above & ~beyond,
-            beyond_edge,
+            beyond_edge / scale,
             good,
-            footprint,
-            sigma,
-            image.origin,
+            wide,
+            rough,
+            eye,
             held,
             floating,
             correlation > CORRELATED,
@@ -231,7 +336,7 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
     grazing = good & (slope < GRAZING) & (np.abs(image.depth - image.floor) < 0.05 * image.depth)
     image.floor[grazing] = image.depth[grazing]
     if correlation > CORRELATED:  # the sensor bends the plane: a solid that smooths that out is none
-        away = good & ~mask & ~near(mask, int(AWAY / np.median(footprint[good])) + 1)
+        away = good & ~mask & ~near(mask, int(AWAY * scale / np.median(footprint[good])) + 1)
         image.floor[away] = image.depth[away]
     share = float(background.sum() / max(good.sum(), 1))
     return Observation(image, floor, points, mask, footprint, sigma, camera, factor, correlation, share, background,
@@ -275,110 +380,6 @@ def raise_wall(image: Image) -> np.ndarray:
         return none
     beyond = image.floor > wall
     image.floor[beyond] = wall
-    return beyond
-
-
-def noise_map(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> np.ndarray:
-    """Return the standard deviation of the noise (H, W), fitted on the floor.
-
-    Only where the floor is not met at a grazing angle: there its own tilt shows, not the noise.
-    """
-    if not floor.inliers.any():
-        return np.full(depth.shape, floor.sigma)
-    points = back_project(depth, camera)[floor.inliers]
-    normal = floor.pose[:3, 2]
-    slope = np.abs((points / points[:, 2:3]) @ normal)
-    steep = slope >= max(GRAZING, np.quantile(slope, 0.3))  # >=: a wall right before the camera has one angle
-    if steep.sum() < 3:
-        return np.full(depth.shape, floor.sigma)
-    points, slope = points[steep], slope[steep]
-    z = points[:, 2]
-    sigma, growth = noise_of((points - floor.pose[:3, 3]) @ normal / slope, z)
-    close = np.median(z)
-    deep = np.clip(np.nan_to_num(depth, nan=close), 0.3 * close, 4.0 * close)
-    noise = sigma + growth * deep**2
-    most = np.maximum(SENSOR_SIGMA + SENSOR_GROWTH * deep**2, ROUGHER * local_noise(depth, camera))
-    return np.maximum(np.minimum(noise, most), LEAST_SIGMA)
-
-
-def local_noise(depth: np.ndarray, camera: dict[str, float]) -> float:
-    """Return the standard deviation of the noise about the planes through each pixel's neighbours, metres, the median.
-
-    Noise that neighbours share shows in it by a third or so; solids, walls and bent floors do not show.
-    """
-    good = np.isfinite(depth) & (depth > 0)
-    points = np.ascontiguousarray(np.nan_to_num(back_project(depth, camera)))
-    jump = np.ascontiguousarray(np.nan_to_num(0.02 * depth))
-    normal, offset, error = local_planes(points, good, np.zeros(3), jump, 2)
-    fitted = good & (error < 1e8)
-    if not fitted.any():
-        return 0.0
-    slope = np.abs(np.einsum("ij,ij->i", normal[fitted], points[fitted])) / np.linalg.norm(points[fitted], axis=1)
-    return float(np.median(np.sqrt(error[fitted]) / np.maximum(slope, GRAZING)))
-
-
-def rounding_of(depth: np.ndarray) -> float:
-    """Return the metres to which a depth image (H, W) was rounded: the smallest step between some of its values."""
-    seen = depth[depth > 0]
-    steps = np.diff(np.sort(seen[:: max(1, len(seen) // 4000)]))
-    return float(min(steps[steps > 1e-9], default=0.0))
-
-
-def drawn(depth: np.ndarray, floor: Floor, camera: dict[str, float], rounding: float) -> bool:
-    """Return whether an image shows its floor to within its own rounding: no sensor does, a renderer without noise.
-
-    Neighbouring pixels are then off by the same, which would pass for a real sensor's bends.
-    """
-    if not floor.inliers.any():
-        return False
-    normal = floor.pose[:3, 2]
-    plane = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
-    near = floor.inliers & (plane <= np.median(plane[floor.inliers]))
-    met = np.abs(depth - plane)[near] <= max(0.6 * rounding, LEAST_SIGMA / 5)  # half a step, and the fit's own fault
-    return bool(met.mean() > 0.99)
-
-
-def neighbour_correlation(depth: np.ndarray, floor: Floor, camera: dict[str, float]) -> float:
-    """Return the correlation of the floor's residuals between neighbours in a row, the near half of the floor only.
-
-    Near is where the plane is, not what was measured: from straight above the noise itself would choose the pixels.
-    """
-    if not floor.inliers.any():
-        return 0.0
-    normal = floor.pose[:3, 2]
-    height = (back_project(depth, camera) - floor.pose[:3, 3]) @ normal
-    distance = floor.pose[:3, 3] @ normal / (back_project(np.ones_like(depth), camera) @ normal)
-    near = floor.inliers & (distance <= np.median(distance[floor.inliers]))
-    limit = 3 * 1.4826 * np.median(np.abs(height[near])) + 1e-6
-    height = np.where(near & (np.abs(height) < limit), height, np.nan)
-    a, b = height[:, :-1], height[:, 1:]
-    both = np.isfinite(a) & np.isfinite(b)
-    spread = np.nanvar(height)
-    return float(np.mean(a[both] * b[both]) / spread) if both.sum() > 100 and spread > 0 else 0.0
-
-
-def main_part(points: np.ndarray, inliers: np.ndarray, footprint: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: the pixels on the floor's plane without those apart from it that lie there by chance."""
-    slope = np.abs(points[..., 2] - origin[2]) / np.linalg.norm(points - origin, axis=-1)  # of the rays to the floor
-    part, count = label_bodies(points, inliers, np.ascontiguousarray(APART * footprint / np.maximum(slope, 1e-3)))
-    pixels = np.bincount(part[part >= 0], minlength=max(count, 1))
-    return inliers & (pixels[part] > MAIN * pixels.max())
-
-
-def beyond_outline(points: np.ndarray, inliers: np.ndarray, good: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Return (H, W) metres by which points lie beyond the hull of the floor's visible part and the camera's foot.
-
-    Negative over the hull, and -inf everywhere where there is none.
-
-    origin : (3,) the camera's centre: what stands before the visible floor is no background.
-    """
-    flat = points[inliers][:, :2]
-    outline = convex_outline(np.vstack([flat[:: max(1, len(flat) // 3000)], origin[:2]]))
-    if outline is None:
-        return np.full(good.shape, -np.inf)
-    planes = outline_planes(outline)
-    beyond = np.full(good.shape, -np.inf)
-    beyond[good] = (points[good][:, :2] @ planes[:, :2].T + planes[:, 2]).max(axis=1)
     return beyond
 
 
