@@ -51,6 +51,9 @@ def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, floa
     return image._replace(taps=np.ascontiguousarray(taps_of(best[1]))), gained
 
 
+# Share by which the gains of first solids are shaken (see `greedy`) once a pair of searches did not agree: searches
+# that begin with the same solids end in the same optima.
+SHAKEN = 0.5
 ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
 AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found the same: in all, or for each solid
@@ -88,7 +91,7 @@ def search(
     task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
     for number in range(HANGING_ROUNDS if start is None else 1):
         try:
-            found += in_threads(rng, [task] * settings.tries)
+            found += in_threads(rng, [partial(task, shake=SHAKEN * (number > 0))] * settings.tries)
         except KeyboardInterrupt:
             if not (found or early):
                 raise
@@ -163,19 +166,20 @@ def one_search(
     settings: Settings,
     early: list[Found],
     state: State | None = None,
+    shake: float = 0.0,
 ) -> Found:
     """Return the Found of one search: greedy, then moves between structures, then what should be tried in any case.
 
     early : list to which it appends the Found of what was settled before the moves.
-    state : to begin with instead of a greedy search.
+    state : to begin with instead of a greedy search. shake : of that search, see `greedy`.
     """
     pool: list = []
     state = None if state is None else state.copy()  # the other search goes on from the same
     if state is None:
-        state = greedy(rng, image, hypotheses, settings)
+        state = greedy(rng, image, hypotheses, settings, shake=shake)
         image, gained = refocused(image, state.rows, settings.price)
         if gained > settings.price:  # what stood for the blur is not to be polished but found otherwise
-            state = greedy(rng, image, hypotheses, settings)
+            state = greedy(rng, image, hypotheses, settings, shake=shake)
             image, _ = refocused(image, state.rows, settings.price)
         state = settle(rng, image, state, settings)
         image, _ = refocused(image, state.rows, settings.price)
