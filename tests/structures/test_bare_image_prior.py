@@ -16,7 +16,7 @@ from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import Contact, SceneGraph, Vertex
-from derender.scene.priors.bare_image import Missed, Shared, Things, tips
+from derender.scene.priors.bare_image import Cartons, Loose, Missed, Shared, Things, tips
 from derender.scene.solids import BOX
 from derender.structures import free_forms
 from derender.structures.draws.numbers import scene_log_prior
@@ -135,7 +135,20 @@ def test_the_built_in_prior_draws_scenes_that_it_allows():
     assert stacked and len(tipping) < 0.2 * len(stacked)  # three of four would, did nothing speak against it
 
 
-WRONG = [("tipping: 2.0", "tipping"), ("seen_from: [1.5, 0.4]", "seen_from"), ("hangin: 0.1", "hangin")]
+SHORT = """derender: 1
+camera: {{fx: 140, fy: 140, cx: 79.5, cy: 59.5, width: 160, height: 120}}
+root: {{distance: 0.7, elevation: 30 deg}}
+objects: {{floor: {{shape: plane, contact: {{type: 6dof}}}}}}
+structure: {{type: bare-image, offspring: {{floor: {{poisson: 4}}}}, {more}}}
+shapes: {{cube: {{side: {{uniform: [4 cm, 9 cm]}}}}}}
+contacts: {{standing: {{type: face-to-face, parent_face: top, child_face: -z,
+                      x: {{uniform: [-0.2, 0.2]}}, y: {{uniform: [-0.2, 0.2]}}}}}}
+"""
+WRONG = [("tipping: 2.0", "tipping"), ("seen_from: [1.5, 0.4]", "seen_from"), ("hangin: 0.1", "hangin"),
+         ("slack_seen: banana", "structure.slack_seen: 'banana' is not a number"),
+         ("stranger: 1.5", "structure.stranger: '1.5' is too large"), ("crowding: 0", "structure.crowding: '0' is too"),
+         ("things: {hiden: 0.1}", "structure.things.hiden: this key is unknown here; did you mean 'hidden'?"),
+         ("cartons: {extent: 20 cm}", "structure.cartons.extent: cartons of one size only")]  # fmt: skip
 
 
 @pytest.mark.parametrize("line, fault", WRONG)
@@ -147,7 +160,21 @@ def test_faults_of_the_section_are_named(tmp_path, line, fault):
     (tmp_path / "wrong.yaml").write_text("\n".join(text))
     with pytest.raises(DerenderError) as error:
         read_document(tmp_path / "wrong.yaml")
-    assert fault in str(error.value) and "line" in str(error.value)
+    assert fault in str(error.value) and ", line " in str(error.value) and "\n" not in str(error.value)
+
+
+def test_what_a_file_leaves_out_is_as_the_built_in_one_has_it(tmp_path):
+    """Files of before a key came, and sections that give some of their keys, are read; the rest has its default."""
+    (tmp_path / "short.yaml").write_text(SHORT.format(more="cartons: {most: 3}, second_support: {within: 5 cm}"))
+    loose = read_document(tmp_path / "short.yaml").prior.loose
+    assert loose.cartons.most == 3 and loose.cartons.probability == 0.02 and loose.within == 0.05
+    assert replace(loose, cartons=Cartons(), within=Loose().within, unit=1.0) == replace(Loose(), unit=1.0)
+
+
+def test_correlations_that_exclude_each_other_are_told(tmp_path):
+    (tmp_path / "wrong.yaml").write_text(SHORT.format(more="shared: {least: 0.8, most: 0.5}"))
+    with pytest.raises(DerenderError, match=r"line 5, structure.shared: the least correlation is not below the most"):
+        read_document(tmp_path / "wrong.yaml")
 
 
 def test_a_coarser_slack_is_a_wider_density():

@@ -255,8 +255,10 @@ def read_loose(section: Section) -> Loose:
         found["stranger"] = section["stranger"].number(lower=1e-9, upper=1.0 - 1e-9)
     if "second_support" in section:
         second = section["second_support"].section().allow("probability", "within")
-        found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
-        found["within"] = second["within"].number("m", lower=1e-6)
+        if "probability" in second:
+            found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
+        if "within" in second:
+            found["within"] = second["within"].number("m", lower=1e-6)
     if "shared" in section:
         names = [each.name for each in fields(Shared)]
         told = section["shared"].section().allow(*names)
@@ -265,6 +267,9 @@ def read_loose(section: Section) -> Loose:
             name: told[name].number(lower=0.0 if name != "columns" else 1.0, upper=greatest.get(name))
             for name in names if name in told
         })  # fmt: skip
+        if found["shared"].least >= found["shared"].most:
+            remedy = "write {least: 0.1, most: 0.75}; with {power: 0} each pixel tells all"
+            raise told.fault("the least correlation is not below the most", remedy)
     if "existence" in section:
         told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
         numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
@@ -275,10 +280,17 @@ def read_loose(section: Section) -> Loose:
         found["things"] = Things(**{name: told[name].number(lower=0.0) for name in names if name in told})
     if "cartons" in section:
         told = section["cartons"].section().allow("probability", "most", "extent", "gap")
-        extent = read_value(told["extent"], "m")
-        if not isinstance(extent, Distribution):
-            raise told["extent"].fault("cartons of one size only", "write a distribution, or pass them with --known")
-        found["cartons"] = Cartons(told["probability"].number(lower=1e-9, upper=1.0 - 1e-9),
-                                   told["most"].integer(lower=2, upper=9), extent,
-                                   told["gap"].number("m", lower=1e-6))  # fmt: skip
+        carton: dict = {}
+        if "probability" in told:
+            carton["probability"] = told["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
+        if "most" in told:
+            carton["most"] = told["most"].integer(lower=2, upper=9)
+        if "extent" in told:
+            carton["extent"] = read_value(told["extent"], "m")
+            if not isinstance(carton["extent"], Distribution):
+                remedy = "write a distribution, or pass them with --known"
+                raise told["extent"].fault("cartons of one size only", remedy)
+        if "gap" in told:
+            carton["gap"] = told["gap"].number("m", lower=1e-6)
+        found["cartons"] = Cartons(**carton)
     return Loose(**found)
