@@ -13,6 +13,18 @@ from derender.camera.depth_file import write_depth
 from derender.cli.infer import command
 from derender.errors import DerenderError
 
+BLOCK = """derender: 1
+camera: {fx: 40, fy: 40, cx: 23.5, cy: 17.5, width: 48, height: 36}
+root: {distance: 0.7, elevation: 35 deg}
+objects:
+  floor: {shape: plane, contact: {type: 6dof}}
+  block:
+    shape: {type: box, length: 12 cm, width: 10 cm, height: 8 cm}
+    parent: floor
+    contact: {type: face-to-face, parent_face: +z, child_face: -z, x: 0.0, y: 0.0, theta: 0.5}
+likelihood: {type: gaussian, sigma: 3 mm}
+"""
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -189,3 +201,22 @@ def test_depths_out_of_a_camera_s_range_are_told(folder, tmp_path):
     arguments = (tmp_path / "tenths.png", "-o", tmp_path / "out")
     assert "12 m away" in infer(*arguments).stderr
     assert "m away" not in infer(*arguments, "--depth-scale", 0.1).stderr
+
+
+@pytest.mark.parametrize("method, moves", [("mcmc", "--warmup 20"), ("smc", "")])
+def test_a_bare_image_by_jumps_and_by_populations_ends_with_a_scene(tmp_path, method, moves):
+    """The whole command, few rounds: a folder that `show` reads, and the block where it stands."""
+    from derender.cli.sample import command as sample
+    from derender.cli.show import command as show
+
+    (tmp_path / "block.yaml").write_text(BLOCK)
+    assert CliRunner().invoke(sample, [str(tmp_path / "block.yaml"), "--seed", "1", "-o", str(tmp_path)]).exit_code == 0
+    few = ["--method", method, *moves.split(), "--draws", 6, "--chains", 2, "-j", 1, "--seed", 1]
+    result = infer(tmp_path / "sample_000.npz", *few, "-o", tmp_path / "out")
+    assert "Traceback" not in result.stderr and "not to be trusted" in result.stderr  # six draws are too few
+    shown = CliRunner().invoke(show, [str(tmp_path / "out"), "--json"], catch_exceptions=False)
+    floor, block = json.loads(shown.stdout)["objects"]
+    assert floor["type"] == "plane" and block["parent"] == floor["name"]
+    np.testing.assert_allclose(sorted(block["size"]), [0.08, 0.1, 0.12], atol=0.02)  # sd 6 to 12 mm between draws
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["draws"] == 6 and not summary["trusted"] and (tmp_path / "out" / "report.html").exists()
