@@ -239,7 +239,7 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
     """Return the camera that a loaded JSON or YAML tree describes; see `read_camera`."""
     for _ in range(4):  # wrappers are at most a few deep
         if not isinstance(tree, dict) or not tree:
-            raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
+            raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy")
         for _name, keys, reader in FORMATS:
             if keys <= tree.keys():
                 arguments = reader(tree)
@@ -255,7 +255,7 @@ def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: 
                 _refuse_impossible(camera)
                 return camera
         tree = _unwrap(tree, frame)
-    raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy, width, height")
+    raise DerenderError("this is not a camera", remedy="it needs at least fx, fy, cx, cy")
 
 
 def _at_image_size(arguments: dict[str, Any], shape: tuple[int, int] | None) -> dict[str, Any]:

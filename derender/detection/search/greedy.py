@@ -83,7 +83,7 @@ class Settings(NamedTuple):
 
     @property
     def rules(self) -> Rules:
-        """What solids may do to each other, see rules.Rules."""
+        """What solids may do to each other, see beliefs.Rules."""
         overlap = np.inf if self.may_overlap else None
         beliefs = bare_image() if self.beliefs is None else self.beliefs
         slack = beliefs.loose.slack_seen if self.faces > 0.0 else beliefs.loose.slack
