@@ -100,16 +100,22 @@ def colours_of(solids: Solids, names: Sequence[str] = ()) -> np.ndarray:
 
 
 def shade(
-    solids: Solids, camera: Camera, names: Sequence[str] = (), samples: int = 2, shadows: bool = True
+    solids: Solids,
+    camera: Camera,
+    names: Sequence[str] = (),
+    samples: int = 2,
+    shadows: bool = True,
+    colours: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return a shaded picture of the scene, (height, width, 3) uint8, by ray casting.
 
-    samples : of each pixel, along either side.
+    samples : of each pixel, along either side. colours : (N, 3) uint8; None: as `colours_of` has them.
     """
     from derender.render.raycast.depth import render_depth
     from derender.render.renderers.preview import draw_preview
 
-    return draw_preview(render_depth, solids, camera, colours_of(solids, names), samples, shadows)
+    colours = colours_of(solids, names) if colours is None else colours
+    return draw_preview(render_depth, solids, camera, colours, samples, shadows)
 
 
 HEIGHT = 240  # pixels
@@ -125,7 +131,8 @@ def write_picture(path: Path, graph: SceneGraph, camera: Camera, views: Sequence
     """
     small = camera.downscaled(camera.height / HEIGHT)
     there = replace(graph, root_pose=inverse(views[0].pose) @ graph.root_pose)
-    scene = shade(there.solids(), small, there.solid_names)
+    # an object has the colour that it has in the other pictures, where it stands elsewhere among its neighbours
+    scene = shade(there.solids(), small, colours=colours_of(graph.solids(), graph.solid_names))
     chart = polar_map(views, about, len(scene))
     with atomic_path(path) as temporary:
         temporary.write_bytes(png_bytes(np.hstack([scene[..., :3], chart])))

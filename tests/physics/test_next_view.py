@@ -2,6 +2,7 @@
 
 import json
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -12,11 +13,13 @@ from derender.camera.intrinsics import Camera
 from derender.camera.poses import read_poses
 from derender.cli import group
 from derender.document import LikelihoodPrior
-from derender.physics.next_view import ENOUGH, candidates, information, next_views, spreads_after
+from derender.physics.next_view import ABOUT, ENOUGH, NextView, candidates, information, next_views, spreads_after
 from derender.render.raycast.depth import render_depth
+from derender.report.pictures import write_picture
 from derender.report.result_folder import write_results
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import Vertex
+from derender.scene.pose import from_rotation_vector, translation
 
 CAMERA = Camera(72, 72, 39.5, 29.5, 80, 60)
 LIKELIHOOD = {"type": "gaussian", "sigma": 0.001, "blur": 0.5, "background": 10.0}
@@ -90,6 +93,21 @@ def test_the_best_view_of_a_hidden_depth_is_not_the_one_that_hid_it():
     before, after = best.spreads["box.width"]
     assert before > 0.004 and after < 0.2 * before
     assert best.nats["structure"] == 0.0  # there is one alone
+
+
+def test_the_picture_from_behind_has_the_colours_of_the_one_that_was_seen(tmp_path):
+    """What stands left and is red stands right from behind, and is red."""
+    two = [Vertex(name, "cube", {"side": 0.08}, "floor", face(x=x)) for name, x in (("left", -0.1), ("right", 0.1))]
+    graph = on_floor(*two, elevation=np.rad2deg(0.5), distance=0.7, lower=0.02)
+    left, right = (graph.poses()[name][:3, 3] for name in ("left", "right"))
+    middle, floor = 0.5 * (left + right), graph.poses()["floor"]
+    behind = translation(*middle) @ from_rotation_vector(np.pi * floor[:3, 2]) @ translation(*-middle)
+    told = dict.fromkeys(ABOUT, 1.0)
+    views = [NextView(behind, np.pi, 0.5, 1.0, told, {}), NextView(np.eye(4), 0.0, 0.5, 0.0, told, {})]
+    write_picture(tmp_path / "poses.png", graph, CAMERA, views, "sizes")
+    picture = imageio.imread(tmp_path / "poses.png")[:, :320].astype(int)
+    red = picture[..., 0] - picture[..., 2] > 20  # planes are a grey that is 7 redder than blue
+    assert red[:, 160:].sum() > 1000 and not red[:, :160].any()
 
 
 @pytest.mark.slow
