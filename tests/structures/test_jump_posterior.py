@@ -9,8 +9,8 @@ from jump_worlds import document_of, generator
 
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps.base import Target, Vocabulary, evaluate, mixture
-from derender.structures.jumps.chain import jump_chain
+from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture
+from derender.structures.jumps.chain import Draws, called, jump_chain, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
 from derender.structures.jumps.sampler import SlotImage
 from derender.structures.jumps.smc import structure_smc
@@ -155,3 +155,21 @@ def test_engine_with_places_in_reserve_equals_a_full_evaluation():
         fresh = DepthEvaluator(CAMERA, image, "gaussian", VALUES).load(graph.solids())
         assert abs(engine.propose(graph) - fresh) < 1e-6
         engine.reject()
+
+
+def test_objects_are_called_after_what_they_are_in_the_likeliest_structure():
+    """A cube that was born a ball is no `sphere_1`; where it is a ball still it has the same name."""
+    prior = document_of(TINY).prior
+    words, rng = Vocabulary(prior), generator(3, 79)
+    graphs = (prior.sample(rng) for _ in range(1000))
+    cube = next(g for g in graphs if [v.shape for v in g.vertices] == ["plane", "cube"])
+    place = cube.poses()[cube.names[1]][:3, 3]
+    ball = min((g for g in graphs if [v.shape for v in g.vertices] == ["plane", "sphere"]),
+               key=lambda g: np.linalg.norm(g.poses()[g.names[1]][:3, 3] - place))  # fmt: skip
+    born = [called(graph, {graph.names[1]: "sphere_1"}) for graph in (cube, cube, ball)]
+    states = [State(graph, 0.0, float(graph is born[2])) for graph in born]  # the ball fits best, the cube is likelier
+    posterior = posterior_of(words, [Draws(states, np.full(3, 1 / 3), {})])
+    assert [(part.graph.names, part.weight) for part in posterior.parts] == [
+        (("floor", "cube_1"), pytest.approx(2 / 3)), (("floor", "cube_1"), pytest.approx(1 / 3)),
+    ]  # fmt: skip
+    assert posterior.parts[0].addresses[0].startswith("cube_1.")

@@ -17,7 +17,7 @@ one continuous number for each object that can be born: two objects are never th
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -134,10 +134,9 @@ class Vocabulary:
         found = self.prior.contacts.choices(parent, child, top)
         return dict(found[1][choice]) if found is not None and choice in found[1] else None
 
-    def fresh_name(self, graph: SceneGraph, kind: str) -> str:
-        """Return a name that no object has."""
+    def fresh_name(self, names: Collection[str], kind: str) -> str:
+        """Return a name for an object of a kind that is none of the names."""
         number = 1
-        names = set(graph.names)
         while f"{kind}_{number}" in names:
             number += 1
         return f"{kind}_{number}"

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -100,11 +100,29 @@ def matched(graph: SceneGraph, reference: SceneGraph, base: frozenset[str]) -> S
             while f"other_{number}" in known:
                 number += 1
             names[name] = f"other_{number}"
+    order = {name: place for place, name in enumerate(reference.names)}
+    return _sorted(called(graph, names), order)
+
+
+def called(graph: SceneGraph, names: Mapping[str, str]) -> SceneGraph:
+    """Return the graph with other names, by their present ones."""
     vertices = tuple(
         replace(v, name=names.get(v.name, v.name), parent=names.get(v.parent, v.parent)) for v in graph.vertices
     )
-    order = {name: place for place, name in enumerate(reference.names)}
-    return _sorted(replace(graph, vertices=vertices), order)
+    return replace(graph, vertices=vertices)
+
+
+def names_by_kind(words: Vocabulary, graph: SceneGraph, taken: Collection[str]) -> dict[str, str]:
+    """Return {name: one that fits} of the objects that have become another kind since they were named after theirs.
+
+    taken : names that other objects have.
+    """
+    names: dict[str, str] = {}
+    for name in words.grown(graph):
+        entry, vertex = words.shapes.get(name.rpartition("_")[0]), graph.vertex(name)
+        if entry is not None and not entry.matches(vertex):
+            names[name] = words.fresh_name({*taken, *names.values()}, words.kind_of(vertex))
+    return names
 
 
 def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
@@ -122,7 +140,8 @@ def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
 def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
     """Return draws, or weighted particles, as a Posterior: one part for each structure, objects told by their places.
 
-    Particles of unequal weight are not repeated: SMC hands over equal ones.
+    They are called after their kinds in the likeliest structure. Particles of unequal weight are not repeated: SMC
+    hands over equal ones.
     """
     every = [state for draws in found for state in draws.states]
     reference = max(every, key=lambda state: state.log_prior + state.log_likelihood).graph
@@ -135,7 +154,13 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
             visited[-1].append(graph.structure())
             chains = groups.setdefault(graph.structure(), [[] for _ in found])
             chains[number].append(Visit(graph, state, weight / len(found)))
-    parts = [_part(words, chains) for chains in groups.values()]
+    heaviest = max(groups.values(), key=lambda chains: sum(visit.weight for chain in chains for visit in chain))
+    taken = {name for structure in groups for name, *_ in structure}
+    names = names_by_kind(words, next(visit.graph for chain in heaviest for visit in chain), taken)
+    parts = [
+        _part(words, [[visit._replace(graph=called(visit.graph, names)) for visit in chain] for chain in chains])
+        for chains in groups.values()
+    ]
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
     evidence = [draws.log_evidence for draws in found if draws.log_evidence is not None]
     meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()},

@@ -35,7 +35,7 @@ class PriorProposal:
         parameters = entry.sample(rng)
         shape, top = words.seat(graph, parent)
         contact = words.prior.contacts.sample(rng, shape, entry.type, top)
-        return Vertex(words.fresh_name(graph, kind), entry.type, parameters, parent, contact, dict(entry.options))
+        return Vertex(words.fresh_name(graph.names, kind), entry.type, parameters, parent, contact, dict(entry.options))
 
     def log_density(self, words: Any, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""
@@ -213,7 +213,7 @@ def vertex_of(words: Vocabulary, graph: SceneGraph, component: Component, values
     if QUATERNION in numbers:
         numbers.update(zip(ROTATION, map(float, numbers.pop(QUATERNION)), strict=True))
     contact = Contact(*component.choice, numbers)  # type: ignore[call-arg]
-    name = words.fresh_name(graph, component.kind)
+    name = words.fresh_name(graph.names, component.kind)
     return Vertex(name, entry.type, parameters, component.parent, contact, dict(entry.options))
 
 
