@@ -103,14 +103,15 @@ def _explanation(entry: dict[str, Any]) -> str:
     lines = [f"{entry['kind']} {entry['name']}", "", entry["summary"]]
     if entry["parameters"]:
         lines.append("")
+    width = max((len(parameter["name"]) for parameter in entry["parameters"]), default=0)
     for parameter in entry["parameters"]:
-        lines.append("  " + _parameter_line(parameter))
+        lines.append("  " + _parameter_line(parameter, max(width, 14)))
     return "\n".join(lines)
 
 
-def _parameter_line(parameter: dict[str, Any]) -> str:
-    """Return one line: name, unit, range, default."""
-    parts = [f"{parameter['name']:<14}"]
+def _parameter_line(parameter: dict[str, Any], width: int) -> str:
+    """Return one line: name in so many columns, unit, range, default."""
+    parts = [f"{parameter['name']:<{width}}"]
     if "unit" in parameter:
         parts.append(f"{parameter['unit'] or '-':<4}")
         lower, upper = (parameter[key] for key in ("lower", "upper"))
