@@ -164,13 +164,11 @@ def _same_structure(trajectory: Trajectory, matter: Matter) -> bool:
     return all(before[name] & after[name] for name in before)
 
 
-# At rest: no corner has moved by more than this share of the smallest extent during the time below. Places and not
-# speeds are compared, because contacts chatter, a ball on a slope that holds it creeps by an eighth of this, and blocks
-# that have settled on uneven ones by up to a half.
-DRIFT = 8e-3
-# That time in units of sqrt(L / g), L the greatest extent: at a thousandth of g, the least that tips a scene over, a
-# body moves by .008 L in it.
-CALM_TIME = 4.0
+# At rest: no corner of a body has moved by more than this share of the body's greatest extent L during the time below,
+# in units of sqrt(L / g): at a thousandth of g, the least that tips a scene over, it moves by .008 L. Places and not
+# speeds are compared, because contacts chatter, and what has come to rest on a lean creeps for ever, blocks of 75 x 25
+# x 15 mm by up to .5 mm a second: by a quarter of this.
+DRIFT, CALM_TIME = 8e-3, 4.0
 # A body that has turned its upper side away by more than 60 degrees does not turn it back.
 TURNED_AWAY = 0.5
 # A body that has sunk by this share of its greatest extent more than all that bore it is borne by none of them: a plate
@@ -195,9 +193,8 @@ class Fate:
         self._up = -matter.gravity / (strength or 1.0)
         self._sizes = np.array([body.size for body in moving], dtype=float).reshape(-1, 3)
         self._start = np.array([body.pose for body in moving], dtype=float).reshape(-1, 4, 4)
-        self._drift = DRIFT * length
         longest = self._sizes.max(initial=length)
-        self._calm = CALM_TIME * np.sqrt(longest / (strength or STANDARD_GRAVITY))
+        self._calm = CALM_TIME * np.sqrt(self._sizes.max(axis=1) / (strength or STANDARD_GRAVITY))
         heights = self._start[:, :3, 3] @ self._up
         tall = np.ptp(heights) + longest if moving else longest
         self._aftermath = AFTERMATH * np.sqrt(2 * tall / (strength or STANDARD_GRAVITY))
@@ -209,11 +206,12 @@ class Fate:
 
     def at_rest(self, times: np.ndarray, poses: np.ndarray) -> bool:
         """Return whether nothing has moved lately. times : (T,) seconds; poses : (T, M, 4, 4) of what moves."""
-        before = poses[max(int(np.searchsorted(times, times[-1] - self._calm, side="right")) - 1, 0)]
+        first = np.searchsorted(times, times[-1] - self._calm, side="right") - 1
+        before = poses[np.maximum(first, 0), np.arange(len(self._calm))]
         moved = np.linalg.norm(poses[-1, :, :3, 3] - before[:, :3, 3], axis=1)
         turned = np.linalg.norm(poses[-1, :, :3, :3] - before[:, :3, :3], axis=(1, 2)) / np.sqrt(2)
-        calm = np.all(moved + 0.5 * np.linalg.norm(self._sizes, axis=1) * turned < self._drift)
-        return bool(calm and times[-1] >= self._calm)
+        calm = moved + 0.5 * np.linalg.norm(self._sizes, axis=1) * turned < DRIFT * self._sizes.max(axis=1)
+        return bool(np.all(calm & (times[-1] >= self._calm)))
 
     def sealed(self, time: float, poses: np.ndarray) -> bool:
         """Return whether a body has lost what bore it, some time ago. poses : (M, 4, 4) of what moves."""

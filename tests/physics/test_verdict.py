@@ -8,7 +8,7 @@ from derender.evaluation.metrics import floating, gaps, intersecting
 from derender.physics.bodies import Body, Matter
 from derender.physics.simulate import simulate
 from derender.physics.statics import ROLLING
-from derender.physics.verdict import Trajectory
+from derender.physics.verdict import Fate, Trajectory
 from derender.scene.pose import rotation_x, translation
 
 
@@ -31,6 +31,18 @@ def test_what_begins_slowly_is_not_at_rest():
         gravity = 9.81 * np.array([np.sin(slope), 0.0, -np.cos(slope)])
         trajectory = simulate(Matter((ball, floor), gravity, ()), 2.0, early=True)
         assert bool(trajectory.times[-1] < 1.0) == rests == (trajectory.displacement()["ball"] < 1e-4)
+
+
+@pytest.mark.parametrize(("speed", "rests"), [(0.0005, True), (0.003, False)])
+def test_what_creeps_on_a_lean_rests_and_what_a_thousandth_of_gravity_would_have_moved_so_far_does_not(speed, rests):
+    """Flat blocks that had settled were never at rest by their least side, and were said to fall."""
+    block = Body("block", "box", np.array([0.075, 0.025, 0.015]), translation(0, 0, 0.0075))
+    fate = Fate(Matter((FLOOR, block), GRAVITY, ()), 0.015)
+    times = np.arange(0.0, 1.0, 0.02)
+    poses = np.tile(block.pose, (len(times), 1, 1, 1))
+    poses[:, 0, 0, 3] = speed * times
+    assert fate.at_rest(times, poses) == rests
+    assert not fate.at_rest(times[:10], poses[:10])  # too early to say
 
 
 def test_gaps_floating_and_intersecting():
