@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from derender.camera.intrinsics import Camera
 from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import Rules, bare_image
@@ -18,7 +19,7 @@ from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.priors.bare_image import Shared
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, apparent_cube_log_density, make_chart, place_rows
-from derender.structures.draws.faces import MOST_LOST, empty_band, true_faces
+from derender.structures.draws.faces import MOST_LOST, at_median_unseen, empty_band, true_faces
 
 OFF = 0.003
 COUNT = 4000
@@ -164,3 +165,24 @@ def test_a_hidden_face_lies_anywhere_in_the_band_that_its_silhouette_lost():
     drawn = rows_of(chart, true_faces(np.random.default_rng(0), chart, np.tile(values, (COUNT, 1)), lost))
     assert drawn[:, 0, 13].mean() == pytest.approx(0.105, abs=3e-4)
     assert drawn[:, 0, 13].var() == pytest.approx(2 * OFF**2 + 0.01**2 / 12, rel=0.1)
+
+
+@pytest.mark.parametrize("place, axis, side", [((0.0, -0.32, 0.05), 1, -1.0), ((0.42, 0.0, 0.05), 0, 1.0)])
+def test_a_face_beyond_the_border_is_said_as_far_as_half_of_the_draws_have_it(place, axis, side):
+    """Seen from above at a metre the image ends at .4 and .3 m; one face of the box lies beyond, all others within."""
+    state = State().add(make_row(BOX, np.eye(3), place, [0.2, 0.2, 0.1]), UPRIGHT, False, FLOOR, 0.0)
+    floor = rotation_x(np.pi)
+    floor[2, 3] = 1.0
+    chart, values = make_chart(state, floor, RULES)
+    camera = Camera(fx=100.0, fy=100.0, cx=39.5, cy=29.5, width=80, height=60)
+    views = (SimpleNamespace(camera=camera, into=np.eye(4)),)
+    drawn = np.tile(values, (101, 1))
+    drawn[:, chart.slots[0, SIZE : SIZE + 3]] += np.linspace(0.0, 0.2, 101)[:, None]  # what is seen is not to follow
+    before = rows_of(chart, values[None])[0, 0]
+    after = rows_of(chart, at_median_unseen(SimpleNamespace(chart=chart, sensor=SimpleNamespace(views=views)), values,
+                                            drawn)[None])[0, 0]  # fmt: skip
+    wanted = np.array([0.2, 0.2, 0.1])
+    wanted[axis] += 0.1
+    assert after[13:16] == pytest.approx(wanted)
+    faces = [row[10 + axis] - 0.5 * side * row[13 + axis] for row in (before, after)]
+    assert faces[1] == pytest.approx(faces[0]) and after[10 + 1 - axis] == before[10 + 1 - axis]

@@ -11,15 +11,28 @@ and on that of what is behind it, so that where nothing returned the silhouette 
 far as it returns, and reaches beyond by a share of that band, any share as likely.
 """
 
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from derender.detection.solids.image import CENTRE
+from derender.detection.solids.image import CENTRE, ROW
 from derender.detection.solids.image import SIZE as EXTENT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.draws.chart import EQUAL, HELD, KIND, LEAST_EXTENT, PARENT, SIZE, Chart, X, Z
+from derender.structures.draws.chart import (
+    EQUAL,
+    HELD,
+    KIND,
+    LEAST_EXTENT,
+    PARENT,
+    SIZE,
+    VERTICAL,
+    Chart,
+    X,
+    Z,
+    place_rows,
+)
 from derender.structures.draws.sensor import model_image
 
 if TYPE_CHECKING:
@@ -29,6 +42,8 @@ if TYPE_CHECKING:
 # projector's, or nothing is there to return; and of a step in depth that makes a silhouette.
 MOST_LOST, STEP = 0.008, 0.02
 FEWEST = 8  # pixels of a silhouette that tell the band
+RIM = np.linspace(-1.0, 1.0, 65)  # places along an edge, in halves of it, that are looked for in the image
+BORDER = 2.0  # pixels along the image's border that do not tell: a prior that would have it nearer puts a face there
 SLANTED = 0.5  # sine of a face's normal with the line of sight below which the silhouette hardly tells the face
 
 
@@ -81,6 +96,53 @@ def empty_band(depth: np.ndarray, mask: np.ndarray, empty: Any, footprint: Any) 
         widths.append(np.minimum(wide, MOST_LOST))
     every = np.concatenate(widths)
     return float(every.mean()) if len(every) >= FEWEST else 0.0
+
+
+def at_median_unseen(refined: "Refined", best: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """Return the coordinates (D,) of the best scene, faces that do not show as far as the median of draws has them: of
+    upright boxes, the faces that are seen staying where they are.
+
+    best : (D,). drawn : (n, D). A median that is nearer than the best's changes nothing: that would be seen.
+    """
+    chart, found = refined.chart, best.copy()
+    rows = np.empty((len(chart.flags), ROW))
+    place_rows(chart, best, rows)
+    boxes = (chart.flags[:, KIND] == BOX) & (chart.flags[:, EQUAL] == 0) & (chart.flags[:, VERTICAL] == 1)
+    for k in np.flatnonzero(boxes):
+        slot, turn = chart.slots[k], rows[k, 1:10].reshape(3, 3)
+        for axis in range(3):
+            out = [not rim_shows(refined, rows[k], axis, sign) for sign in (1.0, -1.0)]
+            grown = float(np.median(drawn[:, slot[SIZE + axis]]) - best[slot[SIZE + axis]])
+            if grown <= 0.0 or not any(out) or (axis == 2 and not chart.flags[k, HELD]):
+                continue
+            found[slot[SIZE + axis]] += grown
+            if axis < 2:  # what is held to its support has no height of its own
+                found[slot[X : X + 2]] += 0.5 * grown * (out[0] - float(out[1])) * turn[:2, axis]
+    return found
+
+
+def rim_shows(refined: "Refined", row: np.ndarray, axis: int, sign: float) -> bool:
+    """Return whether edges of a box's face that the box itself does not hide lie within an image, in part at least."""
+    turn, half = row[1:10].reshape(3, 3), 0.5 * row[EXTENT:]
+    for view in refined.sensor.views:
+        into, camera = view.into @ refined.chart.floor, view.camera
+        eye = turn.T @ (-into[:3, :3].T @ into[:3, 3] - row[CENTRE:EXTENT])  # along the box's axes
+        rim = []
+        for other, end in product({0, 1, 2} - {axis}, (-1.0, 1.0)):
+            if sign * eye[axis] > half[axis] or end * eye[other] > half[other]:  # one of the two faces is seen
+                edge = np.tile([sign * half[axis]] * 3, (len(RIM), 1))
+                edge[:, other] = end * half[other]
+                edge[:, 3 - axis - other] = RIM * half[3 - axis - other]
+                rim.append(edge)
+        if not rim:
+            continue
+        x, y, z = into[:3, :3] @ (row[CENTRE:EXTENT] + np.concatenate(rim) @ turn.T).T + into[:3, 3:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            columns, rows = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        within = (z > 0.0) & (np.abs(columns - 0.5 * (camera.width - 1)) < 0.5 * camera.width - BORDER)
+        if np.any(within & (np.abs(rows - 0.5 * (camera.height - 1)) < 0.5 * camera.height - BORDER)):
+            return True
+    return False
 
 
 def true_faces(

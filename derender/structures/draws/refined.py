@@ -21,7 +21,7 @@ from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import Evidence, draw_t, evidence_of, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.faces import lost_at_edges, true_faces
+from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
 from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample
 from derender.structures.draws.numbers import numbers_of_draws
 from derender.structures.draws.sensor import (
@@ -281,6 +281,7 @@ def structure_posterior(
         values[best] = refined.values
         densities[best] = refined.log_prior, refined.log_likelihood
     size = values.shape[-1]
+    values[best] = at_median_unseen(refined, values[best], values.reshape(-1, size))
     lost = lost_at_edges(refined)
     likeliest = true_faces(None, chart, values[best][None], lost)
     values = true_faces(rng, chart, values.reshape(-1, size), lost).reshape(values.shape)
