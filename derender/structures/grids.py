@@ -8,6 +8,9 @@ so that every box of a structure is asked afterwards whether it is a grid:
     the seams       what pixels beside them show: a ray that meets a gap of width g, at random within the pixel's step
                     along the face, is as much deeper as it takes to cross what is left of the gap
 
+Boxes that stand flush beside each other, as a seam that shows makes the search find them, are asked as one: it would be
+a chance if boxes that have nothing to do with each other did.
+
 The gap is unknown, and another one along each axis. Where no seam can show, as between layers without a gap, the
 probability spreads over all numbers of parts that the prior has.
 """
@@ -15,7 +18,7 @@ probability spreads over all numbers of parts that the prior has.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +40,10 @@ FEWEST = 4  # boxes of a grid: two or three are found as such
 PRUNE_THRESHOLD = (
     -12.0
 )  # nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below
+FLUSH = (
+    0.01  # metres by which faces of flush boxes may be off, and a seam that was found, from where equal parts put it
+)
+AGAINST = 0.1  # share of boxes that somebody has set flush against another
 GAPS = np.linspace(0.0, 1.0, 9)  # shares of the widest gap that are summed over
 OUTLIERS, RANGE = 0.01, 1.0  # share of pixels that may show anything, within so many metres
 LEAST_SLOPE = 1e-3  # metres across a gap for each of depth, of rays along it
@@ -166,17 +173,52 @@ class Grid(NamedTuple):
 def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Beliefs) -> list[StructurePosterior]:
     """Return the structures and those in which some of their boxes are grids, weights still summing to what they did.
 
-    Only boxes that stand upright on a floor with nothing on them are asked.
+    Only boxes that stand upright on a floor with nothing on them are asked: those side by side that are flush with each
+    other as one, for cartons beside a seam that was found are no others than those beyond it.
     """
     found = []
     for part in parts:
         graph, _ = part.best()
         divided = [part]
-        for name in blocks_of(graph):
-            grids = grids_of(graph, name, image, beliefs)
-            divided = [piece for whole in divided for piece in divide(whole, name, grids)]
+        for names in bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit):
+            grids = grids_of(graph, names, image, beliefs)
+            divided = [piece for whole in divided for piece in divide(whole, names, grids)]
         found += divided
     return sorted(found, key=lambda part: -part.weight)
+
+
+def bodies_of(graph: SceneGraph, names: Sequence[str], gap: float, flush: float) -> list[tuple[str, ...]]:
+    """Return the names of boxes in groups, each of which fills one box but for gaps; most of one box alone.
+
+    gap, flush : metres between neighbours and by which their faces may be off, at most.
+    """
+    groups: list[tuple[str, ...]] = [(name,) for name in names]
+    joined = True
+    while joined:
+        joined = False
+        for one, other in permutations(groups, 2):
+            (_, first), (_, second), (_, both) = (hull_of(graph, each) for each in (one, other, one + other))
+            beyond = both - first  # the other's own extent along one level axis, and nothing along the two others
+            axis = int(np.argmax(beyond))
+            level = np.abs(np.delete(beyond, axis)).max() < flush and abs(both[2] - second[2]) < flush
+            shared = abs(float(np.prod(both) - np.prod(first) - np.prod(second)))
+            if axis < 2 and level and shared < (gap + flush) * float(np.prod(np.delete(both, axis))):
+                groups = [*(each for each in groups if each not in (one, other)), one + other]
+                joined = True
+                break
+    return groups
+
+
+def hull_of(graph: SceneGraph, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (pose (4, 4) to camera, size (3,)) of the box about some boxes, along the axes of the first."""
+    pose = graph.poses()[names[0]].copy()
+    ends = np.array(list(product((-0.5, 0.5), repeat=3)))
+    corners = np.concatenate([(ends * np.array(graph.body(name).size())) @ own[:3, :3].T + own[:3, 3]
+                              for name in names for own in (graph.poses()[name],)])  # fmt: skip
+    local = (corners - pose[:3, 3]) @ pose[:3, :3]
+    low, high = local.min(axis=0), local.max(axis=0)
+    pose[:3, 3] += pose[:3, :3] @ (0.5 * (low + high))
+    return pose, high - low
 
 
 def blocks_of(graph: SceneGraph) -> list[str]:
@@ -189,28 +231,101 @@ def blocks_of(graph: SceneGraph) -> list[str]:
     ]  # fmt: skip
 
 
-def grids_of(graph: SceneGraph, name: str, image: Image, beliefs: Beliefs) -> list[Grid]:
-    """Return the Grids that a box may be; none where the prior makes all of them too improbable."""
-    cartons, size = beliefs.loose.cartons, np.array(graph.body(name).size())
-    before = prior_odds(size, cartons, beliefs, image.unit)
-    if max(before.values()) < PRUNE_THRESHOLD:
+def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs) -> list[Grid]:
+    """Return the Grids that a box, or some that are flush, may be; none where all are too improbable before.
+
+    The odds are against the boxes as they were found, whose seams all of the grids have.
+    """
+    cartons, (pose, size) = beliefs.loose.cartons, hull_of(graph, names)
+    before, cuts = odds_before(graph, names, cartons, beliefs, image.unit), cuts_of(graph, names)
+    if max(before.values(), default=-np.inf) < PRUNE_THRESHOLD:
         return []
     index = render_depth(graph.solids(), image.camera)[1]
-    mask = index == list(graph.solid_names).index(name)
-    seen = shown(image.depth, image.sigma, image.camera, graph.poses()[name], size, mask)
+    mask = np.isin(index, [list(graph.solid_names).index(name) for name in names])
+    seen = shown(image.depth, image.sigma, image.camera, pose, size, mask)
     widest = cartons.gap / image.unit
     gains = [[seam_gain(seen, axis, size[axis], number, widest) / image.temper if number > 1 else np.zeros(1)
               for number in range(1, cartons.most + 1)] for axis in range(3)]  # fmt: skip
+    coarsest = {axis: min(parts[axis] for parts in before) for axis, _ in cuts}
+    known = sum(mean_gain(gains[axis][number - 1]) for axis, number in coarsest.items())
     found = []
     for parts, odds in before.items():
         chosen = [gains[axis][number - 1] for axis, number in enumerate(parts)]
-        odds += sum(float(np.logaddexp.reduce(gain)) - np.log(len(gain)) for gain in chosen)
+        odds += sum(mean_gain(gain) for gain in chosen) - known
         found.append(Grid(parts, odds, widest * GAPS[[int(gain.argmax()) for gain in chosen]]))
     return found
 
 
+def counts_of_grids(cartons: Cartons) -> dict[tuple[int, ...], int]:
+    """Return how many cartons each grid has, by their numbers along its axes."""
+    every = product(range(1, cartons.most + 1), repeat=3)
+    return {parts: math.prod(parts) for parts in every if math.prod(parts) >= FEWEST}
+
+
+def prior_of_grids(cartons: Cartons) -> float:
+    """Return the log odds of a grid against one box, but for a share of one over how many cartons it has."""
+    shares = sum(1.0 / count for count in counts_of_grids(cartons).values())
+    return math.log(cartons.probability / (1.0 - cartons.probability) / shares)
+
+
+def mean_gain(gain: np.ndarray) -> float:
+    """Return the nats by which seams explain a box better, of those (n,) of gaps that are as likely as each other."""
+    return float(np.logaddexp.reduce(gain)) - math.log(len(gain))
+
+
+def cuts_of(graph: SceneGraph, names: Sequence[str]) -> list[tuple[int, float]]:
+    """Return (axis of their hull, metres from its low end) of each level seam between boxes that are flush."""
+    pose, size = hull_of(graph, names)
+    into = inverse(pose)
+    found = []
+    for name in names[1:]:
+        place, turn = into @ graph.poses()[name], np.abs((into @ graph.poses()[name])[:3, :3])
+        half = 0.5 * turn @ np.array(graph.body(name).size())
+        ends = np.stack([place[:3, 3] - half, place[:3, 3] + half]) + 0.5 * size
+        inner = np.minimum(ends, size - ends)  # the face that lies deepest within the hull is the seam
+        end, axis = np.unravel_index(int(np.argmax(inner[:, :2] / size[:2])), (2, 2))
+        found.append((int(axis), float(ends[end, axis])))
+    return found
+
+
+def off_a_seam(size: np.ndarray, parts: Sequence[int], cut: tuple[int, float]) -> float:
+    """Return the metres from a cut, as `cuts_of` has it, to the nearest place between equal parts of a hull (3,)."""
+    axis, at = cut
+    part = size[axis] / parts[axis]
+    return abs(at - part * min(max(round(at / part), 1), parts[axis] - 1)) if parts[axis] > 1 else math.inf
+
+
+def odds_before(
+    graph: SceneGraph, names: Sequence[str], cartons: Cartons, beliefs: Beliefs, unit: float
+) -> dict[tuple[int, ...], float]:
+    """Return the log odds of each grid against a box, or some that are flush, before the image is seen.
+
+    Flush boxes are set against each other, and of extents that FLUSH leaves so much room; or they are equal for a
+    reason, a grid themselves of so few. Of grids those remain that have their seams.
+    """
+    _, size = hull_of(graph, names)
+    before = prior_odds(size, cartons, beliefs, unit)
+    if len(names) == 1:
+        return before
+    cuts, boxes = cuts_of(graph, names), np.array([graph.body(name).size() for name in names])
+    found = sum(one_box(each, cartons, beliefs, unit) for each in boxes)
+    found += (len(names) - 1) * (3.0 * math.log(2.0 * FLUSH / unit) + math.log(AGAINST))
+    if np.ptp(boxes, axis=0).max() < FLUSH / unit:
+        few = prior_of_grids(cartons) - 2.0 * math.log(len(names))
+        found = float(np.logaddexp(found, few + one_box(boxes.mean(axis=0), cartons, beliefs, unit)))
+    against = found - one_box(size, cartons, beliefs, unit)
+    return {parts: odds - against for parts, odds in before.items()
+            if all(off_a_seam(size, parts, cut) < FLUSH / unit for cut in cuts)}  # fmt: skip
+
+
+def one_box(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> float:
+    """Return the log density of a box's extents (3,), which is as likely a carton as anything else."""
+    carton = sum(cartons.extent.log_density(float(extent) * unit) + math.log(unit) for extent in size)
+    return float(np.logaddexp(carton, box_log_density(beliefs.sizes[BOX], size, True)) - math.log(2.0))
+
+
 def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float) -> dict[tuple[int, ...], float]:
-    """Return the log odds of each grid against one box of this size (3,), which is as likely a carton as anything else.
+    """Return the log odds of each grid against one box of this size (3,).
 
     The keys are the numbers of cartons along its axes.
     """
@@ -218,18 +333,16 @@ def prior_odds(size: np.ndarray, cartons: Cartons, beliefs: Beliefs, unit: float
     # Of a carton's extent where one of the box's is cut into so many equal parts: (3, most).
     density = np.array([[cartons.extent.log_density(float(extent) / n * unit) + np.log(unit) for n in numbers]
                         for extent in size])  # fmt: skip
-    one = np.logaddexp(density[:, 0].sum(), box_log_density(beliefs.sizes[BOX], size, True)) - np.log(2.0)
-    grids = {parts: math.prod(parts) for parts in product(numbers, repeat=3) if math.prod(parts) >= FEWEST}
-    shares = sum(1.0 / count for count in grids.values())
-    base = float(np.log(cartons.probability / (1.0 - cartons.probability)) - np.log(shares) - one)
+    one = one_box(size, cartons, beliefs, unit)
+    base = prior_of_grids(cartons) - one
     # Twice a share of one over the count: that of the prior, and the Jacobian.
     return {parts: base + sum(float(density[axis, n - 1]) for axis, n in enumerate(parts)) - 2.0 * math.log(count)
-            for parts, count in grids.items()}  # fmt: skip
+            for parts, count in counts_of_grids(cartons).items()}  # fmt: skip
 
 
-def divide(part: StructurePosterior, name: str, grids: Sequence[Grid]) -> list[StructurePosterior]:
-    """Return a structure with one of its boxes as it is and as each grid that is likely enough."""
-    if not grids or part.graph.vertex(name).shape != "box":
+def divide(part: StructurePosterior, names: Sequence[str], grids: Sequence[Grid]) -> list[StructurePosterior]:
+    """Return a structure with a box, or some that are flush, as found and as each grid that is likely enough."""
+    if not grids or any(part.graph.vertex(name).shape != "box" for name in names):
         return [part]
     odds = np.array([0.0, *(grid.odds for grid in grids)])
     one, *others = np.exp(odds - np.logaddexp.reduce(odds))
@@ -243,32 +356,34 @@ def divide(part: StructurePosterior, name: str, grids: Sequence[Grid]) -> list[S
     made = [part.scaled(float(one))] if one else []
     for k in kept:
         leads = k == kept[0] and others[k] > one
-        made.append(as_grid(part if leads else part.best_only(), name, grids[k]).scaled(float(among * others[k])))
+        made.append(as_grid(part if leads else part.best_only(), names, grids[k]).scaled(float(among * others[k])))
     return made
 
 
-def as_grid(part: StructurePosterior, name: str, grid: Grid) -> StructurePosterior:
-    """Return a structure whose box is a grid, its draws those of the box."""
+def as_grid(part: StructurePosterior, boxes: Sequence[str], grid: Grid) -> StructurePosterior:
+    """Return a structure whose box, or some that are flush, are a grid, its draws those of their hull."""
     best, _ = part.best()
-    names = {place: f"{name}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
-    graph = part.graph.remove(name)
+    names = {place: f"{boxes[0]}_{number + 1}" for number, place in enumerate(np.ndindex(*grid.parts))}
+    graph, whole = part.graph, hull_of(best, boxes)
+    for name in boxes:
+        graph = graph.remove(name)
     graph.poses()  # once: a graph that grows keeps what it knows
     for (i, j, k), own in sorted(names.items(), key=lambda item: item[0][2]):
-        pose, size = carton(best, name, grid, (i, j, k))
+        pose, size = carton(best, whole, grid, (i, j, k))
         vertex = Vertex(own, "box", dict(zip(EXTENTS, map(float, size), strict=True)), ROOT, floating(pose))
         parent = FLOOR_NAME if k == 0 else names[i, j, k - 1]
         contact, _ = graph.add(vertex).nearest_contact(own, parent, ON_A_FACE[0], "+z", "-z")
         graph = graph.add(replace(vertex, parent=parent, contact=without(contact, "gap", *TILTS)))
     every = max(1, part.log_density.shape[1] // DRAWS)
     part = part.at((slice(None), slice(None, None, every)))
-    others = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] != name]
+    others = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] not in boxes]
     own_addresses = [address for address in graph.numbers() if address.partition(".")[0] in names.values()]
     drawn = np.empty((*part.log_density.shape, len(own_addresses)))
     for place in np.ndindex(part.log_density.shape):
         box = part.graph_at(*place)
-        places = {}
+        whole, places = hull_of(box, boxes), {}
         for cell, own in names.items():
-            pose, size = carton(box, name, grid, cell)
+            pose, size = carton(box, whole, grid, cell)
             places[own] = pose, dict(zip(EXTENTS, map(float, size), strict=True))
         numbers = numbers_at(replace(graph, root_pose=box.root_pose), box.root_pose, places)
         drawn[place] = [numbers[address] for address in own_addresses]
@@ -277,10 +392,12 @@ def as_grid(part: StructurePosterior, name: str, grid: Grid) -> StructurePosteri
                    values=np.concatenate([part.values[..., others], drawn], axis=2))  # fmt: skip
 
 
-def carton(graph: SceneGraph, name: str, grid: Grid, cell: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (pose (4, 4) in the floor's axes, size (3,)) of one carton of a grid that fills a box."""
-    whole, count = np.array(graph.body(name).size()), np.array(grid.parts)
-    size = (whole - (count - 1) * grid.gap) / count
-    pose = inverse(graph.root_pose) @ graph.poses()[name]
+def carton(
+    graph: SceneGraph, whole: tuple[np.ndarray, np.ndarray], grid: Grid, cell: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (pose (4, 4) in the floor's axes, size (3,)) of one carton of a grid that fills a box, see `hull_of`."""
+    count = np.array(grid.parts)
+    size = (whole[1] - (count - 1) * grid.gap) / count
+    pose = inverse(graph.root_pose) @ whole[0]
     pose[:3, 3] += pose[:3, :3] @ ((np.array(cell) - 0.5 * (count - 1)) * (size + grid.gap))
     return pose, size

@@ -16,14 +16,27 @@ from derender.detection.solids.state import FLOOR, State
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.grids import GAPS, Grid, Image, Shown, divide, prior_odds, seam_gain, with_grids
+from derender.structures.grids import (
+    GAPS,
+    Grid,
+    Image,
+    Shown,
+    blocks_of,
+    bodies_of,
+    divide,
+    hull_of,
+    odds_before,
+    prior_odds,
+    seam_gain,
+    with_grids,
+)
 
 CAMERA = Camera(fx=290.0, fy=290.0, cx=159.5, cy=119.5, width=320, height=240)
 SIZE, SIGMA, GAP = np.array([0.36, 0.25, 0.22]), 0.004, 0.004
 
 
-def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05):
-    """Return (part with one box, Image) of cartons that stand so close on a floor."""
+def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05, slabs=1):
+    """Return (part with one box, or so many slabs, Image) of cartons that stand so close on a floor."""
     floor = rotation_x(np.pi / 2 + np.radians(40))
     floor[:3, 3] = [0.0, 0.1, 2.2]
     counts = np.array(counts)
@@ -38,7 +51,10 @@ def pallet(gap=GAP, counts=(2, 3, 2), turn=0.05):
     depth, _ = render_floor_scene(["box"] * len(cells), np.array(poses), [SIZE] * len(cells), floor, camera)
     depth = depth + SIGMA * np.random.default_rng(1).standard_normal(depth.shape)
     block = make_row(BOX, way, [0.0, 0.0, 0.5 * whole[2]], whole)
-    graph = scene_graph(State(block[None], [UPRIGHT], [False], [FLOOR], [0.0]), floor)
+    slab = (whole - [(slabs - 1) * gap, 0.0, 0.0]) / [slabs, 1.0, 1.0]
+    middles = [way @ [(k - 0.5 * (slabs - 1)) * (slab[0] + gap), 0.0, 0.5 * whole[2]] for k in range(slabs)]
+    rows = np.array([make_row(BOX, way, middle, slab) for middle in middles])
+    graph = scene_graph(State(rows, [UPRIGHT] * slabs, [False] * slabs, [FLOOR] * slabs, [0.0] * slabs), floor)
     addresses = ("box_1.length", "box_1.contact.x")
     start = [graph.numbers()[address] for address in addresses]
     values = np.array(start) + 1e-4 * np.random.default_rng(2).standard_normal((2, 30, 2))
@@ -95,12 +111,54 @@ def test_without_gaps_nothing_is_sure_and_seams_are_evidence_for_their_own_numbe
     assert len(GAPS) == len(seam_gain(none, 0, 0.9, 3, 0.006))
 
 
+def test_slabs_that_are_flush_are_parts_of_one_grid():
+    """Layers that no seam tells are as many in one slab as in the other, and both are made of the same cartons."""
+    part, image, block, whole = pallet(slabs=2)
+    found = with_grids([part], image, bare_image())
+    assert sum(each.weight for each in found) == pytest.approx(1.0) and found[0].weight < 0.95
+    assert sum(each.weight for each in found if counts_of(each.graph)[1] == 6) > 0.9
+    for each in found:
+        graph, _ = each.best()
+        sizes = np.array([graph.body(vertex.name).size() for vertex in graph.vertices if vertex.shape == "box"])
+        assert len(sizes) >= 4 and np.ptp(sizes, axis=0) == pytest.approx(0.0, abs=1e-4)
+        assert each.values.shape[2] == len(each.addresses) == len(each.periods)
+
+
+@pytest.mark.parametrize("step, together", [((0.352, 0.0, 0.0), True), ((0.38, 0.0, 0.0), False),
+                                            ((0.352, 0.03, 0.0), False), ((0.0, 0.254, 0.0), True)])  # fmt: skip
+def test_boxes_are_asked_together_where_they_are_flush(step, together):
+    rows = np.array([make_row(BOX, np.eye(3), np.array([0.0, 0.0, 0.2]) + k * np.array(step), [0.35, 0.25, 0.4])
+                     for k in range(3)])  # fmt: skip
+    graph = scene_graph(State(rows, [UPRIGHT] * 3, [False] * 3, [FLOOR] * 3, [0.0] * 3), np.eye(4))
+    groups = bodies_of(graph, blocks_of(graph), 0.006, 0.01)
+    assert sorted(map(len, groups)) == ([3] if together else [1, 1, 1])
+    if together:
+        _, size = hull_of(graph, groups[0])
+        assert size == pytest.approx(np.array([0.35, 0.25, 0.4]) + 2.0 * np.array(step))
+
+
+HOUSEHOLD = ([[0.1] * 3] * 2, [[0.1, 0.12, 0.1], [0.05, 0.12, 0.1]], [[0.04] * 3] * 3, [[0.12, 0.09, 0.1]] * 2)
+SLABS = ([[0.36, 0.8, 0.6]] * 2, [[0.4, 0.7, 0.5], [0.8, 0.7, 0.5]])
+
+
+@pytest.mark.parametrize("sizes, cartons", [*((each, False) for each in HOUSEHOLD), *((each, True) for each in SLABS)])
+def test_a_household_sets_boxes_against_each_other_without_their_being_pallets(sizes, cartons):
+    ends = np.cumsum([0.0, *(size[0] + 0.002 for size in sizes)])
+    rows = np.array([make_row(BOX, np.eye(3), [end + 0.5 * size[0], 0.0, 0.5 * size[2]], size)
+                     for size, end in zip(sizes, ends, strict=False)])  # fmt: skip
+    many = len(rows)
+    graph = scene_graph(State(rows, [UPRIGHT] * many, [False] * many, [FLOOR] * many, [0.0] * many), np.eye(4))
+    ((*names,),) = bodies_of(graph, blocks_of(graph), 0.006, 0.01)
+    odds = odds_before(graph, names, bare_image().loose.cartons, bare_image(), 1.0)
+    assert np.logaddexp.reduce([*odds.values()]) > np.log(20.0) if cartons else max(odds.values()) < np.log(0.02)
+
+
 @pytest.mark.parametrize("many", [3, 40])
 def test_grids_too_many_to_be_told_leave_the_one_box_its_share(many):
     """Of forty grids of .02 each and one box of .2 some are left out: the box keeps .2, and has none of their share."""
     part, *_ = pallet()
     grids = [Grid((2, 2, 1 + k % 5), np.log(0.8 / many / 0.2), np.full(3, GAP)) for k in range(many)]
-    found = divide(part, "box_1", grids)
+    found = divide(part, ("box_1",), grids)
     assert sum(each.weight for each in found) == pytest.approx(1.0)
     assert found[0].graph.names == part.graph.names and found[0].weight == pytest.approx(0.2)
 
@@ -109,8 +167,8 @@ def test_one_box_that_many_unlikely_grids_outweigh_is_not_sure():
     """Each of 60 grids is below what is told, and all of them together are a third."""
     part, *_ = pallet()
     grids = [Grid((2, 2, 1), np.log(0.5 / 60), np.full(3, GAP))] * 60
-    assert divide(part, "box_1", grids)[0].weight == pytest.approx(2.0 / 3.0)
-    assert divide(part, "box_1", [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60) == [part]
+    assert divide(part, ("box_1",), grids)[0].weight == pytest.approx(2.0 / 3.0)
+    assert divide(part, ("box_1",), [Grid((2, 2, 1), -20.0, np.full(3, GAP))] * 60) == [part]
 
 
 def test_the_prior_of_grids_keeps_its_metres_in_any_unit_and_leaves_household_boxes_alone():
