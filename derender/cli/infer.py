@@ -19,13 +19,15 @@ if TYPE_CHECKING:
 
 def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int | None:
     """Follow the things of a film; arguments : those of `derender infer`, by name."""
+    from derender.dynamics.parameters import read_dynamics_prior
     from derender.structures.options import Options
     from derender.tracking.run import track_to_folder
 
     prior = arguments["prior"]
     if prior and not arguments["dynamics"]:
         raise DerenderError("--track finds everything from the film", "--prior", "leave it out, or give --dynamics")
-    known = {field.name for field in fields(Options)}
+    believed = read_dynamics_prior(prior) if prior else None  # its faults are told before the film is followed
+    known = {field.name for field in fields(Options)} - {"prior"}  # which says nothing of the first frame's scene
     wanted = Options(**{key: value for key, value in arguments.items() if key in known})
     watch = bool(arguments["watch"])
     with talk.bar(not watch) as bar:
@@ -39,7 +41,7 @@ def follow(talk: Talk, images: Sequence[str], arguments: dict[str, Any]) -> int 
     if arguments["dynamics"]:
         from derender.tracking.materials import materials_to_folder
 
-        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line(), prior):
+        for line in materials_to_folder(outcome.track, outcome.folder, wanted.seed, command_line(), believed):
             click.echo(line)
     talk.say(f"wrote {outcome.folder}/")
     return None

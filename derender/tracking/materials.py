@@ -8,7 +8,7 @@ import numpy as np
 from derender.atomic import write_text
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import Motion, motion_of
-from derender.dynamics.parameters import read_dynamics_prior
+from derender.dynamics.parameters import Prior
 from derender.dynamics.result import Answer
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
@@ -113,22 +113,21 @@ def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
 
 
 def materials_to_folder(
-    track: Track, folder: Path, seed: int | None, command: str, prior: str | None = None
+    track: Track, folder: Path, seed: int | None, command: str, prior: Prior | None = None
 ) -> list[str]:
     """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
 
-    prior : a YAML file, or None; see dynamics.parameters.
+    prior : what is believed of the materials before; None: the default of dynamics.parameters.
 
-    Raises
-    ------
-    DerenderError : where nothing moved, and for what is wrong with the prior.
+    Raises DerenderError : where nothing moved, or nothing can have.
     """
-    believed = read_dynamics_prior(prior)
+    if len(track.times) < 2:
+        raise DerenderError("one frame shows no motion", folder, "give a film, or leave out --dynamics")
     motion = motion_of_track(track)
     if not motion.names:
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
-    answer = Answer(identify(motion, rng, believed), rng)
+    answer = Answer(identify(motion, rng, prior), rng)
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
     write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json()}))

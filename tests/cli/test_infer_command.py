@@ -220,3 +220,20 @@ def test_a_bare_image_by_jumps_and_by_populations_ends_with_a_scene(tmp_path, me
     np.testing.assert_allclose(sorted(block["size"]), [0.08, 0.1, 0.12], atol=0.02)  # sd 6 to 12 mm between draws
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["draws"] == 6 and not summary["trusted"] and (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_prior_of_materials_goes_with_a_film(tmp_path):
+    """It is read before the film is followed, and is no prior of the scene."""
+    np.save(tmp_path / "only_a_floor.npy", np.full((24, 32), 0.9))
+    film = [tmp_path / "only_a_floor.npy", "--track", "--dynamics", "--prior", tmp_path / "prior.yaml", "-q"]
+    (tmp_path / "prior.yaml").write_text("dynamics: {frction: {uniform: [0.1, 0.3]}}\n")
+    with pytest.raises(DerenderError, match="prior.yaml, line 1, dynamics.frction: this key is unknown here"):
+        infer(*film, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "prior.yaml").write_text("dynamics: {friction: {uniform: [0.1, 0.3]}}\n")
+    with pytest.raises(DerenderError, match="one frame shows no motion"):
+        infer(*film, "-o", tmp_path / "out")
+    np.save(tmp_path / "still_only.npy", np.full((24, 32), 0.9))
+    with pytest.raises(DerenderError, match="nothing moves by itself"):
+        infer(tmp_path / "still_only.npy", *film, "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "track.json").exists()
