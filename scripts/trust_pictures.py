@@ -63,7 +63,7 @@ def main(target):
             print("  ", found.name, (1000 * found.size).round(), "±", (1000 * found.size_error).round(1), "mm")
         panels += [panel(image, posterior), np.full((2 * SIZE[1] + GAP, GAP, 3), 255, np.uint8)]
     picture = Image.fromarray(np.hstack(panels[:-1]))
-    picture.quantize(160).save(target, optimize=True)
+    picture.save(target, optimize=True)
 
 
 if __name__ == "__main__":
