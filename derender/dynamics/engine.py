@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from derender.dynamics.errors import impulses
 from derender.dynamics.states import STATE, to_poses
 from derender.physics.bodies import STANDARD_GRAVITY, Matter
 from derender.physics.mujoco_model import Diverged, World
@@ -61,6 +62,8 @@ class Engine:
         bodies.sort(key=lambda body: order.get(body.name, len(order)))
         matter = matter._replace(bodies=tuple(bodies))
         self.gravity = np.asarray(matter.gravity, float)
+        floor = next((body.pose[:3, 2] for body in bodies if body.kind == "plane"), -self.gravity)
+        self._normal = floor / (float(np.linalg.norm(floor)) or 1.0)
         self.interval = interval
         self.masses = np.array([body.weight_in_kg() for body in bodies[: len(names)]])
         self._names, self._all_names = names, [body.name for body in bodies]
@@ -130,6 +133,10 @@ class Engine:
         result[:, 7:10] = speed[:, :3] * (length / time)
         result[:, 10:] = speed[:, 3:] / time
         return result, hardest
+
+    def impulses(self, before: np.ndarray, after: np.ndarray, friction: float) -> np.ndarray:
+        """Return (..., N, 2) what `errors.impulses` says of an interval from states to states (..., N, 13)."""
+        return impulses(before, after, self.gravity, self.interval, self._normal, friction)
 
     def overlaps(self, states: np.ndarray) -> np.ndarray:
         """Return (N,) metres by which each body should be raised so that it enters nothing below it."""

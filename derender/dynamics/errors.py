@@ -1,9 +1,10 @@
 """How wrong the engine and the tracking are: scales that are learnt with everything else.
 
 Between two frames the engine errs by a share of the impulse that contacts give. An impact's impulse is the change of
-velocity beyond what gravity and a resting or sliding contact explain; its error is independent from one impact to the
-next, so that after each one the film, not the engine, says where a body goes. What follows an impact is chaotic (Zhou,
-Pinto, Gupta 2018: "More than a million ways to be pushed"); here that needs no special case.
+velocity beyond what gravity and a contact that rests or slides on the floor explain: more along the floor's normal, or
+beyond friction's cone about it, where Coulomb's law leaves nothing but another body. Its error is independent from one
+impact to the next, so that after each one the film, not the engine, says where a body goes. What follows an impact is
+chaotic (Zhou, Pinto, Gupta 2018: "More than a million ways to be pushed"); here that needs no special case.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,8 @@ LEAST_IMPACT, LATE = 0.01, 0.001
 # bounces as if restitution were off by so much: half of the worst that drops leave (scripts/evaluate.py physics).
 # Neither averages out.
 ENGINE_FRICTION, ENGINE_RESTITUTION = 0.02, 0.015
-# A resting or sliding contact changes the velocity by at most so many times gravity's share: friction up to 1.1.
+# A resting or sliding contact changes the velocity by at most so many times gravity's share: friction up to 1.1, or a
+# box that rocks as it slides.
 STEADY = 1.5
 # An impulse at half a cube's side from its centre turns it by 3 / side; the mean over a face is 2 / side.
 LEVER = 2.0
@@ -42,11 +44,23 @@ class Scales(NamedTuple):
     turning: float
 
 
-def impulses(before: np.ndarray, after: np.ndarray, gravity: np.ndarray, interval: float) -> np.ndarray:
-    """Return (..., 2): changes of velocity (m / s) by impacts, and by steady contacts, from states to states."""
-    weight = float(np.linalg.norm(gravity)) * interval
-    change = np.linalg.norm(after[..., 7:10] - before[..., 7:10] - gravity * interval, axis=-1)
-    return np.stack([np.maximum(change - STEADY * weight, 0.0), np.minimum(change, STEADY * weight)], axis=-1)
+def impulses(
+    before: np.ndarray, after: np.ndarray, gravity: np.ndarray, interval: float, normal: np.ndarray, friction: float
+) -> np.ndarray:
+    """Return (..., 2): changes of velocity (m / s) by impacts, and by steady contacts, from states to states.
+
+    Parameters
+    ----------
+    normal : (3,), the floor's. friction : Coulomb coefficient: an interval's impulses of contacts with the floor sum to
+        one within its cone, because the cone is convex.
+    """
+    most = STEADY * float(np.linalg.norm(gravity)) * interval
+    change = after[..., 7:10] - before[..., 7:10] - gravity * interval
+    lifted = change @ normal
+    across = np.linalg.norm(change - lifted[..., None] * normal, axis=-1)
+    hit = np.maximum(lifted - most, 0.0)
+    struck = np.maximum(across - friction * np.clip(lifted, 0.0, most), 0.0)
+    return np.stack([np.hypot(hit, struck), np.minimum(np.linalg.norm(change, axis=-1), most)], axis=-1)
 
 
 def velocity_errors(impulse: np.ndarray, scales: Scales) -> np.ndarray:

@@ -31,6 +31,7 @@ class Impacts:
     Attributes
     ----------
     motion : the film, of `frames` frames and `count` bodies. seen : (T, N) bool, where a pose tells something.
+    rested : (N,) bool, whether a body rests in the first frame.
     tracked : (T, N, 13), states at rest at the tracked poses. spread : (T, N, 6, 6), their covariances.
     is_cut : (T, N) bool, the first frame and the first one after each impact; cuts : their (frame, body).
     """
@@ -38,7 +39,7 @@ class Impacts:
     def __init__(self, motion: Motion) -> None:
         self.motion, self.gravity = motion, np.asarray(motion.matter.gravity, float)
         self.count, self.frames = len(motion.names), len(motion.times)
-        self.seen = motion.fresh
+        self.seen, self.rested = motion.fresh, motion.held[1]
         self.bodies = [motion.body(name) for name in motion.names]
         self.sizes = np.array([float(np.mean(body.size)) for body in self.bodies])
         known = motion.seen[..., None, None]
@@ -67,9 +68,11 @@ class Impacts:
         # it alone: the frame after the last of these is after the kink in any case.
         result[2:] = jumps
         result[2:-1] &= ~jumps[1:]
-        # What rested and is struck shows when: whatever else moves may be what struck it.
-        shift = np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK
-        for begun in np.argmax(shift, axis=0) if self.count > 1 else ():
+        # What rested and is struck shows when: whatever else moves may be what struck it. If it is slow, its pose
+        # is let go by tracking some frames before it is that far.
+        gone = np.argmax(np.linalg.norm(states[..., :3] - states[0, :, :3], axis=-1) > STRUCK, axis=0)
+        let_go = 1 + np.argmin(self.motion.held[1:], axis=0)
+        for begun in np.where(self.rested, np.minimum(gone, let_go), gone) if self.count > 1 else ():
             if begun > 1:
                 result[begun - 1 : begun + 3] = False
                 result[begun] = True
@@ -101,7 +104,7 @@ class Impacts:
         count = min(FITTED, len(states) - frame)
         if len(later):
             count = min(count, max(int(later[0]), min(2, int(later[0]) + 1)))
-        if count < 2:
+        if count < 2 or (frame == 0 and self.rested[k]):
             return np.zeros(6)
         time = self.motion.step * np.arange(count)
         way = difference(states[frame, k], states[frame : frame + count, k])[:, :6]

@@ -220,18 +220,23 @@ def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
 
 
 def find_modes(shooting: Shooting) -> list[Mode]:
-    """Return modes from several starts, the best first; those far below it are left out."""
+    """Return modes from several starts, the best first; those far below it are left out.
+
+    Where the density is rugged, further steps of the best may end below it.
+    """
     found = [find_mode(shooting, shooting.first_path(start), FIRST, SHORT) for start in first_coordinates(shooting)]
     found.sort(key=lambda mode: -mode.log_marginal)
-    best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
-    return [best, *(mode for mode in found[1:] if mode.log_marginal > best.log_marginal - CLOSE)]
+    longer = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
+    found[0] = max(found[0], longer, key=lambda mode: mode.log_marginal)
+    return [mode for mode in found if mode.log_marginal > found[0].log_marginal - CLOSE]
 
 
 def apart(modes: Sequence[Mode]) -> np.ndarray:
     """Return (P,) by how much the coordinates of modes differ from the best's, root mean square.
 
     After an impact films are chaotic, and so is their density: 10 nats between modes, of which each is narrow, are the
-    engine's noise and no evidence. Draws are about the best one alone.
+    engine's noise and no evidence. (At steps of .8 to 1 times the engine's, densities of four collisions differ by up
+    to 5 nats.) Draws are about the best one alone.
     """
     coordinates = np.array([mode.path.coordinates for mode in modes])
     return np.sqrt(np.mean((coordinates - coordinates[0]) ** 2, axis=0))

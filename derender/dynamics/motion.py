@@ -52,12 +52,19 @@ class Motion(NamedTuple):
         return np.isfinite(self.poses).all(axis=(2, 3))
 
     @property
+    def held(self) -> np.ndarray:
+        """(T, N) bool, where a pose is the one of the frame before, held while the body rests."""
+        result = np.zeros(self.poses.shape[:2], bool)
+        result[1:] = np.abs(np.diff(np.nan_to_num(self.poses, nan=1e9), axis=0)).max(axis=(2, 3)) < REPEATED
+        return result & self.seen
+
+    @property
     def fresh(self) -> np.ndarray:
-        """(T, N) bool, where a pose tells something: not between two others that are the same, held while it rests."""
-        same = np.abs(np.diff(np.nan_to_num(self.poses, nan=1e9), axis=0)).max(axis=(2, 3)) < REPEATED
-        held = np.zeros(self.poses.shape[:2], bool)
-        held[1:-1] = same[:-1] & same[1:]
-        return self.seen & ~held
+        """(T, N) bool, where a pose tells something: not between two others that are the same."""
+        between = self.held
+        between[:-1] &= between[1:]
+        between[-1] = False
+        return self.seen & ~between
 
     def noise(self, k: int) -> np.ndarray:
         """Return the covariance (F, 6, F, 6) of body k's poses over its F fresh frames."""

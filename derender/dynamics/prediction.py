@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.dynamics.engine import Engine, Material
-from derender.dynamics.errors import LEVER, Scales, impulses, velocity_errors
+from derender.dynamics.errors import LEVER, Scales, velocity_errors
 from derender.dynamics.inference import Identified
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
@@ -47,7 +47,7 @@ def come_to_rest(
         speed = np.hypot(np.linalg.norm(after[:, 7:10], axis=1), np.linalg.norm(after[:, 10:], axis=1) * sizes)
         calm = calm + 1 if speed.max() < RESTS else 0
         if scales is not None and rng is not None:
-            error = velocity_errors(impulses(now, after, engine.gravity, engine.interval), scales)
+            error = velocity_errors(engine.impulses(now, after, material.friction), scales)
             error = np.where(speed > RESTS, error, 0.0)
             after[:, 7:10] += error[:, None] * rng.standard_normal((len(after), 3))
             after[:, 10:] += (LEVER * error / sizes)[:, None] * rng.standard_normal((len(after), 3))

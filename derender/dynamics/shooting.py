@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import SLIDING_RESTITUTION, Engine, Material
-from derender.dynamics.errors import LATE, LEVER, Scales, impulses, velocity_errors
+from derender.dynamics.errors import LATE, LEVER, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, Impacts
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
@@ -86,10 +86,11 @@ class Shooting(Impacts):
         self.planes = [
             plane_under(self.bodies[k], planes, states[:, k]) if frame == 0 else None for frame, k in self.cuts
         ]
-        self.ways = [
-            FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
-            for (frame, k), plane in zip(self.cuts, self.planes, strict=True)
-        ]
+        self.ways = []
+        for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
+            ways = FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
+            # tracking that holds a pose says that the body rests: its speed is no unknown
+            self.ways.append(ways[:, : ways.shape[1] // 2] if frame == 0 and self.rested[k] else ways)
         ends = np.cumsum([0, *(ways.shape[1] for ways in self.ways)])
         self.parts = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
@@ -162,7 +163,8 @@ class Shooting(Impacts):
 
     def impulses(self, path: Path) -> np.ndarray:
         """Return the contacts' changes of velocity (T - 1, N, 2) along a path."""
-        return impulses(path.states[:-1], path.arrived[1:], self.engine.gravity, self.engine.interval)
+        friction = self.parameters.material(path.coordinates).friction
+        return self.engine.impulses(path.states[:-1], path.arrived[1:], friction)
 
     def bounces(self, path: Path) -> bool:
         """Return whether an impact along a path tells restitution: one that is fast, or that tracking shows of two."""
