@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.beliefs import Rules
+from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.graph import matched_names, scene_graph, structure_key
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.state import FLOOR, State
@@ -164,10 +164,13 @@ def test_an_engine_begun_at_the_wall_scores_as_a_full_evaluation_does(name):
 
 @pytest.mark.parametrize("theta", [0.0, 0.5, math.pi / 4])
 def test_places_on_a_top_integrate_to_their_rate(theta):
-    """The prior summed over all places where child and parent touch is that of the sizes and the turn."""
+    """The prior summed over all places where child and parent touch is that of the sizes and the turn, what would tip
+    being as likely as what would not."""
+    beliefs = bare_image()
+    rules = Rules(0.0015, beliefs=beliefs._replace(loose=replace(beliefs.loose, tipping=1.0)))
     state = State().add(row(BOX, 0.2, 0.0, 0.0, 0.0, (0.09, 0.05, 0.06)), UPRIGHT, False, FLOOR, 0.0)
     state = state.add(row(BOX, 0.2 + theta, 0.0, 0.0, 0.06, (0.08, 0.04, 0.05)), UPRIGHT, False, 0, 0.06)
-    chart, values = make_chart(state, floor_pose(), Rules(0.0015))
+    chart, values = make_chart(state, floor_pose(), rules)
     step = 0.001
     total = 0.0
     for x, y in itertools.product(np.arange(-0.12, 0.12, step), repeat=2):
@@ -176,7 +179,7 @@ def test_places_on_a_top_integrate_to_their_rate(theta):
     alone = state.copy()
     alone.rows[1, 12] -= 0.06
     alone.parents[1], alone.bottoms[1] = FLOOR, 0.0
-    other, start = make_chart(alone, floor_pose(), Rules(0.0015))
+    other, start = make_chart(alone, floor_pose(), rules)
     share = total / math.exp(solid_log_prior(other, rows_at(other, start), 1))
     assert share == pytest.approx(1.0, rel=0.02)  # the grid's border
     # a broken twin: the area as if the axes were parallel
