@@ -130,6 +130,7 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
         for name in ("frame", "result", "objects", "misgivings")
     )
     body = "".join(_row(folder, name, states[name], rows) for name, rows in frames.items())
+    ranges = ", ± half of their 90 % ranges" if "±" in body else ""
     inside = (
         f"<h1>{len(frames)} frame{'s' if len(frames) != 1 else ''}</h1>"
         f'<form><fieldset><legend>Show</legend>{filters}</fieldset><label class="search">Search '
@@ -138,7 +139,7 @@ def index_page(folder: Path, frames: Mapping[str, Sequence[Mapping[str, Any]]]) 
         '<span role="status"></span></p>'
         '<div class="scroll" tabindex="0" role="region" aria-label="frames"><table><thead><tr>'
         f'<th scope="col">depth and best scene</th>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
-        f'<p class="soft">Sizes are length × width × height in centimetres, ± half of their 90 % ranges. '
+        f'<p class="soft">Sizes are length × width × height in centimetres{ranges}. '
         f"derender {__version__}</p>"
     )
     style, script = ((HERE / name).read_text() for name in ("index.css", "index.js"))
