@@ -260,6 +260,8 @@ def command(talk: Talk, **arguments: Any) -> int | None:
         from derender.batch.frames import find_frames
 
         first, *others = (frame.path for frame in find_frames(images, arguments["output"] or "inferred"))
+        if not others:
+            talk.warn("--together says nothing here: there is one image")
         return _one(talk, first, arguments, others, poses)
     if watch or scheduler or is_many(images):
         return _many(talk, images, watch, scheduler, arguments)

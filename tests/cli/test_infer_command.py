@@ -237,3 +237,10 @@ def test_a_prior_of_materials_goes_with_a_film(tmp_path):
     with pytest.raises(DerenderError, match="nothing moves by itself"):
         infer(tmp_path / "still_only.npy", *film, "-o", tmp_path / "out")
     assert (tmp_path / "out" / "track.json").exists()
+
+
+def test_one_image_together_with_itself_is_told(tmp_path):
+    np.save(tmp_path / "only_a_floor.npy", np.full((24, 32), 0.9))
+    twice = [tmp_path / "only_a_floor.npy"] * 2
+    result = infer(*twice, "--together", "--poses", tmp_path / "none.json", "--quick", "-o", tmp_path / "out")
+    assert "--together says nothing here: there is one image" in result.stderr
