@@ -222,13 +222,12 @@ def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
 def find_modes(shooting: Shooting) -> list[Mode]:
     """Return modes from several starts, the best first; those far below it are left out.
 
-    Where the density is rugged, further steps of the best may end below it.
+    The best goes on with lost poses counted as what they are, which is another density: starts are compared without.
     """
     found = [find_mode(shooting, shooting.first_path(start), FIRST, SHORT) for start in first_coordinates(shooting)]
     found.sort(key=lambda mode: -mode.log_marginal)
-    longer = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
-    found[0] = max(found[0], longer, key=lambda mode: mode.log_marginal)
-    return [mode for mode in found if mode.log_marginal > found[0].log_marginal - CLOSE]
+    best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
+    return [best, *(mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE)]
 
 
 def apart(modes: Sequence[Mode]) -> np.ndarray:
