@@ -54,6 +54,7 @@ ASIDE, UPSIDE_DOWN, FACED = 3.6, 4.5, 1.4
 CEILING, STEEP = 1.1, 0.64
 CLOSE, RIVALS = 3.0, 2  # nats behind the likeliest floor within which another plane is weighed too; how many at most
 DISTINCT = 0.7  # of a plane's points that lie off the likelier ones, from which on it is another plane
+SQUARE = 0.1  # cosine between a top's normal and that of a side below it, at most
 UPWARD = 0.5  # cosine between the image's upward direction and the normal of a floor before a wall, at least
 FACING = 0.25  # sine of the angle between a plane's normal and the optical axis within which the camera faces it
 SAMPLE = 1500  # points looked at, about
@@ -211,12 +212,15 @@ def odds_of_floors(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, off
     sample : (S, 3) points. near : (S,) metres, see `tolerance_of`.
     """
     score, share = scores(sample, near, normal, offset)
+    below = below_a_top(normal, score, share)
     if (score > SMALL_FLOOR).any():
         score = np.where(score > SMALL_FLOOR, score, 0.0)
     level = np.zeros(len(normal), bool)
     if gravity is not None:
         level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
     odds = WORTH * np.log(np.maximum(score, SMALL)) + prior_of(normal, offset, bool(level.any()))
+    if not level.any():
+        odds = np.where(below, odds - UPSIDE_DOWN + CEILING, odds)
     return np.where(level, odds, -np.inf) if level.any() else odds, share
 
 
@@ -234,6 +238,21 @@ def prior_of(normal: np.ndarray, offset: np.ndarray, level: bool) -> np.ndarray:
     downwards = np.where(y > STEEP, -CEILING, -UPSIDE_DOWN)
     turned = np.where(x > np.abs(y), -ASIDE, np.where(y > 0.0, downwards, 0.0))
     return odds + np.where(np.hypot(x, y) < FACING, -FACED, turned)
+
+
+def below_a_top(normal: np.ndarray, score: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: which planes face steeply downwards where another faces up, square to them and behind them.
+
+    That is rather a box's side below its top than the floor of a camera held upside down: a wall stands before a floor.
+    normal (N, 3), score and share (N,) : of planes, see `scores`.
+    """
+    downwards = (normal[:, 1] > STEEP) & (np.abs(normal[:, 0]) <= normal[:, 1])
+    tops = (score > FLOOR_SHARE) & (-normal[:, 1] > UPWARD)
+    if not (downwards.any() and tops.any()):
+        return np.zeros(len(normal), bool)
+    top = int(np.argmax(np.where(tops, score, -np.inf)))
+    behind = (share - score) / UNDER > 0.5 * share[top]
+    return downwards & behind & (np.abs(normal @ normal[top]) < SQUARE)
 
 
 def scores(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: np.ndarray,

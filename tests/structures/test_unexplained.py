@@ -61,7 +61,8 @@ def test_searches_go_on_while_something_hangs_in_the_air(monkeypatch):
 
     made = []
 
-    def one_search(rng, image, hypotheses, settings, early, state=None):
+    def one_search(rng, image, hypotheses, settings, early, state=None, shake=0.0):
+        assert (shake > 0.0) == (len(made) >= 2)  # the first pair did not agree with what is there: begin otherwise
         made.append(len(made))
         state = cube()
         state.bottoms[0] = 0.0 if len(made) > 4 else np.nan
