@@ -174,15 +174,16 @@ def outcomes(
             yield from pool.map(run, enumerate(scenes))
 
 
-def chance_of(happened: Sequence[bool]) -> Chance:
+def chance_of(happened: Sequence[bool], before: float = 0.5) -> Chance:
     """Return how probable something is that happened in some of the draws, by Jeffreys' estimate, and its error.
 
     The estimate (k + 1/2) / (n + 1) is never surer than n draws can make it: a thousand that agree leave .0005.
+    before : the probability before any draw, in place of that 1/2.
     """
     count = len(happened)
     if count == 0:
         return Chance(float("nan"), float("nan"), 0)
-    centred = (sum(happened) + 0.5) / (count + 1)
+    centred = (sum(happened) + before) / (count + 1)
     return Chance(centred, float(np.sqrt(centred * (1 - centred) / (count + 2))), count)
 
 

@@ -100,7 +100,7 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -
             continue
         there = [run for run in runs if any(other.name == body.name for other in run.matter.bodies)]
         falls = [run.verdict == FALLS and body.name in run.fallen for run in there]
-        chance = chance_of(falls) if drawn else Chance(float(any(falls)), 0.0, 1)
+        chance = chance_of(falls, BEFORE[FALLS]) if drawn else Chance(float(any(falls)), 0.0, 1)
         found["p_falls"][body.name] = chance.probability if there else None
         found["p_falls_error"][body.name] = chance.error if there else None
     if all(len(run.by_engine) > 1 for run in runs):

@@ -11,7 +11,7 @@ from derender.physics.intervention import Disturbance, Push, intervention, read_
 from derender.physics.outcome import chance_of, probability, simulate_scene
 from derender.physics.settle import settled_graph
 from derender.physics.simulate import judge, simulate
-from derender.physics.summary import assumptions
+from derender.physics.summary import assumptions, summary_of
 from derender.scene.pose import translation
 
 TEXT = """
@@ -157,6 +157,13 @@ def test_probabilities_have_errors_and_stop_when_known(graph):
     spread = [chance_of(draws).error for draws in (np.random.default_rng(0).random((200, 100)) < 0.3)]
     shares = (np.random.default_rng(0).random((200, 100)) < 0.3).mean(axis=1)
     assert np.mean(spread) == pytest.approx(np.std(shares), rel=0.15)
+
+
+def test_no_object_falls_more_likely_than_the_scene(graph):
+    runs = [simulate_scene(graph, engine="statics") for _ in range(3)]
+    found = summary_of(runs[0], runs, [])
+    assert found["p_verdict"]["falls"] == pytest.approx(0.25 / 4)  # none fell
+    assert set(found["p_falls"].values()) == {found["p_verdict"]["falls"]}
 
 
 def test_a_settled_scene_is_a_scene_that_stands(graph, tmp_path):
