@@ -15,7 +15,9 @@ from derender.structures.alternatives import PRUNE_THRESHOLD, QUICK, WORTHWHILE,
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.weighing import CLOSE, Block, Weighed, of_block, with_own_sensor
 
-MOST_COMBINED = 6  # structures, the likeliest if no change told anything of another
+# Structures, the likeliest if no change told anything of another, and solids, those most likely other than in the best:
+# with twenty that are open there are more combinations than can be counted.
+MOST_COMBINED = 6
 
 Changes = tuple[tuple[int, Weighed], ...]  # which solid, and the structure in which it alone is other than in the best
 
@@ -37,7 +39,8 @@ def likeliest_of(others: list[Weighed]) -> list[Changes]:
             if abs(each.odds) < CLOSE:
                 (k,) = each.places[0]
                 single.setdefault(k, []).append((k, each))
-    choices = product(*([None, *changes] for changes in single.values()))
+    open_most = sorted(single.values(), key=lambda changes: max(each.odds for _, each in changes), reverse=True)
+    choices = product(*([None, *changes] for changes in open_most[:MOST_COMBINED]))
     found = [tuple(change for change in choice if change is not None) for choice in choices]
     found = [changes for changes in found if len(changes) > 1 and odds_apart(changes) > -CLOSE]
     return sorted(found, key=odds_apart, reverse=True)[:MOST_COMBINED]

@@ -50,3 +50,12 @@ def test_the_likeliest_combinations_of_changes_of_different_solids_are_tried():
         assert odds_apart(chosen) > -CLOSE
     assert odds_apart(found[0]) == -2.0
     assert not likeliest_of([each for each in changes if each.places == ((0,), (0,))])
+
+
+def test_many_solids_that_are_open_are_not_combined_in_every_way():
+    """Forty solids of two changes each have 3**40 combinations: of the likeliest ones none is left out all the same."""
+    best = two_cubes()
+    changes = [Weighed(best, -0.1 * (k + 1), 0.1, ((k,), (k,))) for k in range(40) for _ in range(2)]
+    found = likeliest_of(changes)
+    assert len(found) == MOST_COMBINED
+    assert {k for k, _ in found[0]} == {0, 1}
