@@ -37,12 +37,10 @@ from derender.scene.solids import BOX
 from derender.structures.draws.numbers import numbers_at
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
-PRUNE_THRESHOLD = (
-    -12.0
-)  # nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below
-FLUSH = (
-    0.01  # metres by which faces of flush boxes may be off, and a seam that was found, from where equal parts put it
-)
+# Nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below.
+PRUNE_THRESHOLD = -12.0
+# Metres by which faces of flush boxes may be off, and a seam that was found, from where equal parts put it.
+FLUSH = 0.01
 AGAINST = 0.1  # share of boxes that somebody has set flush against another
 GAPS = np.linspace(0.0, 1.0, 9)  # shares of the widest gap that are summed over
 OUTLIERS, RANGE = 0.01, 1.0  # share of pixels that may show anything, within so many metres
