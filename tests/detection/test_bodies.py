@@ -5,7 +5,7 @@ import pytest
 
 from derender.detection.estimate import point_estimate
 from derender.detection.search.bodies import body_hypotheses, bridged, find_bodies, label_bodies
-from derender.detection.search.greedy import Settings, complexity, settle, sweep, total_energy
+from derender.detection.search.greedy import Settings, Task, complexity, settle, sweep, total_energy
 from derender.detection.search.moves import explain_anew
 from derender.detection.search.places import find_places
 from derender.detection.search.shape_moves import appear
@@ -92,7 +92,7 @@ def test_what_nothing_explains_appears():
     without = state.without(1)
     places = find_places(seen.image, without)
     assert len(places.bodies) == 1
-    new, changed = appear(np.random.default_rng(0), seen.image, without, [], Settings(), places)
+    new, changed = appear(np.random.default_rng(0), Task(seen.image, Settings()), without, places)
     assert changed == {2}
     least, started = (total_energy(seen.image, each, Settings()) for each in (state, without))
     assert total_energy(seen.image, new, Settings()) - least < 0.2 * (started - least)
@@ -139,7 +139,7 @@ def test_slabs_that_explain_a_can_become_one():
     places.pairs[:] = 0.0
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        new, changed = explain_anew(rng, seen.image, slabs, [], Settings(), places)
+        new, changed = explain_anew(rng, Task(seen.image, Settings()), slabs, places)
         reached.append(total_energy(seen.image, settle(rng, seen.image, new, Settings(), 150, changed), Settings()))
     assert [int(row[0]) for row in state.rows] == [CYLINDER]
     assert min(reached) < least + 5.0

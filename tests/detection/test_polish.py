@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.search import searches
-from derender.detection.search.greedy import Settings
+from derender.detection.search.greedy import Settings, Task
 from derender.detection.search.observation import nearest_pixels, observe
 from derender.detection.solids.image import make_image, make_row, render_floor_scene
 from derender.detection.solids.polish import SIZE_SPREAD, TYPICAL_SIZE, UPRIGHT, WALK_MOVES, walk
@@ -46,7 +46,7 @@ def test_a_quick_search_ends_where_nothing_is_left_and_a_whole_one_goes_on(monke
 
     def rounds(tries):
         asked.clear()
-        searches.repair(np.random.default_rng(0), None, [], [], Settings(tries=tries, quiet=10), [])
+        searches.repair(np.random.default_rng(0), Task(None, Settings(tries=tries, quiet=10)), [], [])
         return len(asked)
 
     explained = True

@@ -11,7 +11,7 @@ from derender.detection.floor_noise import drawn, neighbour_correlation, roundin
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.crossover import crossed, parts
-from derender.detection.search.greedy import Settings, total_energy
+from derender.detection.search.greedy import Settings, Task, total_energy
 from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.searches import explain_otherwise, explain_rest
 from derender.detection.search.surface import Hypothesis
@@ -299,8 +299,8 @@ def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, sh
         row[13:16] *= 1.1
         rough.append(Hypothesis(row, UPRIGHT, False, ()))
     pool = []
-    assert explain_otherwise(rng, image, state, rough[len(right) :], Settings(), pool) is state
-    new = explain_otherwise(rng, image, state, rough, Settings(), pool)
+    assert explain_otherwise(rng, Task(image, Settings(), rough[len(right) :]), state, pool) is state
+    new = explain_otherwise(rng, Task(image, Settings(), rough), state, pool)
     assert [int(row[0]) for row in new.rows] == [int(row[0]) for row in right]
     np.testing.assert_allclose(sorted(highest(row) for row in new.rows), [highest(row) for row in right], atol=0.006)
     assert [len(each) for each, _ in pool] == [0, len(right)]
@@ -319,10 +319,10 @@ def standing(rows):
 
 def test_each_body_of_pixels_that_nothing_explains_gets_a_proposal(rng):
     image = view_of(rng, THREE)[0]
-    new = explain_rest(rng, image, standing(THREE[:1]), Settings(), [])
+    new = explain_rest(rng, Task(image, Settings()), standing(THREE[:1]), [])
     centres = sorted(new.rows[:, 10])
     np.testing.assert_allclose(centres, THREE[:, 10], atol=0.005)
-    assert explain_rest(rng, image, new, Settings(), []) is new  # where all is explained nothing is tried
+    assert explain_rest(rng, Task(image, Settings()), new, []) is new  # where all is explained nothing is tried
 
 
 def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.detection.estimate import point_estimate
-from derender.detection.search.greedy import Settings, settle, total_energy
+from derender.detection.search.greedy import Settings, Task, settle, total_energy
 from derender.detection.search.moves import MOVES, as_cube, as_high, recut
 from derender.detection.search.places import find_places
 from derender.detection.search.shape_moves import lift, shake, stand, stretch, tilt
@@ -48,7 +48,7 @@ def test_moves_leave_what_they_are_given_as_it_was(explained, move):
     kept, places = state.copy(), find_places(image, state)
     applied = 0
     for seed in range(12):
-        result = move(np.random.default_rng(seed), image, state, [], Settings(), places)
+        result = move(np.random.default_rng(seed), Task(image, Settings()), state, places)
         assert np.array_equal(state.rows, kept.rows) and state.parents == kept.parents and state.cubes == kept.cubes
         if result is not None:
             new, changed = result
@@ -63,7 +63,7 @@ def test_moves_leave_what_they_are_given_as_it_was(explained, move):
 def best_of(move, image, state, tries=20):
     """Return the least energy that a move reaches from a state, and the energy of the state."""
     places = find_places(image, state)
-    results = [move(np.random.default_rng(k), image, state, [], Settings(), places) for k in range(tries)]
+    results = [move(np.random.default_rng(k), Task(image, Settings()), state, places) for k in range(tries)]
     energies = [total_energy(image, result[0], Settings()) for result in results if result is not None]
     return min(energies), total_energy(image, state, Settings())
 
@@ -85,7 +85,7 @@ def test_a_box_turned_wrongly_is_shaken_right(explained):
     wrong.rows[top, 1:10] = turned.ravel()
     places, reached = find_places(image, wrong), []
     for seed in range(20):  # and settled, as the search does with what a move leaves
-        new, changed = shake(np.random.default_rng(seed), image, wrong, [], Settings(), places)
+        new, changed = shake(np.random.default_rng(seed), Task(image, Settings()), wrong, places)
         new = settle(np.random.default_rng(seed), image, new, Settings(), 150, changed)
         reached.append(total_energy(image, new, Settings()))
     least, started = total_energy(image, state, Settings()), total_energy(image, wrong, Settings())
@@ -122,7 +122,7 @@ def test_two_boxes_that_touch_are_cut_apart_in_another_way(union):
         wrong = wrong.add(make_row(BOX, pose[:3, :3], pose[:3, 3], size), UPRIGHT, False, FLOOR, 0.0)
     places, found = find_places(seen.image, wrong), []
     for seed in range(30):
-        new, _ = recut(np.random.default_rng(seed), seen.image, wrong, [], Settings(), places) or (wrong, None)
+        new, _ = recut(np.random.default_rng(seed), Task(seen.image, Settings()), wrong, places) or (wrong, None)
         found.append(np.abs(np.sort(new.rows[:, 13:15].ravel()) - np.sort(sizes[:, :2].ravel())).max())
     start = np.abs(np.sort(wrong.rows[:, 13:15].ravel()) - np.sort(sizes[:, :2].ravel())).max()
     assert start > 0.025 and min(found) < 0.012
@@ -135,7 +135,7 @@ def test_a_tilted_solid_is_put_upright_and_the_reverse(explained):
     free.forms = [FREE] * 3
     places = find_places(image, free)
     for given, form in ((free, UPRIGHT), (state, FREE)):
-        new, changed = tilt(np.random.default_rng(0), image, given, [], Settings(), places)
+        new, changed = tilt(np.random.default_rng(0), Task(image, Settings()), given, places)
         (index,) = changed
         assert new.forms[index] == form
     del top

@@ -16,7 +16,7 @@ from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import added_misfit, added_misfits
 from derender.detection.solids.polish import FINE, FREE, SETTLED, SLACK, STEP, TRIED, UPRIGHT, size_energy, tilt_energy
-from derender.detection.solids.state import State, energy, held_out, in_the_way, run_polish
+from derender.detection.solids.state import State, energy, held_out, in_the_way, polish_solid, run_polish
 from derender.detection.solids.support import assign_supports, concerned
 from derender.scene.solids import BOX, SPHERE
 
@@ -115,6 +115,17 @@ class Settings(NamedTuple):
                              temper=self.temper * many)  # fmt: skip
 
 
+Changed = tuple[State, set[int]]  # what a move makes of a state: another one, and the indices of what it changed
+
+
+class Task(NamedTuple):
+    """What a search is about: the image, what is allowed, and hypotheses of the solids that it shows."""
+
+    image: Image
+    settings: Settings
+    hypotheses: list[Hypothesis] = []  # noqa: RUF012  (never written)
+
+
 def greedy(
     rng: np.random.Generator,
     image: Image,
@@ -179,9 +190,7 @@ def sweep(
     for i in rng.permutation(len(state)):
         if only is not None and i not in only:
             continue
-        view = held_out(image, state, i)
-        state.rows[i], _, _ = run_polish(rng, image, state, i, state.rows[i], state.forms[i], state.cubes[i], view,
-                                         state.bottoms[i], settings, rounds, step, heat)  # fmt: skip
+        polish_solid(rng, image, state, i, settings, state.bottoms[i], rounds, step, heat)
     return state
 
 

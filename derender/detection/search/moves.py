@@ -1,23 +1,20 @@
 """Moves between structures: take out and explain anew, split, merge, and those of shape_moves.py.
 
-Each move takes (rng, image, state, hypotheses, settings, places) and returns (new state, set of changed indices) or
-None where it does not apply. `places` tells where the image is badly explained. The search accepts what lowers the
-energy.
+Each move takes (rng, task, state, places) and returns (new state, set of changed indices) or None where it does not
+apply. `places` tells where the image is badly explained. The search accepts what lowers the energy.
 """
-
-from typing import Any
 
 import numpy as np
 
 from derender.detection.search.bodies import FEWEST, body_hypotheses
-from derender.detection.search.greedy import Settings, cube_of, greedy
+from derender.detection.search.greedy import Changed, Task, cube_of, greedy
 from derender.detection.search.guesses import guesses
 from derender.detection.search.places import Places, pick
 from derender.detection.search.shape_moves import appear, lift, put_under, raise_support, shake, stand, stretch, tilt
 from derender.detection.search.surface import THINNEST, Hypothesis
-from derender.detection.solids.image import Image, rotation_of
+from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
-from derender.detection.solids.state import State, held_out, run_polish
+from derender.detection.solids.state import State, held_out, polish_solid
 from derender.scene.shapes.box import CORNERS
 from derender.scene.solids import BOX, CYLINDER
 
@@ -30,18 +27,11 @@ LEVEL = 0.004  # metres between tops that may be of one solid
 FLUSH = 0.02  # metres by which the sides of such pieces may differ
 
 
-def explain_anew(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    hypotheses: list[Hypothesis],
-    settings: Settings,
-    places: Places,
-) -> tuple[State, set[int]]:
+def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed:
     """Take out one solid with some of those that share its badly explained pixels, or that show beside it, or with all
     that are as high (another may hide what joins them), and explain what they showed: by the hypotheses, or all of it,
     or what shows beside the first, as one solid, which may be any that is guessed."""
-    seed = pick(rng, places.blame)
+    (image, settings, hypotheses), seed = task, pick(rng, places.blame)
     out = {seed} if seed < len(state) else set()
     shared = places.pairs if places.pairs[seed].any() and rng.random() < 0.5 else places.beside
     if seed < len(state) and rng.random() < 0.2:
@@ -80,17 +70,10 @@ def as_high(state: State, i: int) -> set[int]:
     return {j for j in near if j != i and abs(highest(state.rows[j]) - highest(row)) < LEVEL}
 
 
-def split(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    hypotheses: list[Hypothesis],
-    settings: Settings,
-    places: Places,
-) -> tuple[State, set[int]] | None:
+def split(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
     """Cut a box in two across one of its axes, at a badly explained point or anywhere, and polish both pieces."""
     boxes = [i for i in range(len(state)) if int(state.rows[i][0]) == BOX]
-    if not boxes or len(state) >= settings.max_objects or places.none_left(settings):
+    if not boxes or len(state) >= task.settings.max_objects or places.none_left(task.settings):
         return None
     i = boxes[pick(rng, places.blame[boxes])]
     row = state.rows[i]
@@ -113,9 +96,7 @@ def split(
     new = new.add(pieces[1], state.forms[i], False)
     last = len(new) - 1
     for k in (i, last) if rng.random() < 0.5 else (last, i):
-        view = held_out(image, new, k)
-        row, form = new.rows[k], new.forms[k]
-        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings)
+        polish_solid(rng, task.image, new, k, task.settings)
     return new, {i, last}
 
 
@@ -124,20 +105,13 @@ def corners_of(row: np.ndarray) -> np.ndarray:
     return row[10:13] + (CORNERS * row[13:16]) @ rotation_of(row).T
 
 
-def merge(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    hypotheses: list[Hypothesis],
-    settings: Settings,
-    places: Places,
-) -> tuple[State, set[int]] | None:
+def merge(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
     """Put one solid in place of two near and aligned ones, spanning both along the axes of one."""
     near = aligned_pairs(state)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
-    return merge_pair(rng, image, state, settings, i, j, rng.random(3) < 0.3)
+    return merge_pair(rng, task, state, i, j, rng.random(3) < 0.3)
 
 
 def aligned_pairs(state: State) -> list[tuple[int, int]]:
@@ -169,14 +143,8 @@ def extents_along(row: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def merge_pair(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    settings: Settings,
-    i: int,
-    j: int,
-    spread: tuple[bool, bool, bool] | np.ndarray,
-) -> tuple[State, set[int]]:
+    rng: np.random.Generator, task: Task, state: State, i: int, j: int, spread: tuple[bool, bool, bool] | np.ndarray
+) -> Changed:
     """Return (state, changed) with solid i grown over solid j, which is taken out.
 
     spread : (3,) bool, along which axes of i it is to span j; along the one where j reaches furthest beyond it always.
@@ -198,25 +166,17 @@ def merge_pair(
     new.rows[i], new.cubes[i] = whole, False
     new = new.without(j)
     i -= j < i
-    view = held_out(image, new, i)
-    new.rows[i], _, _ = run_polish(rng, image, new, i, whole, new.forms[i], False, view, np.nan, settings)
+    polish_solid(rng, task.image, new, i, task.settings)
     return new, {i}
 
 
-def recut(
-    rng: np.random.Generator,
-    image: Image,
-    state: State,
-    hypotheses: list[Hypothesis],
-    settings: Settings,
-    places: Places,
-) -> tuple[State, set[int]] | None:
+def recut(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
     """Cut the union of two aligned boxes that touch in another way."""
     near = touching_pairs(state)
     if not near:
         return None
     i, j = near[int(rng.integers(len(near)))]
-    return recut_pair(rng, image, state, settings, i, j, 1.0 if rng.random() < 0.5 else rng.random())
+    return recut_pair(rng, task, state, i, j, 1.0 if rng.random() < 0.5 else rng.random())
 
 
 def touching_pairs(state: State) -> list[tuple[int, int]]:
@@ -227,9 +187,7 @@ def touching_pairs(state: State) -> list[tuple[int, int]]:
     ]  # fmt: skip
 
 
-def recut_pair(
-    rng: np.random.Generator, image: Image, state: State, settings: Settings, i: int, j: int, share: float
-) -> tuple[State, set[int]] | None:
+def recut_pair(rng: np.random.Generator, task: Task, state: State, i: int, j: int, share: float) -> Changed | None:
     """Return (state, changed) with box j grown into box i, which is cut back, and both polished; None: nothing is left.
 
     share : see cut_anew.
@@ -240,9 +198,7 @@ def recut_pair(
     new = state.copy()
     (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
     for k in (i, j) if rng.random() < 0.5 else (j, i):
-        view = held_out(image, new, k)
-        row, form = new.rows[k], new.forms[k]
-        new.rows[k], _, _ = run_polish(rng, image, new, k, row, form, False, view, np.nan, settings)
+        polish_solid(rng, task.image, new, k, task.settings)
     return new, {i, j}
 
 
@@ -298,10 +254,6 @@ MOVES = ((explain_anew, 0.2), (split, 0.14), (merge, 0.08), (recut, 0.08), (put_
          (stand, 0.04), (lift, 0.08), (stretch, 0.08), (appear, 0.06), (shake, 0.08), (tilt, 0.04))  # fmt: skip
 
 
-def propose(
-    rng: np.random.Generator, image: Any, state: Any, hypotheses: list[Hypothesis], settings: Settings, places: Places
-) -> tuple[str, State, set[int]] | None:
-    """Return (move's name, new state, changed indices) of a random move, or None where it does not apply."""
-    move = MOVES[rng.choice(len(MOVES), p=[w for _, w in MOVES])][0]
-    result = move(rng, image, state, hypotheses, settings, places)
-    return None if result is None else (move.__name__, *result)
+def propose(rng: np.random.Generator, task: Task, state: State, places: Places) -> Changed | None:
+    """Return (new state, changed indices) of a random move, or None where it does not apply."""
+    return MOVES[rng.choice(len(MOVES), p=[w for _, w in MOVES])][0](rng, task, state, places)

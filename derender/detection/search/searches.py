@@ -6,14 +6,14 @@ the silhouettes with thin solids.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
 from derender.detection.search.crossover import crossed
-from derender.detection.search.greedy import Settings, greedy, prune, settle, sweep, total_energy
+from derender.detection.search.greedy import Changed, Settings, Task, greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
 from derender.detection.search.shape_moves import LOWER, appear_on, put_under, raise_support, stand
@@ -184,13 +184,11 @@ def one_search(
         state = settle(rng, image, state, settings)
         image, _ = refocused(image, state.rows, settings.price)
     early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
-    state = explain_rest(rng, image, state, settings, pool)
-    state = repair(rng, image, state, hypotheses, settings, pool)
-    state = explain_rest(rng, image, state, settings, pool)
-    state = explain_otherwise(rng, image, state, hypotheses, settings, pool)
-    state = support_all(rng, image, state, settings)
-    state = merge_all(rng, image, state, settings)
-    state = unite_few(rng, image, state, settings)
+    task = Task(image, settings, hypotheses)
+    for stage in (explain_rest, repair, explain_rest, explain_otherwise):
+        state = stage(rng, task, state, pool)
+    for last in (support_all, merge_all, unite_few):
+        state = last(rng, task, state)
     again = settle(rng, image, state, settings, SETTLED)
     if total_energy(image, again, settings) < total_energy(image, state, settings):
         state = again
@@ -199,19 +197,30 @@ def one_search(
     return Found(state, total_energy(image, state, settings), image, pool)
 
 
-def repair(rng, image, state, hypotheses, settings, pool):
+def settled(
+    rng: np.random.Generator, task: Task, tried: Changed, pool: list[tuple[State, float]]
+) -> tuple[State, float]:
+    """Return (State, energy) of what a move has made, settled; `pool` takes both."""
+    new, changed = tried
+    new = settle(rng, task.image, new, task.settings, only=changed)
+    pool.append((new, total_energy(task.image, new, task.settings)))
+    return pool[-1]
+
+
+def repair(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
     """Try moves between structures where the image is badly explained, and keep what lowers the energy.
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
     when hardly any misfit is left that noise would not leave, or, but on a real sensor's images, after IN_VAIN times as
     many (a quick search: as many) whatever is left. (state, energy) of all that were tried are appended to `pool`.
     """
+    image, settings, _ = task
     best = total_energy(image, state, settings)
     places = find_places(image, state)
     quiet = 0
     for _ in range(settings.repairs):
         enough = settings.quiet + 3 * len(state)
-        in_vain = 1 if settings.tries == 1 else IN_VAIN
+        in_vain: float = 1 if settings.tries == 1 else IN_VAIN
         in_vain = in_vain if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
         if places.none_left(settings):
             if quiet >= enough or settings.tries == 1:  # a quick search does not look for what is better still
@@ -219,13 +228,10 @@ def repair(rng, image, state, hypotheses, settings, pool):
         elif quiet >= in_vain * enough:
             break
         quiet += 1
-        proposed = propose(rng, image, state, hypotheses, settings, places)
+        proposed = propose(rng, task, state, places)
         if proposed is None:
             continue
-        _, new, changed = proposed
-        new = settle(rng, image, new, settings, only=changed)
-        value = total_energy(image, new, settings)
-        pool.append((new, value))
+        new, value = settled(rng, task, proposed, pool)
         if value < best:
             quiet = quiet if value > best - settings.worthwhile else 0
             state, best = new, value
@@ -233,30 +239,26 @@ def repair(rng, image, state, hypotheses, settings, pool):
     return state
 
 
-def explain_rest(rng: np.random.Generator, image: Image, state: State, settings: Settings, pool: list) -> State:
+def explain_rest(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
     """Try a new solid for each body of pixels that nothing explains, and keep what lowers the energy.
 
     Bodies whose pixels could not pay for a solid are left out. (state, energy) of all that were tried are appended to
     `pool`.
     """
+    image, settings, _ = task
     best = total_energy(image, state, settings)
     for body in sorted(find_places(image, state).bodies, key=len, reverse=True):
         if len(body) * LIMIT < settings.price or len(state) >= settings.max_objects:
             break
         below = {0.0, *(highest(row) for row in state.rows if share_over(body, row) > 0.0)}
         for bottom in sorted(height for height in below if height < body[:, 2].max() - LOWER):
-            new, changed = appear_on(rng, image, state, settings, body, bottom)
-            new = settle(rng, image, new, settings, only=changed)
-            value = total_energy(image, new, settings)
-            pool.append((new, value))
+            new, value = settled(rng, task, appear_on(rng, task, state, body, bottom), pool)
             if value < best:
                 state, best = new, value
     return state
 
 
-def explain_otherwise(
-    rng: np.random.Generator, image: Image, state: State, hypotheses: Any, settings: Settings, pool: Any
-) -> Any:
+def explain_otherwise(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
     """Try to explain by boxes what each badly explained round solid shows, and the other way round, and keep what
     lowers the energy.
 
@@ -264,6 +266,7 @@ def explain_otherwise(
     together but either less alone, so as long as cans are among the hypotheses one is taken again. (state, energy) of
     all that were tried are appended to `pool`.
     """
+    image, settings, hypotheses = task
     best = total_energy(image, state, settings)
     for k in reversed(np.flatnonzero(find_places(image, state).blame[:-1] >= FEWEST)):
         if k >= len(state):  # a solid was pruned
@@ -271,30 +274,26 @@ def explain_otherwise(
         was_box, fewer = int(state.rows[k][0]) == BOX, state.without(int(k))
         others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
         new = greedy(rng, image, others, settings, fewer)
-        new = settle(rng, image, new, settings, only=set(range(len(fewer), len(new))))
-        value = total_energy(image, new, settings)
-        pool.append((new, value))
+        new, value = settled(rng, task, (new, set(range(len(fewer), len(new)))), pool)
         if value < best:
             state, best = new, value
     return state
 
 
-def support_all(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
+def support_all(rng: np.random.Generator, task: Task, state: State) -> State:
     """Try to put something under each solid that floats, or to raise what is below it, while that lowers the energy."""
-    best = total_energy(image, state, settings)
-    places, tries = find_places(image, state), 0
-    while floats(state) and tries < min(SUPPORTING * len(state), settings.repairs):
+    best = total_energy(task.image, state, task.settings)
+    places, tries = find_places(task.image, state), 0
+    while floats(state) and tries < min(SUPPORTING * len(state), task.settings.repairs):
         move = (raise_support, put_under, stand)[tries % 3]
         tries += 1
-        proposed = move(rng, image, state, [], settings, places)
+        proposed = move(rng, task, state, places)
         if proposed is None:
             continue
-        new, changed = proposed
-        new = settle(rng, image, new, settings, only=changed)
-        value = total_energy(image, new, settings)
+        new, value = settled(rng, task, proposed, [])
         if value < best:
             state, best, tries = new, value, 0
-            places = find_places(image, state)
+            places = find_places(task.image, state)
     return state
 
 
@@ -303,10 +302,11 @@ def floats(state: State) -> bool:
     return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
 
 
-def unite_few(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
+def unite_few(rng: np.random.Generator, task: Task, state: State) -> State:
     """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
     lowers the energy: pieces of what shows on both sides of another. Each is well explained, so no move looks at them;
     and so few points do not tell which way the box is turned."""
+    image, settings, _ = task
     best = total_energy(image, state, settings)
     united = "box" in settings.shapes
     while united:
@@ -328,8 +328,7 @@ def unite_few(rng: np.random.Generator, image: Image, state: State, settings: Se
             new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
             if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                 continue
-            new = settle(rng, image, new, settings, only={len(fewer)})
-            value = total_energy(image, new, settings)
+            new, value = settled(rng, task, (new, {len(fewer)}), [])
             if value < best:
                 state, best, united = new, value, True
                 break
@@ -353,19 +352,19 @@ def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
     return [group for group in found if len(group) > 1] + pairs
 
 
-def merge_all(rng: np.random.Generator, image: Image, state: State, settings: Settings) -> State:
+def merge_all(rng: np.random.Generator, task: Task, state: State) -> State:
     """Try to make one solid of each two that may be pieces of it, as long as that lowers the energy."""
+    image, settings, _ = task
     best = total_energy(image, state, settings)
     merged = True
     while merged:
         merged = False
         for i, j in aligned_pairs(state):
             for spread in ((False, False, False), (True, True, True)):
-                new, changed = merge_pair(rng, image, state, settings, i, j, spread)
+                new, changed = merge_pair(rng, task, state, i, j, spread)
                 if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
                     continue
-                new = settle(rng, image, new, settings, only=changed)
-                value = total_energy(image, new, settings)
+                new, value = settled(rng, task, (new, changed), [])
                 if value < best:
                     state, best, merged = new, value, True
                     break

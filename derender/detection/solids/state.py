@@ -148,3 +148,20 @@ def run_polish(
         rng, image, row, form, cube, in_the_way(state.rows, settings), index, depth, misfit, bottom,
         carried_by(state, index), settings.slack, settings.tilt, settings.temper, rounds, step, heat,
     )  # fmt: skip
+
+
+def polish_solid(
+    rng: np.random.Generator,
+    image: Image,
+    state: State,
+    k: int,
+    settings: "Settings",
+    bottom: float = np.nan,
+    rounds: int = MOVED,
+    step: float = STEP,
+    heat: float = 2.0,
+) -> None:
+    """Polish solid k of a state in place, all others held; bottom : height that its lowest point is held to."""
+    view, form, cube = held_out(image, state, k), state.forms[k], state.cubes[k]
+    state.rows[k], _, _ = run_polish(rng, image, state, k, state.rows[k], form, cube, view, bottom, settings, rounds,
+                                     step, heat)  # fmt: skip
