@@ -15,6 +15,7 @@
     python scripts/evaluate.py verdicts -n 200           does it stand? of images (see evaluate_stability.py)
     python scripts/evaluate.py stands -n 40              what --assume-stable tells of where things are (the same)
     python scripts/evaluate.py views -n 20               what a second look tells of towers (see evaluate_views.py)
+    python scripts/evaluate.py peers -n 20               sizes beside what plainer tools measure (see evaluate_peers.py)
 
 Objects with fewer than 100 visible pixels need not be found. Times are of `infer_structure` in this process, after a
 first scene that pays for loading the compiled code.
@@ -137,6 +138,11 @@ def main():
         from evaluate_views import evaluate_views
 
         evaluate_views(arguments.n, arguments.first, arguments.verbose)
+        return
+    if arguments.sets == ["peers"]:
+        from evaluate_peers import evaluate_peers
+
+        evaluate_peers(arguments.n, arguments.first, Options(method=arguments.method))
         return
     if arguments.sets == ["physics"]:
         from evaluate_physics import evaluate_physics
