@@ -56,11 +56,11 @@ def explain(
     ----------
     graph : the scene, its root in the camera's axes. seen : (H, W) float metres, NaN or 0 = no return.
     camera : of this image. noise : standard deviation in metres of what is seen of the floor.
-    background : (H, W) bool, pixels that show neither floor nor solid; each is explained by the mean of the surface
-        about it (a plane is its own), so that single outliers are not.
+    background : (H, W) bool, pixels that show neither floor nor solid, or what hides one; each is explained by the
+        mean of the surface about it (a plane is its own), so that single outliers are not.
     bent : (H, W) bool, pixels of the floor that the model takes as the sensor bends them: they show the floor
-        where they are off its plane by no more than MOST_BENT of the depth. bend : (H, W) metres by which the floor
-        is seen nearer than its plane.
+        where they are off its plane by no more than MOST_BENT of the depth. bend : (H, W) metres by which all is seen
+        nearer than it is, as the floor tells.
     coarse : pixels of this image by which the silhouettes of free-form things may be off, which were found in a
         reduced one: what goes on beyond them without a step, and nothing else explains, is theirs.
     """
@@ -72,15 +72,16 @@ def explain(
         numbers.append(FLOOR if plane else len(names))
         names += [] if plane else [name]
     label = np.array([*numbers, UNEXPLAINED], np.int32)[index]  # -1, where nothing is hit, is the last
-    depth = np.where(label == FLOOR, depth - bend, depth)
+    depth = depth - bend
     valid = np.isfinite(seen) & (seen > 0)
     filled = np.where(valid, seen, 0.0)
+    tolerance = np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
     if background is not None:
-        behind = background & valid & (label < 0)
+        behind = background & valid & ((label < 0) | (depth > filled + tolerance))
         depth[behind] = smooth_surface(filled, behind)[behind]
         label[behind] = BACKGROUND
     with np.errstate(invalid="ignore"):
-        off = np.abs(depth - filled) > np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
+        off = np.abs(depth - filled) > tolerance
     missed = (label == FLOOR) & valid & off
     if bent is not None:
         with np.errstate(invalid="ignore"):

@@ -118,8 +118,8 @@ def fit_of(
     ----------
     observed : (H, W) float64, metres, NaN where nothing returned.
     likelihood : its numbers by name; of them `blur` (pixels) and `background` (metres, where nothing else is seen).
-    told : (H, W) metres that inference says explain the pixels, the background among them (explanation.py), NaN where
-        nothing does; None: what the scene predicts.
+    told : (H, W) metres that inference says explain the pixels, as the sensor bends them, the background among them
+        and what it hides (explanation.py), NaN where nothing does; None: what the scene predicts.
     """
     clean, solid = render_depth(graph.solids(), camera)
     objects = {vertex.name: (place, vertex.body.size()) for place, vertex in enumerate(graph.vertices, start=1)}
@@ -134,12 +134,19 @@ def fit_of(
     low, high = neighbourhood(clean, AT_EDGES + int(np.ceil(pixels)))
     with np.errstate(invalid="ignore"):
         explained = (observed >= low - tolerance) & (observed <= high + tolerance)
-        near = np.abs(observed - (np.nan if told is None else told)) <= tolerance
+        if told is not None:
+            near = np.abs(observed - told) <= tolerance
+            nearer = clean - told  # than the solid is: by the sensor's bend, or something else hides it
+            bent = near & (label > 0) & (np.abs(nearer) < MOST_TOLERANCE * observed)
+            explained |= bent
+            label[near & (nearer > MOST_TOLERANCE * observed)] = 0
+        else:
+            near = bent = np.zeros(observed.shape, bool)
     background = near & ~explained & (label == 0)
     valid = np.isfinite(observed)
     share = float((explained | background)[valid].mean()) if valid.any() else 0.0
     depth = blur(clean, pixels) if pixels and np.isfinite(clean).all() else clean
-    depth = np.where(background, observed if told is None else told, depth)
+    depth = np.where(background | bent, observed if told is None else told, depth)
     return Fit(label, depth.astype(np.float32), clean, tolerance, explained, background, share, noise)
 
 

@@ -73,6 +73,18 @@ def test_a_floor_is_where_it_is_seen_to_bend(graph, seen):
     assert (told.label[GHOST] == FLOOR).all() and np.allclose(told.depth[GHOST], 0.9)
 
 
+def test_a_solid_is_seen_as_bent_as_the_floor(graph, seen):
+    told = explain(graph, seen, CAMERA, bend=np.full(seen.shape, 0.03))
+    assert (told.label[BOX] == 0).all() and np.allclose(told.depth[BOX], 0.77)
+
+
+def test_background_before_a_solid_hides_it(graph, seen):
+    seen[24:28, 28:36] = 0.5
+    told = explain(graph, seen, CAMERA, background=np.ones(seen.shape, bool))
+    assert (told.label[24:28, 28:36] == BACKGROUND).all() and np.allclose(told.depth[24:28, 28:36], 0.5)
+    assert (told.label[20:24, 28:36] == 0).all()
+
+
 def test_what_goes_on_beyond_a_coarse_outline_is_the_things():
     label, depth = np.full((1, 8), UNEXPLAINED, np.int32), np.full((1, 8), np.nan)
     label[0, 2], depth[0, 2] = 0, 1.0

@@ -62,14 +62,28 @@ def test_a_silhouette_may_lie_a_pixel_aside(graph):
     assert not fit_of(graph, CAMERA, seen, {}).explained[edge[0] - 6, edge[1]]
 
 
-def test_background_is_taken_as_seen_but_never_where_a_solid_is_said_to_be(graph):
+def test_background_is_taken_as_seen_but_never_where_a_solid_would_hide_it(graph):
     seen = image(graph)
     cube = fit_of(graph, CAMERA, seen, {}).label == 3
     seen[10:20, 10:20] = 0.5
-    seen[cube] = 0.5
-    fit = fit_of(graph, CAMERA, seen, {}, told=seen)
+    told = seen.copy()
+    seen[cube] = told[cube] = 1.2
+    fit = fit_of(graph, CAMERA, seen, {}, told=told)
     assert fit.background[10:20, 10:20].all() and fit.background.sum() < 130 and not fit.background[cube].any()
     assert not fit.explained[10:20, 10:20].any() and np.allclose(fit.depth[10:20, 10:20], 0.5)
+
+
+def test_what_lies_before_a_solid_hides_it_and_a_bend_does_not(graph):
+    seen = image(graph)
+    cube = fit_of(graph, CAMERA, seen, {}).label == 3
+    nearer = seen.copy()
+    nearer[cube] = 0.5
+    fit = fit_of(graph, CAMERA, nearer, {}, told=nearer)
+    assert fit.background[cube].all() and not (fit.label[cube] == 3).any()
+    bent = np.where(cube, 0.97 * seen, seen)
+    assert not fit_of(graph, CAMERA, bent, {}).explained[cube].all()
+    fit = fit_of(graph, CAMERA, bent, {}, told=bent)
+    assert fit.explained[cube].all() and (fit.label[cube] == 3).all()
 
 
 def test_the_wall_of_the_likelihood_is_explained(graph):
