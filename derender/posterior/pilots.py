@@ -18,7 +18,7 @@ from derender.posterior.smc import tempered
 from derender.posterior.space import Space
 from derender.sampling.metropolis import log_threshold
 
-LOCAL = ("drift", "slide", "window", "slide-window", "turn")  # kernels that move a starting population
+LOCAL = ("drift", "slide", "turn")  # kernels that move a starting population
 ALONE = ("drift", "slide")  # kernels of a restart, which moves one object
 GOOD = 20.0  # nats below the best place found: as good a start
 START_STEPS = 40  # of the mixture, for each particle and temperature

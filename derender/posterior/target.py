@@ -245,7 +245,7 @@ class SceneTarget:
 def default_parts() -> list[dict[str, Mapping[str, Any]]]:
     """Return the default mixture as data, as a prior file would write it.
 
-    Local steps do the work; windows and jumps let a chain leave a wrong basin; resimulation is the paper's.
+    Local steps do the work; what is put down anew, and jumps, leave a wrong basin; resimulation is the paper's.
     """
     return [
         {"relocate": {"weight": 0.3}},
@@ -254,8 +254,6 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},
-        {"window": {"weight": 0.02}},
-        {"slide-window": {"weight": 0.03}},
         {"independence": {"weight": 0.01}},
         {"jump": {"weight": 0.01}},
         {"flip": {"weight": 0.01}},

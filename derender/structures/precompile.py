@@ -95,12 +95,12 @@ def steps_of_chains() -> None:
     values = target.space.sample(rng)
     parts = mixture(target.space, default_parts())
     model = model_of(target, lambda kernel, *arguments: 0)
-    chain = chain_of(target, model, 1, False)
+    chain = chain_of(target, model, False)
     no_places = dict.fromkeys(range(len(parts)), np.empty(0))
     kernels = kernels_of(target.space, parts, first_tuning(target.space, values), frozenset(), no_places,
                          [Calls()] * len(parts), lambda objects: objects_below(target, objects))  # fmt: skip
     engine = new_state(camera, image, target.template.solids(), GAUSSIAN, np.zeros(2), 1.0)
-    kept, counts = np.empty((1, len(values) + 3)), np.zeros((len(parts), 2), np.int64)
+    kept, counts = np.empty((1, len(values) + 2)), np.zeros((len(parts), 2), np.int64)
     address_of(sweep, rng, model, kernels, chain, engine, 0, 1, 1, 1.0, kept, counts)
     calls_of(target, [part for part in parts if not part.type.startswith("relocate")], model, chain)
     address_of(stand_all, model, chain, kept, counts, np.empty((1, 1, 3)))

@@ -26,7 +26,7 @@ def steps_of(backend, tuning):
     """Return the kernel (rng, state) -> (state, accepted) that is one step of an interpreted mixture."""
 
     def kernel(rng, state):
-        step = backend.walked(rng, np.array([*state.values, state.log_prior, state.log_likelihood, 0.0]), tuning, 1, 1)
+        step = backend.walked(rng, np.array([*state.values, state.log_prior, state.log_likelihood]), tuning, 1, 1)
         return State(step.values[0], *map(float, step.densities[0])), bool(step.counts[:, 1].sum())
 
     return kernel

@@ -62,7 +62,7 @@ def test_long_sweep_equals_fresh_evaluation(world):
     for place in (10, 49):
         expected = plain.evaluate(stretch.values[place])
         np.testing.assert_allclose(stretch.densities[place], expected, rtol=1e-9, atol=1e-6)
-    assert stretch.counts[:, 0].sum() == 10_000 and stretch.counts[:, 1].sum() > 500
+    assert stretch.counts[:, 0].sum() == 10_000 and stretch.counts[:, 1].sum() > 300
 
 
 def test_every_kernel_was_met():

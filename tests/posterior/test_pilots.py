@@ -32,7 +32,7 @@ def two_modes():
 def test_pilots_find_every_mode():
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
-    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"window": {}}]), thin=3)
+    sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}, {"resimulate": {}}]), thin=3)
     prepared = sampler.prepared(2, chains=3, jobs=2)
     places = prepared.places[:, 0]
     assert np.all(np.abs(np.abs(places) - 0.6) < 0.03)

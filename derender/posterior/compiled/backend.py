@@ -59,12 +59,11 @@ class CompiledBackend:
     def __init__(self, target: Any, parts: list[Part], cycle: bool = False) -> None:
         self.target, self.parts, self.cycle = target, parts, cycle
         self.model = model_of(target)
-        counts = [int(part.options["count"]) for part in parts if "count" in part.options]
         self.held, self._elsewhere = held(target), taken_elsewhere(target, parts)
         self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
-        self._blank = chain_of(target, self.model, max(counts, default=1), cycle), evaluator
+        self._blank = chain_of(target, self.model, cycle), evaluator
         self._calls = calls_of(target, parts, self.model, self._blank[0])
         self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
         self._begin()
@@ -134,7 +133,7 @@ class CompiledBackend:
     ) -> Stretch:
         """Take draws * thin steps from `values`, loaded in full; keep every `thin`-th state."""
         program, size = self.program(tuning), len(values)
-        kept, counts = np.empty((draws, size + 3)), np.zeros((len(self.parts), 2), np.int64)
+        kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
         self.load(values)
         self.chain.flags[STEPS] = taken
         now = self.chain.values[NOW]
@@ -150,7 +149,7 @@ class CompiledBackend:
                 done += 1
                 if done % thin == 0:
                     kept[done // thin - 1] = now
-        return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
+        return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
 
 
 def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> CompiledBackend | InterpretedBackend:

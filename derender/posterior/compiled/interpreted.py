@@ -39,11 +39,10 @@ class InterpretedBackend:
         self._called: list[Callable] = []
         unknowns, laws = laws_of(space, getattr(target, "folds", {}), self._number_of)
         self._model = Model(unknowns, laws, np.zeros((4, size), np.int64), NO_ARRAY, NO_ARRAY, NO_ARRAY, 0)
-        places = max((int(part.options.get("count", 1)) for part in parts), default=1)
         self._chain = Chain(
-            values=np.zeros((2, size + 3)), numbers=NO_ARRAY, pose=NO_ARRAY, marks=NO_ARRAY, moved_pose=NO_ARRAY,
+            values=np.zeros((2, size + 2)), numbers=NO_ARRAY, pose=NO_ARRAY, marks=NO_ARRAY, moved_pose=NO_ARRAY,
             moved_size=NO_ARRAY, tangents=np.zeros((2, max(int(space.directions[-1]), 3))),
-            row=np.zeros((places, size + 3)), relative=NO_ARRAY, flags=np.array([0, 0, cycle]),
+            relative=NO_ARRAY, flags=np.array([0, 0, cycle]),
         )  # fmt: skip
         self._calls = [self._calls_of(part) for part in parts]
         own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
@@ -73,19 +72,19 @@ class InterpretedBackend:
         self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
     ) -> Stretch:
         """Take draws * thin steps from `values`; keep every `thin`-th state."""
-        return self.walked(rng, np.array([*values, *self.evaluate(values), 0.0]), tuning, draws, thin, taken)
+        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin, taken)
 
     def walked(
         self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
     ) -> Stretch:
-        """Return what `sweep` does, from (P + 3,) values with their log prior, log likelihood and a spare."""
-        size = len(state) - 3
+        """Return what `sweep` does, from (P + 2,) values with their log prior and log likelihood."""
+        size = len(state) - 2
         self._chain.values[:] = state
         self._chain.flags[STEPS] = taken
-        kept, counts = np.empty((draws, size + 3)), np.zeros((len(self.parts), 2), np.int64)
+        kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
         self._sweep(rng, self._model, self.program(tuning), self._chain, _Engine(self.target), 0, draws, thin,
                     tuning.temperature, kept, counts)  # fmt: skip
-        return Stretch(kept[:, :size].copy(), kept[:, size : size + 2].copy(), counts)
+        return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
 
     def _call(self, number: int, *arguments: Any) -> float:
         return self._called[number](*arguments)
@@ -112,11 +111,11 @@ class InterpretedBackend:
     def _keep(self, block: Block) -> float:
         """Give the children of what a block moved the contacts that keep them; return the log Jacobian."""
         target: Any = self.target
-        now, moved = self._chain.values[:, :-3].copy()
+        now, moved = self._chain.values[:, :-2].copy()
         kept = target.keep_children(now, moved, block) if target.log_prior(moved) > -math.inf else None
         if kept is None:
             return math.nan
-        self._chain.values[NEXT, :-3] = kept[0]
+        self._chain.values[NEXT, :-2] = kept[0]
         return kept[1]
 
     def _put_down(
@@ -138,7 +137,7 @@ class InterpretedBackend:
     ) -> float:
         """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts."""
         target: Any = self.target
-        now, periods = self._chain.values[NOW, :-3].copy(), [target.placement_periods(name) for name in objects]
+        now, periods = self._chain.values[NOW, :-2].copy(), [target.placement_periods(name) for name in objects]
         old = np.concatenate([target.placement(now, name) for name in objects])
         new = np.empty(len(old))
         log_ratio = self._call(propose_at, rng, places, np.concatenate(periods), old, new)
@@ -148,7 +147,7 @@ class InterpretedBackend:
         found = target.put(now, dict(zip(objects, np.split(new, ends), strict=True)))
         if found is None:
             return math.nan
-        self._chain.values[NEXT, :-3] = found[0]
+        self._chain.values[NEXT, :-2] = found[0]
         return log_ratio + found[1]
 
 
@@ -159,7 +158,7 @@ def _places(part: Part) -> bool:
 def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:
     """Write log prior and log likelihood of the proposed values beside them."""
     proposed, target = chain.values[NEXT], engine.target
-    values = proposed[:-3].copy()
+    values = proposed[:-2].copy()
     proposed[PRIOR], proposed[DENSITY] = target.log_prior(values), -math.inf
     if proposed[PRIOR] > -math.inf:
         proposed[DENSITY] = target.log_likelihood(values)

@@ -15,9 +15,9 @@ PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the d
 TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
 PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID, POSE_AT, INVERSE_AT = range(8)  # rows of Model.vertices
 FORM, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT, PLACE_AT = range(7)  # rows of Kernels.table
-CUMULATIVE, SCALE, COUNT, REACH = range(4)  # columns of Kernels.numbers
+CUMULATIVE, SCALE = range(2)  # columns of Kernels.numbers
 NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
-PRIOR, DENSITY, LOG = -3, -2, -1  # the last columns of Chain.values and Chain.row
+PRIOR, DENSITY = -2, -1  # the last columns of Chain.values
 SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
 DIRTY, KEPT, MOVED = range(3)  # rows of Chain.marks
 PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
@@ -56,19 +56,18 @@ class Kernels(NamedTuple):
     table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
         vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
         keeps them and of what puts objects down.
-    numbers : (K, 4) float64: running sum of the weights, step scale, places and reach of a window.
+    numbers : (K, 2) float64: running sum of the weights, step scale.
     members : flat int64, unknowns; of what puts objects down: the vertex and the face below all of them, their
         vertices, and the unknowns that turn them.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
         PlaceMixture.flat.
-    spread : (D,) float64, the prior's. mean : (P,) float64, centre of independence proposals.
+    mean : (P,) float64, centre of independence proposals.
     """
 
     table: np.ndarray
     numbers: np.ndarray
     members: np.ndarray
     factors: np.ndarray
-    spread: np.ndarray
     mean: np.ndarray
 
 
@@ -77,12 +76,12 @@ class Chain(NamedTuple):
 
     Attributes
     ----------
-    values : (2, P + 3) float64: the values, then the log prior, the log likelihood, and a spare.
+    values : (2, P + 2) float64: the values, then the log prior and the log likelihood.
     numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
     pose : (2, N + 1, 4, 4) float64, object to camera; the root's comes last.
     marks : (3, N + 1) int64: vertices that move; vertices that only get other numbers; solids handed to the engine.
     moved_pose : (S, 4, 4), moved_size : (S, 3) float64: theirs.
-    tangents : (2, D) float64, scratch. row : (R, P + 3) float64, the places of a window. relative : (4, 4), scratch.
+    tangents : (2, D) float64, scratch. relative : (4, 4), scratch.
     flags : (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns.
     """
 
@@ -93,7 +92,6 @@ class Chain(NamedTuple):
     moved_pose: np.ndarray
     moved_size: np.ndarray
     tangents: np.ndarray
-    row: np.ndarray
     relative: np.ndarray
     flags: np.ndarray
 

@@ -26,7 +26,7 @@ from derender.posterior.compiled.layout import (
 )
 from derender.posterior.compiled.prior import density_and_draw, sum_of_terms, table_of
 from derender.posterior.kernels import kernels
-from derender.posterior.kernels.base import PLACING, ROW, Part, Tuning
+from derender.posterior.kernels.base import PLACING, Part, Tuning
 from derender.posterior.kernels.relocate import mixture_of
 from derender.posterior.space import Space
 from derender.registry import Parameter
@@ -226,11 +226,8 @@ def held(target: "SceneTarget") -> dict[str, int]:
     }
 
 
-def chain_of(target: Any, model: Model, window: int, cycle: bool) -> Chain:
-    """Return the arrays of a chain that stands at the template, not loaded yet.
-
-    window : the most places that a kernel of the mixture weighs at once. cycle : kernels take turns.
-    """
+def chain_of(target: Any, model: Model, cycle: bool) -> Chain:
+    """Return the arrays of a chain that stands at the template, not loaded yet. cycle : kernels take turns."""
     graph = target.template
     count, solids = len(graph.vertices), len(graph.solid_names)
     size, directions = len(target.space.addresses), int(target.space.directions[-1])
@@ -244,14 +241,13 @@ def chain_of(target: Any, model: Model, window: int, cycle: bool) -> Chain:
     pose = np.tile(np.eye(4), (2, count + 1, 1, 1))
     pose[:, count] = graph.root_pose
     return Chain(
-        values=np.full((2, size + 3), -np.inf),
+        values=np.full((2, size + 2), -np.inf),
         numbers=numbers,
         pose=pose,
         marks=np.zeros((3, count + 1), np.int64),
         moved_pose=np.tile(np.eye(4), (solids, 1, 1)),
         moved_size=np.zeros((solids, 3)),
         tangents=np.zeros((2, max(directions, 3))),
-        row=np.zeros((max(window, 1), size + 3)),
         relative=np.eye(4),
         flags=np.array([0, 0, cycle], np.int64),
     )
@@ -279,7 +275,6 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
     first = factor_first = 0
     for k, (part, call) in enumerate(zip(parts, calls, strict=True)):
         kind = kernels[part.type]
-        count, reach = (int(part.options["count"]), part.options["reach"]) if kind.form == ROW else (0, 0.0)
         if kind.form == PLACING:
             rows = below(part.block.objects)
             told, factor = [*rows[0, 1:3], *rows[:, 0], *rows[:, 3]], places[k]
@@ -288,7 +283,7 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
         weight += part.weight
         form = steps.ELSEWHERE if k in elsewhere else kind.form
         table.append((form, first, factor_first, call.vertex, call.propose, call.keep, call.place))
-        numbers.append((weight, kind.scale(space, part, tuning), count, reach))
+        numbers.append((weight, kind.scale(space, part, tuning)))
         members += told
         factors.append(np.ravel(factor))
         first += len(told)
@@ -298,7 +293,6 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
         numbers=np.array(numbers, float),
         members=np.array(members, np.int64),
         factors=np.concatenate(factors),
-        spread=np.array(space.scales),
         mean=np.array(tuning.mean, float),
     )
 
@@ -315,7 +309,7 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
                                chain.moved_pose, members, index, index, members, flat, index)  # fmt: skip
         else:
             propose = address_of(kind.proposal, rng, model.unknowns, model.laws, chain.values, chain.tangents, members,
-                                 flat, 0.0, flat, flat)  # fmt: skip
+                                 flat, 0.0, flat)  # fmt: skip
         if kind.keeps_children:
             vertex = target.template.names.index(part.block.objects[0])
             keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,

@@ -24,7 +24,7 @@ from derender.posterior.space import Block, Space
 from derender.registry import Registry
 from derender.sampling.metropolis import adapted_scale
 
-STEP, ROW, PLACING = range(3)  # forms of kernels: one proposal, a row of places to choose from, objects put down anew
+STEP, PLACING = range(2)  # forms of kernels: one proposal, objects put down anew
 
 
 class Target(Protocol):
@@ -73,10 +73,10 @@ class KernelType:
     per_block : whether there is one kernel for each block of the space, or a single one for all unknowns.
     adapts : whether warm-up tunes its scale towards `acceptance`.
     keeps_children : whether it leaves the children of the object that it moves where they are in the world.
-    form : STEP, ROW or PLACING.
-    proposal : the compiled function. Of a STEP or ROW: (rng, unknowns, laws, values, tangents, members, factor, scale,
-        spread, mean) -> log ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING:
-        (rng, places, periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
+    form : STEP or PLACING.
+    proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale, mean)
+        -> log ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING: (rng, places,
+        periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
     """
 
     name: str = ""

@@ -1,16 +1,16 @@
-"""Local steps: drift of a block or of all unknowns, choice from a row of places; both also under what stands on top."""
+"""Local steps: drift of a block or of all unknowns, also under what stands on top."""
 
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.posterior.compiled.layout import DIRECTION, NEXT, NOW
+from derender.posterior.compiled.layout import NEXT, NOW
 from derender.posterior.compiled.prior import directions, move, shaped
-from derender.posterior.kernels.base import ROW, KernelType, Part, Tuning, kernels
+from derender.posterior.kernels.base import KernelType, Part, Tuning, kernels
 from derender.posterior.space import Block, Space
 
 
 @njit(cache=True, nogil=True)
-def drifted(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+def drifted(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
     """Random-walk Metropolis: tangent = scale * factor @ z with z standard normal.
 
     The tangent's density is even and does not depend on where the step starts, and `move` is symmetric, so
@@ -87,63 +87,3 @@ class SlideType(DriftType):
         """Return the factor of the spread of the block's directions, whatever the others do: here they give way."""
         directions = directions_of(space, part.block)
         return np.linalg.cholesky(tuning.covariance[np.ix_(directions, directions)])
-
-
-FINEST = 1e-4  # of the prior's spread: the shortest spacing
-
-
-@njit(cache=True, nogil=True)
-def row_direction(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
-    """Gibbs draw among `count` places on a line through the state, coarse to fine; this draws the line's direction.
-
-    A spacing is drawn log-uniformly between FINEST and `reach` times the prior's spread, a direction at random (each
-    coordinate takes part with probability 1/2), and the place j of the present state in the row uniformly. The row is
-    values + (k - j) * spacing * direction, k = 0 .. count - 1; the next state is its k-th place with probability
-    proportional to the posterior there. Spacing and direction do not depend on the state. From the chosen place k the
-    same row arises with j' = k, which has the same probability 1 / count, so with w the posterior,
-
-        w(j) (1 / count) w(k) / sum(w)  =  w(k) (1 / count) w(j) / sum(w)
-
-    is detailed balance: there is nothing left to accept, log ratio = 0. (On circles and lines only: directions in the
-    group of rotations do not commute, there the row moves along one axis through the state, which it leaves in place.)
-    """
-    tangent, takes_part = tangents[0], tangents[1]
-    size = directions(unknowns, members)
-    direction = 0
-    for i in members:
-        for way in range(unknowns[DIRECTION, i], unknowns[DIRECTION, i + 1]):
-            tangent[direction] = rng.standard_normal() * spread[way]
-            direction += 1
-    used = 0
-    for i in range(size):
-        takes_part[i] = 1.0 if rng.random() < 0.5 else 0.0
-        used += takes_part[i] == 1.0
-    for i in range(size):
-        tangent[i] *= takes_part[i] if used else 1.0
-    return 0.0
-
-
-@kernels.register("window")
-class WindowType(KernelType):
-    """Choose among a row of places by their posterior, spaced from the prior's width to a ten-thousandth of it."""
-
-    options = {"count": 8, "reach": 0.5}
-    form = ROW
-    proposal = row_direction
-
-
-@kernels.register("slide-window")
-class SlideWindowType(WindowType):
-    """Choose among a row of places of an object by their posterior, and leave what stands on it where it is.
-
-    The row of `window`, each place with the children's contacts that keep their poses, as in `slide`. With T_s the map
-    that moves the edge by s and keeps the children, T_s T_t = T_(s + t): the row is a piece of the orbit of a group.
-    Choosing its k-th place with probability proportional to posterior(T_s x) |dT_s / dx|, where s = (k - j) spacing,
-    is a Gibbs draw along the orbit: from the chosen place the same row arises with all its weights divided by the same
-    Jacobian. Nothing is left to accept, log ratio = 0.
-    """
-
-    keeps_children = True
-
-    def applies(self, space: Space, block: Block) -> bool:
-        return block.name in space.slides

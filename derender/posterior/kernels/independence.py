@@ -48,7 +48,7 @@ def log_proposal(unknowns, laws, members, tangent, factor, solved):
 
 
 @njit(cache=True, nogil=True)
-def independent(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+def independent(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
     """Propose new = mean moved by tangent t, t from a multivariate t distribution with 5 degrees of freedom.
 
     With r2 = |factor^-1 t|^2 and D directions its density is q(t) = c (1 + r2 / 5)^(-(5 + D) / 2). On a circle a
@@ -87,7 +87,7 @@ class IndependenceType(KernelType):
 
 
 @njit(cache=True, nogil=True)
-def resimulated(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+def resimulated(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
     """Propose the block from its own prior, which knows no constraints between objects.
 
     proposal(new | old) = own prior(new block), so that prior and proposal cancel up to the constraints:
@@ -112,7 +112,7 @@ def half_turn(unknowns, laws, values, i):
 
 
 @njit(cache=True, nogil=True)
-def jumped(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+def jumped(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
     """Add half a period to one angle of the block, chosen at random.
 
     Half a period forward is half a period back, and each angle is chosen with the same probability both ways; adding a
@@ -140,7 +140,7 @@ class JumpType(KernelType):
 
 
 @njit(cache=True, nogil=True)
-def flipped(rng, unknowns, laws, values, tangents, members, factor, scale, spread, mean):
+def flipped(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
     """theta -> theta + pi/2 (half its period), length <-> width, of one box chosen at random.
 
     An involution (twice half a period is none, exchanging twice is nothing) that permutes coordinates of one unit and
