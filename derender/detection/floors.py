@@ -262,7 +262,7 @@ def scores(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: np.
     return share - UNDER * under, share
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")  # a check for zero would be a branch
 def on_and_under(points, near, normal, offset, slant):
     """Return (N, 2) how many of the points (3, S) lie on each plane, and how many far under it.
 

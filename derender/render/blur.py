@@ -1,6 +1,7 @@
 """The blur b of Eq. 6: a Gaussian, cut off at three standard deviations, with replicated edges."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +16,11 @@ def blur_taps(sigma: float) -> np.ndarray:
 
     sigma : standard deviation in pixels; 0 is no blur.
     """
+    return _taps(float(sigma)).copy()
+
+
+@lru_cache(maxsize=64)  # chains whose blur is open draw it from the same few again and again
+def _taps(sigma: float) -> np.ndarray:
     radius = blur_radius(sigma)
     if radius == 0:
         return np.ones(1)

@@ -22,7 +22,7 @@ import numpy as np
 from derender.compilation.cache import address_of, call_for_nothing, call_for_number, njit
 from derender.render.raycast.depth import bound_address, rasterise_address
 from derender.render.raycast.filter import blur_for
-from derender.render.raycast.lane_names import LANES
+from derender.render.raycast.lane_names import LANES, load, store
 from derender.render.raycast.region import DRAWN, SCORED, add_region, draw_region, score_region, whole_image
 from derender.render.raycast.score import score_gaussian, score_robust
 from derender.render.raycast.score_correlated import score_correlated
@@ -169,10 +169,14 @@ def load_state(state, poses, sizes):
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def _copy_pixels(images, source, target, left, right, top, bottom):
-    """Copy columns left:right and rows top:bottom of one image to another."""
+    """Copy columns left:right, rounded up to LANES, and rows top:bottom of one image to another.
+
+    What is copied beyond is the same in both, is about to be, or is never read: rows end in 2 LANES of padding.
+    """
+    one, other = images[source], images[target]
     for row in range(top, bottom):
-        for column in range(left, right):
-            images[target, row, column] = images[source, row, column]
+        for column in range(left, right, LANES):
+            store(other, row, column, load(one, row, column))
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
