@@ -73,7 +73,7 @@ MUTATIONS = [
         ("streams: sampled scenes share the seed's own", "sampling/chains.py", "spawn_key=key)", "spawn_key=key[:1])",
          ("tests/sampling/test_streams.py",)),
         ("diagnostics: r-hat without folding", "sampling/diagnostics.py",
-         "max(_r_hat(_rank_normalise(halves)), _r_hat(_rank_normalise(folded)))", "_r_hat(_rank_normalise(halves))",
+         "max(_r_hat(ranks), _r_hat(_rank_normalise(folded)))", "_r_hat(ranks)",
          ("tests/sampling/test_diagnostics.py",)),
         ("diagnostics: ess of whole chains", "sampling/diagnostics.py", "_rank_normalise(_split(draws))",
          "_rank_normalise(draws)", ("tests/sampling/test_diagnostics.py",)),

@@ -17,13 +17,26 @@ def r_hat(draws: np.ndarray) -> float:
     if not _usable(draws) or len(draws) < 2:
         return np.nan
     halves = _split(draws)
-    folded = np.abs(halves - np.median(halves))
-    return max(_r_hat(_rank_normalise(halves)), _r_hat(_rank_normalise(folded)))
+    return _bulk_and_folded(halves, _rank_normalise(halves))
 
 
 def bulk_ess(draws: np.ndarray) -> float:
     """Return the effective sample size in the bulk: that of the rank-normalised split chains."""
     return _effective_sample_size(_rank_normalise(_split(draws))) if _usable(draws) else np.nan
+
+
+def r_hat_and_ess(draws: np.ndarray) -> tuple[float, float]:
+    """Return `r_hat` and `bulk_ess`, which look at the same ranks."""
+    if not _usable(draws):
+        return np.nan, np.nan
+    halves = _split(draws)
+    ranks = _rank_normalise(halves)
+    return _bulk_and_folded(halves, ranks) if len(draws) > 1 else np.nan, _effective_sample_size(ranks)
+
+
+def _bulk_and_folded(halves: np.ndarray, ranks: np.ndarray) -> float:
+    folded = np.abs(halves - np.median(halves))
+    return max(_r_hat(ranks), _r_hat(_rank_normalise(folded)))
 
 
 def tail_ess(draws: np.ndarray) -> float:
@@ -66,14 +79,15 @@ def summary(draws: np.ndarray, period: float | None = None) -> dict[str, float]:
     """Return mean, sd, 5/50/95 % quantiles, R-hat, bulk and tail ESS and the MCSE of one parameter."""
     draws = unwrap(np.asarray(draws, float), period)
     low, median, high = np.quantile(draws, (0.05, 0.5, 0.95))
+    hat, bulk = r_hat_and_ess(draws)
     return {
         "mean": float(np.mean(draws)),
         "sd": float(np.std(draws, ddof=1)) if draws.size > 1 else 0.0,
         "q05": float(low),
         "median": float(median),
         "q95": float(high),
-        "r_hat": r_hat(draws),
-        "ess_bulk": bulk_ess(draws),
+        "r_hat": hat,
+        "ess_bulk": bulk,
         "ess_tail": tail_ess(draws),
         "mcse_mean": mean_mcse(draws),
     }
@@ -168,7 +182,7 @@ def agree(values: np.ndarray) -> bool:
     if values.shape[1] < FEW:
         return True
     columns = np.moveaxis(values, -1, 0)
-    return not any(r_hat(column) > AGREE or bulk_ess(column) < ENOUGH for column in columns)
+    return not any(hat > AGREE or ess < ENOUGH for hat, ess in map(r_hat_and_ess, columns))
 
 
 def far_apart(values: np.ndarray) -> bool:

@@ -320,9 +320,10 @@ def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, senso
     blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
     """
     pieces: list[list[Draws]] = []
+    proposals = [make_proposals(steps)] * len(walkers)
     for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(map(len, blurs)) else 1):
         walkers = [(with_blurs_drawn(rng, views, sensor, blurs), *rest) for views, *rest in walkers]
-        pieces.append(stretch(rng, walkers, steps, 1.0, 0.0, len(piece), thin)[1])
+        pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, len(piece), thin))
     joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
               for chain in zip(*pieces, strict=True)]  # fmt: skip
     accepted = np.mean([[each.accepted for each in piece] for piece in pieces], axis=0)
@@ -367,12 +368,18 @@ def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarr
     """
     made = make_proposals(steps)
     proposals = [made._replace(scale=made.scale.copy()) for _ in walkers]
-    drawn = in_threads(rng, [
+    drawn = side_by_side(rng, walkers, proposals, temperature, gain, count, thin)
+    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
+    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
+
+
+def side_by_side(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], proposals: list[Proposals],
+                 temperature: float, gain: float, count: int, thin: int) -> list[Draws]:  # fmt: skip
+    """Return the Draws of walkers (engine, chart, values), each with its own proposals, which a gain changes."""
+    return in_threads(rng, [
         partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
                 count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
     ])  # fmt: skip
-    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
-    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
 
 
 def log_evidence(

@@ -303,26 +303,24 @@ def floor_step(covariance: np.ndarray, count: int, center: Any) -> Step:
     return step._replace(matrix=WIDER * matrix, pull=pull, center=center, scale=min(step.scale, 1.0))
 
 
-def make_proposals(steps):
+def make_proposals(steps: list[Step]) -> Proposals:
     """Return the Proposals that choose among Steps."""
+    members, matrices, touched, weights, scales, wanted, pulls, centers = zip(*steps, strict=True)
+    heights = [0 if pull is None else len(pull) for pull in pulls]
     table = np.zeros((4, len(steps) + 1), np.int64)
-    pulls, center = [], np.zeros(0)
-    for p, step in enumerate(steps):
-        table[FIRST, p + 1] = table[FIRST, p] + len(step.members)
-        table[FACTOR, p + 1] = table[FACTOR, p] + step.matrix.size
-        table[RANK, p] = step.matrix.shape[1]
-        table[PULL, p] = -1
-        if step.pull is not None:
-            table[PULL, p], center = sum(map(len, pulls)), step.center
-            pulls.append(step.pull)
+    np.cumsum([len(each) for each in members], out=table[FIRST, 1:])
+    np.cumsum([matrix.size for matrix in matrices], out=table[FACTOR, 1:])
+    table[RANK, :-1] = [matrix.shape[1] for matrix in matrices]
+    table[PULL, :-1] = np.where(heights, np.cumsum(heights) - heights, -1)
+    drawn = [pull for pull in pulls if pull is not None]
     return Proposals(
         table=table,
-        members=np.concatenate([step.members for step in steps]).astype(np.int64),
-        factors=np.concatenate([np.ravel(step.matrix) for step in steps]),
-        pulls=np.concatenate(pulls) if pulls else np.zeros((0, 0)),
-        center=center,
-        touched=np.array([step.touched for step in steps]),
-        cumulative=np.cumsum([step.weight for step in steps]),
-        scale=np.array([step.scale for step in steps]),
-        wanted=np.array([step.wanted for step in steps]),
+        members=np.concatenate(members).astype(np.int64),
+        factors=np.concatenate([matrix.ravel() for matrix in matrices]),
+        pulls=np.concatenate(drawn) if drawn else np.zeros((0, 0)),
+        center=next((center for center in reversed(centers) if center is not None), np.zeros(0)),
+        touched=np.array(touched),
+        cumulative=np.cumsum(weights),
+        scale=np.array(scales),
+        wanted=np.array(wanted),
     )
