@@ -33,8 +33,8 @@ SWITCHES = {"may_overlap": "--allow-interpenetration", "may_float": "--allow-flo
 # Why an option says nothing.
 NO_DRAWS = "--method map and --quick find the best scene, and draw nothing"
 POPULATIONS = "populations of --method smc have a fixed size"
-WALKS = "it is for --method mcmc or smc, or for a scene given with --scene"
-THE_PRIOR = "it is the prior that says what --method mcmc and smc may visit"
+WALKS = "it is for --method mcmc, or for a scene given with --scene"
+THE_PRIOR = "it is the prior that says what --method mcmc may visit"
 
 AS_IT_IS = Reading()
 
@@ -152,7 +152,7 @@ def answer(
     from derender.sampling.workers import interruptible
 
     options, began = request.options, time.monotonic() if started is None else started
-    keeps = names_objects(request.document) or options.method in ("mcmc", "smc")  # checkpoints
+    keeps = names_objects(request.document) or options.method == "mcmc"  # checkpoints
     if options.resume and keeps and not (folder / "checkpoint").exists():
         say(f"nothing was interrupted in {folder}: beginning anew")
     command = request.made["command"]
@@ -198,7 +198,7 @@ def check_request(options: Options, document: Document | None, prior: object, gr
     from derender.detection.solids.image import KINDS
 
     given, method = names_objects(document), options.method
-    walks = method in ("mcmc", "smc") or given
+    walks = method == "mcmc" or given
     idle = (
         ("--gradient", gradient != "exact" and not (method == "map" and given), "it is for --method map with --scene"),
         ("--chains", options.chains is not None and method == "map" and not given, NO_DRAWS),
@@ -224,16 +224,18 @@ def check_request(options: Options, document: Document | None, prior: object, gr
                 option = SWITCHES.get(key, "--" + key.replace("_", "-"))
                 raise DerenderError(f"{option} is for images without a scene", prior, f"leave out {option} or --scene")
         return
+    if method == "smc":
+        raise DerenderError("--method smc is for objects that are given", prior, "add --scene, or take --method mcmc")
     if options.frames:
         for option, present in (("--known", options.known), ("--floor", options.floor),
-                                (f"--method {method}", method in ("mcmc", "smc"))):  # fmt: skip
+                                ("--method mcmc", method == "mcmc")):  # fmt: skip
             if present:
                 raise DerenderError(f"{option} is for one image", "--together", f"leave out {option} or --together")
     for name in options.shapes or ():
         if name not in KINDS:
             raise DerenderError(f"{name!r} is no shape to look for", "--shapes", suggest(name, sorted(KINDS)))
-    if method in ("mcmc", "smc") and options.known is not None:
-        raise DerenderError(f"--method {method} does not know of libraries", "--known", "leave --method out")
+    if method == "mcmc" and options.known is not None:
+        raise DerenderError("--method mcmc does not know of libraries", "--known", "leave --method out")
 
 
 def infer_image(
@@ -313,7 +315,7 @@ def _bare(
     rng, told = np.random.default_rng(options.seed), _importing(progress)
     if options.known is not None and isinstance(options.known, str | Path):
         options = replace(options, known=read_library(options.known))
-    if document is not None and options.method in ("mcmc", "smc"):
+    if document is not None and options.method == "mcmc":
         from derender.structures.jumps.run import infer_by_jumps
 
         posterior = infer_by_jumps(seen.depth, seen.camera, options, document, rng, told)

@@ -1,10 +1,10 @@
 """Compare the methods of inference from bare depth images on the same made scenes: how right, how fast, how alike.
 
-    python scripts/compare_methods.py                    10 draws of the prior that mcmc and smc infer under
+    python scripts/compare_methods.py                    10 draws of the prior that mcmc infers under
     python scripts/compare_methods.py tower -n 5         scenes of scripts/evaluate.py
 
-`mcmc` and `smc` jump under the default prior of open structure and share nothing with `auto` but the scene that the
-search finds first, so that where they agree, two ways of weighing structures do. The first table is that of
+`mcmc` jumps under the default prior of open structure and shares nothing with `auto` but the scene that the search
+finds first, so that where they agree, two ways of weighing structures do. The first table is that of
 `scripts/evaluate.py` (objects found, exact graphs, seconds), and how many posteriors are trusted. The second compares
 what each method says of the probability of every edge "this true object rests on that one", and of every type ("it is a
 cube"), with what `auto` says: the mean and the largest difference, and how many differ by more than 0.1.
@@ -35,7 +35,7 @@ from derender.structures.infer import infer_structure  # noqa: E402
 from derender.structures.jumps.run import DEFAULT_PRIOR  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 
-METHODS = ("auto", "mcmc", "smc")
+METHODS = ("auto", "mcmc")
 NEAR = 0.04  # metres between centres of what is one object
 
 

@@ -104,8 +104,8 @@ IDLE = (
     type=click.Choice(["auto", "mcmc", "map", "smc"]),
     default="auto",
     show_default=True,
-    help="auto and mcmc: chains; smc: particles; map: the single best scene. Without --scene auto weighs structures by "
-    "integrals, mcmc and smc by visiting them.",
+    help="auto and mcmc: chains; smc, with --scene: particles; map: the single best scene. Without --scene auto weighs "
+    "structures by integrals, mcmc by visiting them.",
 )
 @click.option("--quick", is_flag=True, help="The best scene only, searched for once: twice as fast as --method map.")
 @click.option(

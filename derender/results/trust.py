@@ -101,7 +101,6 @@ MARGIN = 2.5  # times the draws that seem enough
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
 LIKELY_FLOOR = 0.05  # probability of another plane to be the floor from which on the result is not to be trusted
 LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answer is an object
-APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 
 
 class Doubt(NamedTuple):
@@ -175,9 +174,6 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         if view["explained"] < LEAST_OF_VIEW:
             doubts.append(f"{1.0 - view['explained']:.0%} of {view['image']} is not explained by what all images show")
     structures = posterior.meta.get("structure_chains", {})
-    evidence = posterior.meta.get("log_evidence") or [0.0]
-    if max(evidence) - min(evidence) > APART:
-        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:
         return tuple(map(Doubt, doubts))

@@ -2,5 +2,5 @@
 
 `infer.py` is the way through it: a bare image is searched (`search/`, on `solids/`), the structures near the best are
 drawn from (`draws/`) and weighed (`graph_posterior.py`, `alternatives.py`). `known/` does that with objects known
-beforehand; `jumps/` samples by chains and populations among all that a prior allows.
+beforehand; `jumps/` walks among all that a prior allows.
 """

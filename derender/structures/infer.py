@@ -84,7 +84,7 @@ def infer_structure(
     """
     options, say = options or Options(), progress or (lambda done, message: None)
     rng = np.random.default_rng(options.seed) if rng is None else rng
-    if options.method in ("mcmc", "smc"):
+    if options.method == "mcmc":
         from derender.structures.jumps.run import infer_by_jumps
 
         return infer_by_jumps(image, camera, options, None, rng, progress)

@@ -32,7 +32,7 @@ class Options:
     """How a bare image is inferred, and what is known of it beforehand. Every field may be left out.
 
     method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
-        "mcmc" or "smc" (reversible jumps or structure SMC under a prior of open structure, see jumps/run.py).
+        "mcmc" (reversible jumps under a prior of open structure, see jumps/run.py), "smc" (of given objects only).
     quick : with "map", one search and one climb to the mode: twice as fast, and sometimes beside the best.
     seed : of the random numbers.
     chains, draws, warmup : numbers of chains, of kept draws of each, and of the rounds in which one adapts; None: those

@@ -97,6 +97,8 @@ def test_options_are_checked():
         derender.infer(np.ones((48, 64)), draws="many")
     with pytest.raises(DerenderError, match="no method is called 'mcmcm'; did you mean 'mcmc'"):
         derender.infer(np.ones((48, 64)), method="mcmcm")
+    with pytest.raises(DerenderError, match="--method smc is for objects that are given; add --scene"):
+        derender.infer(np.ones((48, 64)), method="smc", camera=derender.Camera.from_field_of_view(64, 48))
     with pytest.raises(TypeError, match="quick=True is method='map'"):
         derender.infer(np.ones((48, 64)), method="smc", quick=True)
     with pytest.raises(DerenderError, match="'bx' is no shape to look for; did you mean 'box'"):

@@ -100,16 +100,7 @@ def test_there_and_back(words, name):
 
 # Where each move has the most to do, and how many replicates show its twins. A prior draw is moved a few times by one
 # move alone; the mean change of any function of the scene must be zero within its own standard error.
-ROWS = {
-    "birth-death": ("grammar", 600),
-    "change-face": ("rims", 300),
-    "change-shape": ("grammar", 500),
-    "exchange": ("algorithm-1", 900),
-    "reparent": ("blocks", 700),
-    "resimulate": ("grammar", 600),
-    "slide": ("rims", 400),
-    "wiggle": ("slack", 900),
-}
+ROWS = {"birth-death": ("grammar", 600), "resimulate": ("grammar", 600), "wiggle": ("slack", 900)}
 STEPS = 3
 
 
@@ -222,34 +213,6 @@ def test_the_mixture_leaves_the_frequencies_of_structures():
             assert abs(walked.mean() - drawn.mean()) <= 4.0 * error
 
 
-@pytest.mark.parametrize("name", ["slide", "change-face"])
-def test_jacobian_of_what_stays_in_place(name):
-    """Differences of the child's (theta, u, v) give the determinant (1e-3: steps of 1e-6), which is rarely one."""
-    words, seen = Vocabulary(prior_of("rims")), []
-    for graph, choice, applied, _ in draws(words, moves[name], 5, 60):
-        children = graph.children(choice.name)
-        if len(children) != 1 or set(graph.children(children[0])):
-            continue
-        child, keys = graph.vertex(children[0]), ("theta", "u", "v")
-
-        def after(shift, graph=graph, choice=choice, child=child, keys=keys):
-            values = child.contact.values
-            numbers = {f"{child.name}.contact.{k}": values[k] + d for k, d in zip(keys, shift, strict=True)}
-            new = moves[name].apply(words, graph.with_numbers(numbers), choice)
-            return None if new is None else np.array([new.graph.vertex(child.name).contact.values[k] for k in keys])
-
-        columns = [(after(h), after(-h)) for h in 1e-6 * np.eye(3)]
-        if any(end is None for pair in columns for end in pair):
-            continue
-        matrix = np.array([(high - low) / 2e-6 for high, low in columns])
-        if np.abs(matrix).max() < 1e3:  # no angle went round
-            seen.append((math.log(abs(np.linalg.det(matrix))), applied.log_jacobian))
-    measured, stated = np.array(seen).T
-    assert len(seen) > 10
-    assert np.abs(measured - stated).max() < 1e-3
-    assert np.abs(stated).max() > 0.05  # so one without a Jacobian fails here
-
-
 # ---- broken twins: each move with a fault that people make ----
 
 
@@ -267,14 +230,6 @@ class Twin(Move):
 
     def apply(self, words, graph, choice):
         return self.original.apply(words, graph, choice)
-
-
-class WithoutJacobian(Twin):
-    """Forgets that the numbers before and after measure different volumes."""
-
-    def apply(self, words, graph, choice):
-        applied = super().apply(words, graph, choice)
-        return None if applied is None else applied._replace(log_jacobian=0.0)
 
 
 class WithoutChoices(Twin):
@@ -300,36 +255,18 @@ class Growing(Twin):
         applied = super().apply(words, graph, choice)
         if applied is None or getattr(choice, "name", None) == "root":
             return applied
-        name = choice.name if hasattr(choice, "name") else choice.lower
+        name = choice.name
         vertex = applied.graph.vertex(name)
         if name in words.base:
             return applied
         grown = {key: 1.04 * x for key, x in vertex.parameters.items()}
-        return Applied(applied.graph.replace(name, parameters=grown), applied.back, applied.log_jacobian)
-
-
-class LargeBelow(Twin):
-    """Likes an exchange that brings the larger solid down, and dislikes the way back as much."""
-
-    def apply(self, words, graph, choice):
-        applied = super().apply(words, graph, choice)
-        if applied is None:
-            return None
-        gain = 10.0 * (graph.vertex(choice.upper).psi.sum() - graph.vertex(choice.lower).psi.sum())
-        return applied._replace(log_jacobian=gain)
+        return Applied(applied.graph.replace(name, parameters=grown), applied.back)
 
 
 TWINS = [
     ("birth-death", WrongCount),
     ("birth-death", WithoutChoices),
-    ("change-face", Growing),
-    ("change-shape", WithoutJacobian),
-    ("change-shape", WithoutChoices),
-    ("exchange", Growing),
-    ("exchange", LargeBelow),
-    ("reparent", WithoutJacobian),
     ("resimulate", WithoutChoices),
-    ("slide", Growing),
     ("wiggle", Growing),
 ]
 

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 from jump_worlds import document_of, generator
 from scipy.stats import chi2
-from test_jump_posterior import CAMERA, TINY, VALUES, key_of
+from test_jump_posterior import CAMERA, TINY, VALUES, key_of, likelihood_of
 
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.structures.jumps import mixture
 from derender.structures.jumps.base import Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import walk
-from derender.structures.jumps.sampler import SlotImage
-from derender.structures.jumps.tree_moves import Birth, BirthDeath
+from derender.structures.jumps.object_moves import Birth, BirthDeath
 
 STATES = 15  # of a chain besides the truth
 SEVERE = 4.5  # standard errors that pass; the twins are to fail by more
@@ -70,7 +69,7 @@ def calibration(scenes, thin, in_bank):
         truth = prior.sample(rng)
         evaluator.load(truth.solids())
         image = evaluator.model_depth() + VALUES["sigma"] * rng.standard_normal((12, 16))
-        target = Target(prior, SlotImage(CAMERA, image, "gaussian", VALUES))
+        target = Target(prior, likelihood_of(image))
         before, states = int(rng.integers(STATES + 1)), []
         for length in (before, STATES - before):
             state = evaluate(target, truth)

@@ -2,12 +2,12 @@
 2020).
 
 A move draws its random choices u given the scene G and maps (G, u) to (G', u') by a map that is its own inverse:
-applied to (G', u') it returns (G, u). With q(u | G) the probability density of the choices and J the absolute Jacobian
-determinant of the continuous numbers of (G', u') by those of (G, u),
+applied to (G', u') it returns (G, u). All maps here exchange, shift or turn numbers, which keeps volumes; so with
+q(u | G) the probability density of the choices,
 
-    log ratio = log posterior(G') - log posterior(G) + log q(u' | G') - log q(u | G) + log J,
+    log ratio = log posterior(G') - log posterior(G) + log q(u' | G') - log q(u | G),
 
-which is Green's rule, positive where G' is the better one. One function takes every step; moves say q, the map and J.
+which is Green's rule, positive where G' is the better one. One function takes every step; moves say q and the map.
 What a structural prior lets stand where, the sets that jumps choose from, is its `Vocabulary`.
 
 Scenes are sets of objects: names and the order of the list tell nothing, so a scene's density is the prior's density
@@ -17,7 +17,7 @@ one continuous number for each object that can be born: two objects are never th
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -100,12 +100,6 @@ class Vocabulary:
         found = self.prior.contacts.choices(shape, self.shapes[kind].type, top)
         return None if found is None else found[0]
 
-    def table_of(self, graph: SceneGraph, vertex: Vertex) -> Table | None:
-        """Return the numbers of a vertex's contact, fixed or with their distributions; None: the prior has no such."""
-        contact = vertex.contact
-        choice = (contact.type, contact.parent_face, contact.child_face)
-        return self.table(*self.seat(graph, vertex.parent), vertex.shape, choice)
-
     def free_numbers(self, graph: SceneGraph, name: str) -> Mapping[tuple[str, str], Distribution]:
         """Return the prior of each free number of an object, by ("shape" or "contact", name); the base's too."""
         vertex = graph.vertex(name)
@@ -156,11 +150,10 @@ class State(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """What a move makes of (graph, choices): the new graph, the choices of the way back, log J."""
+    """What a move makes of (graph, choices): the new graph and the choices of the way back."""
 
     graph: SceneGraph
     back: Any
-    log_jacobian: float
 
 
 class Move:
@@ -184,7 +177,7 @@ class Move:
         raise NotImplementedError
 
     def apply(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> Applied | None:
-        """Return (G', u') and log J; None where the map is not defined."""
+        """Return (G', u'); None where the map is not defined."""
         raise NotImplementedError
 
 
@@ -192,51 +185,37 @@ moves: Registry[Move] = Registry("jump", "derender.jumps")
 
 
 class Target:
-    """The posterior over scenes: `prior.log_density + prior.log_orderings + image(graph)`.
+    """The posterior over scenes: `prior.log_density + prior.log_orderings + log_likelihood`.
 
-    prior : Prior. image : has `propose(graph) -> float` (log likelihood), `accept()` and `reject()`; None: no image,
-        the target is the prior itself.
-    temperature : exponent on the likelihood.
+    prior : Prior. log_likelihood : of a scene; the prior itself is the target where none is given.
     """
 
-    def __init__(self, prior: GrammarPrior, image: Any = None, temperature: float = 1.0) -> None:
-        self.prior, self.image, self.temperature = prior, image, temperature
+    def __init__(self, prior: GrammarPrior, log_likelihood: Callable[[SceneGraph], float] = lambda graph: 0.0) -> None:
+        self.prior, self.log_likelihood = prior, log_likelihood
 
     def log_prior(self, graph: SceneGraph) -> float:
         """Return the log density of a scene as a set."""
         density = self.prior.log_density(graph)
         return density + self.prior.log_orderings(graph) if density > -math.inf else density
 
-    def propose(self, graph: SceneGraph) -> float:
-        """Return the log likelihood of a scene; `settle` must follow."""
-        return 0.0 if self.image is None else self.image.propose(graph)
-
-    def settle(self, accepted: bool) -> None:
-        """Keep the scene proposed, or forget it."""
-        if self.image is not None:
-            self.image.accept() if accepted else self.image.reject()
-
 
 def evaluate(target: Target, graph: SceneGraph) -> State:
-    """Return the state of a scene and make it the one that proposals are compared with."""
-    log_prior = target.log_prior(graph)
-    log_likelihood = target.propose(graph)
-    target.settle(True)
-    return State(graph, log_prior, log_likelihood)
+    """Return a scene with its densities."""
+    return State(graph, target.log_prior(graph), target.log_likelihood(graph))
 
 
 def log_proposal_ratio(move: Move, words: Vocabulary, graph: SceneGraph, choice: Any) -> tuple[Applied | None, float]:
-    """Return what the move makes of (graph, choice), and log q(u' | G') - log q(u | G) + log J."""
+    """Return what the move makes of (graph, choice), and log q(u' | G') - log q(u | G)."""
     applied = move.apply(words, graph, choice)
     if applied is None:
         return None, -math.inf
     if move.even:
-        return applied, applied.log_jacobian
+        return applied, 0.0
     forth = move.log_choice(words, graph, choice)
     back = move.log_choice(words, applied.graph, applied.back)
     if not (forth > -math.inf and back > -math.inf):
         return None, -math.inf
-    return applied, back - forth + applied.log_jacobian
+    return applied, back - forth
 
 
 def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move, state: State) -> tuple[State, Info]:
@@ -251,25 +230,12 @@ def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move
     log_prior = target.log_prior(applied.graph)
     if not log_prior > -math.inf:
         return refused
-    log_likelihood = target.propose(applied.graph)
-    log_ratio = log_prior - state.log_prior + target.temperature * (log_likelihood - state.log_likelihood) + correction
-    state, info = decide(rng, state, State(applied.graph, log_prior, log_likelihood), log_ratio, move.name)
-    target.settle(info.accepted)
-    return state, info
+    new = State(applied.graph, log_prior, target.log_likelihood(applied.graph))
+    log_ratio = log_prior - state.log_prior + new.log_likelihood - state.log_likelihood + correction
+    return decide(rng, state, new, log_ratio, move.name)
 
 
-def mixture(weights: Mapping[str, float] | None = None) -> list[tuple[Move, float]]:
-    """Return moves with their shares of the steps; `weights` replaces the default ones, 0 leaves a move out.
-
-    Raises DerenderError : an unknown move, a negative weight, nothing left.
-    """
-    given = dict(weights or {})
-    for name, weight in given.items():
-        moves[name]  # raises for one that is unknown
-        if not weight >= 0.0:
-            raise DerenderError(f"the weight of {name} is {weight!r}", remedy="give a number from 0 up")
-    shares = {name: given.get(name, moves[name].weight) for name in moves.names()}
-    total = math.fsum(shares.values())
-    if not total > 0.0:
-        raise DerenderError("no move is left", remedy="give one of them a weight above 0")
-    return [(moves[name], share / total) for name, share in shares.items() if share > 0.0]
+def mixture() -> list[tuple[Move, float]]:
+    """Return the moves with their shares of the steps."""
+    total = math.fsum(moves[name].weight for name in moves.names())
+    return [(moves[name], moves[name].weight / total) for name in moves.names()]

@@ -18,12 +18,10 @@ CHUNK = 256  # moves chosen at a time
 
 
 class Draws(NamedTuple):
-    """states : one for each draw; weights : (n,), their sum is one; acceptance : by move; log_evidence : or None."""
+    """states : one for each draw; acceptance : by move."""
 
     states: list[State]
-    weights: np.ndarray
     acceptance: Mapping[str, float]
-    log_evidence: float | None = None
 
 
 class Visit(NamedTuple):
@@ -71,7 +69,7 @@ def jump_chain(
     for _ in range(draws):
         state = walk(rng, target, words, state, thin, parts, counts)
         states.append(state)
-    return Draws(states, np.full(draws, 1.0 / draws), acceptance_of(counts))
+    return Draws(states, acceptance_of(counts))
 
 
 def acceptance_of(counts: Counter) -> dict[str, float]:
@@ -138,10 +136,9 @@ def _sorted(graph: SceneGraph, order: Mapping[str, int]) -> SceneGraph:
 
 
 def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
-    """Return draws, or weighted particles, as a Posterior: one part for each structure, objects told by their places.
+    """Return the draws of chains as a Posterior: one part for each structure, objects told by their places.
 
-    They are called after their kinds in the likeliest structure. Particles of unequal weight are not repeated: SMC
-    hands over equal ones.
+    They are called after their kinds in the likeliest structure.
     """
     every = [state for draws in found for state in draws.states]
     reference = max(every, key=lambda state: state.log_prior + state.log_likelihood).graph
@@ -149,11 +146,11 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
     groups: dict[tuple, list[list[Visit]]] = {}
     for number, draws in enumerate(found):
         visited.append([])
-        for state, weight in zip(draws.states, draws.weights, strict=True):
+        for state in draws.states:
             graph = matched(state.graph, reference, words.base)
             visited[-1].append(graph.structure())
             chains = groups.setdefault(graph.structure(), [[] for _ in found])
-            chains[number].append(Visit(graph, state, weight / len(found)))
+            chains[number].append(Visit(graph, state, 1.0 / (len(draws.states) * len(found))))
     heaviest = max(groups.values(), key=lambda chains: sum(visit.weight for chain in chains for visit in chain))
     taken = {name for structure in groups for name, *_ in structure}
     names = names_by_kind(words, next(visit.graph for chain in heaviest for visit in chain), taken)
@@ -162,11 +159,8 @@ def posterior_of(words: Vocabulary, found: Sequence[Draws]) -> Posterior:
         for chains in groups.values()
     ]
     extras = {name: np.mean([draws.acceptance.get(name, 0.0) for draws in found]) for name in found[0].acceptance}
-    evidence = [draws.log_evidence for draws in found if draws.log_evidence is not None]
     meta: dict[str, Any] = {"acceptance": {name: float(x) for name, x in extras.items()},
                             "structure_chains": agreement(visited)}  # fmt: skip
-    if evidence:
-        meta["log_evidence"] = [float(x) for x in evidence]
     parts.sort(key=lambda part: -part.weight)
     return Posterior(tuple(parts), meta=meta)
 

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from derender.scene.contacts import contacts
+from derender.scene.distributions import Distribution
 from derender.scene.graph import Contact, SceneGraph, Vertex
-from derender.scene.pose import from_quaternion, inverse, quaternion
+from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
 from derender.structures.jumps.base import Vocabulary
-from derender.structures.jumps.charts import free_names, rotation_density, rotation_near
 
+HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
 ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
 
 
@@ -172,7 +173,7 @@ def _component(
     reach = 0.5 * float(np.linalg.norm(body.size()))
     tilts = [x for name, x in found.slack.items() if name.startswith("tilt")] if body.shape.name != "sphere" else []
     misfit = found.outside + reach * found.angle
-    misfit += 0.0 if "gap" in free_names(table) else abs(found.slack.get("gap", 0.0))
+    misfit += 0.0 if isinstance(table.get("gap"), Distribution) else abs(found.slack.get("gap", 0.0))
     misfit += reach * math.hypot(*[0.0, 0.0, *tilts][-2:])
     if misfit > 0.05:
         return []
@@ -260,3 +261,25 @@ def _log_normal(component: Component, values: dict[str, float]) -> float:
         else:
             total += _log_one(values[name], component.centres[name], *spread)
     return total
+
+
+def rotation_near(rng: np.random.Generator, centre: np.ndarray, angle: float) -> np.ndarray:
+    """Return a (4, 4) rotation drawn about another: a rotation vector of three normals, shorter than pi."""
+    while True:
+        vector = angle * rng.standard_normal(3)
+        if vector @ vector < math.pi**2:
+            return centre @ from_rotation_vector(vector)
+
+
+def rotation_density(turned: np.ndarray, centre: np.ndarray, angle: float) -> float:
+    """Return the log density of `rotation_near` with respect to Haar's measure of mass one.
+
+    dHaar = 2 (1 - cos a) / a^2 dw / (8 pi^2), a = |w|; the normal is cut at a = pi, where chi's cdf with three degrees
+    of freedom has the normaliser.
+    """
+    a = rotation_angle(centre, turned)
+    reach = math.pi / angle
+    mass = math.erf(reach / math.sqrt(2.0)) - math.sqrt(2.0 / math.pi) * reach * math.exp(-0.5 * reach * reach)
+    normal = -0.5 * (a / angle) ** 2 - 3.0 * math.log(angle * math.sqrt(2.0 * math.pi)) - math.log(mass)
+    element = 2.0 * (1.0 - math.cos(a)) / (a * a) if a > 1e-4 else 1.0 - a * a / 12.0
+    return normal + HAAR - math.log(element)

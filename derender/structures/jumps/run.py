@@ -1,4 +1,4 @@
-"""Scene graphs under a prior of open structure, by jump chains or structure SMC: `infer --method mcmc` or `smc`.
+"""Scene graphs under a prior of open structure, by jump chains: `infer --method mcmc`.
 
 Without a prior, images are inferred under DEFAULT_PRIOR with the floor where it was seen and the noise that it shows.
 Chains start from the search's one best scene, written in the prior's own words, and births are proposed about its
@@ -26,13 +26,13 @@ from derender.scene.shapes.box import ROTATIONS
 from derender.structures.jumps.base import Target, Vocabulary
 from derender.structures.jumps.chain import posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
-from derender.structures.jumps.reparametrise import renamed
 from derender.structures.jumps.sampler import JumpSampler
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
     from derender.detection.search.observation import Observation
 
+OTHER_KIND = 0.2  # weight of a solid as another kind than it was found to be, beside that kind's
 FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY
 
 
@@ -75,17 +75,16 @@ def base_graph(words: Vocabulary, root_pose: np.ndarray, rng: np.random.Generato
 
 
 def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, angle: float = 0.03) -> list[Hypothesis]:
-    """Return the solids of a scene as hypotheses in a prior's kinds, boxes with each naming of their upright axes."""
+    """Return the solids of a scene as hypotheses, each as every kind of a prior, with each naming of upright axes."""
     up, poses, found = -graph.down(), graph.poses(), []
     for vertex in graph.vertices:
         size = vertex.body.size()
         if size is None:
             continue
         for kind, entry in words.shapes.items():
-            if entry.type == vertex.shape or {entry.type, vertex.shape} == {"box", "cube"}:
-                turns = ROTATIONS if "box" in (entry.type, vertex.shape) or entry.type == "cube" else np.eye(3)[None]
-                likely = 1.0 if entry.type == vertex.shape else 0.2
-                found += _named(kind, entry, poses[vertex.name], size, turns, up, likely, length, angle)
+            turned = entry.type != "sphere" and {entry.type, vertex.shape} != {"cylinder"}
+            turns, likely = ROTATIONS if turned else np.eye(3)[None], 1.0 if entry.type == vertex.shape else OTHER_KIND
+            found += _named(kind, entry, poses[vertex.name], size, turns, up, likely, length, angle)
     return found
 
 
@@ -96,7 +95,8 @@ def _named(
 
     variants: list[Hypothesis] = []
     for turn in turns:
-        new, extents = renamed(pose, size, turn)
+        new, extents = pose.copy(), np.abs(turn.T) @ size  # the same box, its axes named anew
+        new[:3, :3] = pose[:3, :3] @ turn
         if len(turns) > 1 and new[:3, 2] @ up < math.cos(math.radians(45.0)):
             continue
         psi = shapes[entry.type].psi_from_size(extents, entry.options)
@@ -162,9 +162,7 @@ def _inside(x: Any, spread: Any) -> Any:
 
 DEFAULT_PRIOR = "bare-image"  # of images that come without one
 DRAWS, CHAINS, THIN, WARMUP = 400, 2, 20, 4000
-PARTICLES = 40
 SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
-EXTRA = 1  # objects beyond those seen that SMC makes room for
 
 
 def infer_by_jumps(
@@ -173,7 +171,7 @@ def infer_by_jumps(
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
     document : None for the default prior, as `bare_document` has it.
-    options : Options: method "mcmc" or "smc", shapes, max_objects, may_overlap, may_float, floor,
+    options : Options: shapes, max_objects, may_overlap, may_float, floor,
         chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
@@ -182,9 +180,6 @@ def infer_by_jumps(
     from derender.detection.solids.graph import scene_graph
     from derender.structures.infer import explanation_of, settings_of
 
-    method, chain = options.method, options.method == "mcmc"
-    if not chain and options.warmup is not None:
-        raise DerenderError("populations have no warm-up", "--warmup", "leave it out, or take --method mcmc")
     rng = np.random.default_rng(options.seed) if rng is None else rng
     if progress:
         progress(0.0, "searching for solids")
@@ -204,27 +199,25 @@ def infer_by_jumps(
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)
     likelihood, values = _likelihood_of(document, seen, settings, depth)
-    draws, chains = options.draws or (DRAWS if chain else PARTICLES), options.chains or CHAINS
-    most = options.max_objects or len(words.grown(start)) + EXTRA
-    sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses_of(words, graph), method, THIN,
-                          SEGMENT if chain else draws, int(most))  # fmt: skip
-    if chain and Target(prior).log_prior(start) == -np.inf:
+    draws, chains = options.draws or DRAWS, options.chains or CHAINS
+    hypotheses = hypotheses_of(words, graph)
+    sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses, THIN, SEGMENT)
+    if Target(prior).log_prior(start) == -np.inf:
         raise DerenderError("the prior rules out the scene to start from", remedy="widen the prior")
     warmup = WARMUP if options.warmup is None else options.warmup
     folder = None if options.folder is None else Path(options.folder) / "checkpoint"
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    decides = [options.deciding()] + ([] if chain else [str(draws)])
-    run = fingerprint(__version__, *decides, depth.tobytes(), repr(camera), likelihood, repr(values),
+    run = fingerprint(__version__, options.deciding(), depth.tobytes(), repr(camera), likelihood, repr(values),
                       sampler.start(rng)["now"].tobytes(), repr(sampler.hypotheses))  # fmt: skip
-    plan = Plan(sampler, int(rng.integers(2**63)), chains, -(-warmup // THIN) if chain else 0, draws, folder, run,
+    plan = Plan(sampler, int(rng.integers(2**63)), chains, -(-warmup // THIN), draws, folder, run,
                 options.resume)  # fmt: skip
     total, done = chains * (plan.warmup + plan.draws), dict.fromkeys(range(chains), 0)
 
     def report(number: int, steps: int, _: int) -> None:
         done[number] = steps
         if progress:
-            progress(sum(done.values()) / total, "jumping" if chain else "adding objects")
+            progress(sum(done.values()) / total, "jumping")
 
     outcome = workers.run(plan, options.jobs or 1, True, report)
     found = [sampler.draws(record) for record in outcome.records.values() if record.drawn]

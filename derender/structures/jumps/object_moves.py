@@ -1,4 +1,4 @@
-"""Moves of one object's free numbers: drawn anew from the prior, or by a normal step."""
+"""The moves: an object's free numbers drawn anew from the prior, or shifted by normal steps; birth and death."""
 
 import math
 from collections.abc import Mapping
@@ -10,10 +10,9 @@ import numpy as np
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion
+from derender.scene.pose import from_quaternion, from_rotation_vector, quaternion
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.structures.jumps.base import Applied, Move, Vocabulary, log_uniform_choice, moves
-from derender.structures.jumps.charts import LINE, TILTED, all_numbers, log_pose_element
 
 Key = tuple[str, str]  # ("shape" or "contact", name of the number)
 
@@ -83,7 +82,7 @@ class Numbers(NamedTuple):
 class Resimulate(Move):
     """Draw all free numbers of one object's contact, or of its shape, from their priors.
 
-    Scene and choices exchange numbers, J = 1:
+    Scene and choices exchange numbers:
     log ratio = log posterior(G') - log posterior(G) + log p(old numbers) - log p(new numbers).
     """
 
@@ -115,7 +114,7 @@ class Resimulate(Move):
         back = Numbers(choice.name, choice.part, read(vertex, choice.values))
         new = write(vertex, choice.values)
         vertices = tuple(new if other is vertex else other for other in graph.vertices)
-        return Applied(replace(graph, vertices=vertices), back, 0.0)
+        return Applied(replace(graph, vertices=vertices), back)
 
 
 SHORTEST, LONGEST = 5e-5, 0.03  # metres of a step; drawn evenly in its logarithm
@@ -136,7 +135,7 @@ class Wiggle(Move):
 
     Choices: the object; a scale, evenly in its logarithm; all its numbers or one of them; the steps. Back are the
     opposite steps of the same scale: normals are even and circles and rotations have no boundary, so the q cancel; a
-    shift has Jacobian one, a turn keeps Haar's measure.
+    shift keeps lengths, a turn Haar's measure.
     """
 
     weight = 12.0
@@ -190,18 +189,14 @@ class Wiggle(Move):
             values = dict(words.prior.root.values(graph.root_pose))
             for (_, address), step in choice.steps.items():
                 values[address] = moved(values[address], step, laws["root", address])
-            return Applied(replace(graph, root_pose=words.prior.root.pose(values)), back, 0.0)
+            return Applied(replace(graph, root_pose=words.prior.root.pose(values)), back)
         vertex = graph.vertex(choice.name)
         old = read(vertex, choice.steps)
         new = {key: moved(old[key], step, laws[key]) for key, step in choice.steps.items()}
         if any(key[0] == "shape" and not value > 1e-6 for key, value in new.items()):
             return None
-        return self.place(words, graph, write(vertex, new), back)
-
-    def place(self, words: Vocabulary, graph: SceneGraph, vertex: Vertex, back: Shift) -> Applied | None:
-        """Return the scene with the vertex in its new place."""
-        vertices = tuple(vertex if other.name == vertex.name else other for other in graph.vertices)
-        return Applied(replace(graph, vertices=vertices), back, 0.0)
+        shifted = write(vertex, new)
+        return Applied(replace(graph, vertices=tuple(shifted if v is vertex else v for v in graph.vertices)), back)
 
 
 def _width(graph: SceneGraph, name: str, key: tuple[str, str], scale: float) -> float:
@@ -211,53 +206,44 @@ def _width(graph: SceneGraph, name: str, key: tuple[str, str], scale: float) -> 
     return scale if unit_of(graph, graph.vertex(name), key) == "m" else scale / ARM
 
 
-@moves.register("slide")
-class Slide(Wiggle):
-    """Shift one object in its contact while what stands on it stays where it is in the world.
+class Birth(NamedTuple):
+    """vertex : to be added."""
 
-    As `wiggle`, of the contact's numbers alone, of objects that carry something. Each child's numbers become those of
-    the same pose on the moved face, for fixed steps a bijection:
-    log J = sum over children of log d(pose)/d(numbers) before - the same after (see `charts`), the rest unchanged.
+    vertex: Vertex
+
+
+class Death(NamedTuple):
+    """name : of the leaf to be removed."""
+
+    name: str
+
+
+@moves.register("birth-death")
+class BirthDeath(Move):
+    """With probability one half each: add an object drawn from the proposal b, or remove one leaf of the l there are.
+
+    The choices of a birth are the new vertex itself, so the map only moves numbers between scene and choices:
+
+        birth: log ratio = log posterior(G + v) - log posterior(G) - log l(G + v) - log b(v | G)
+        death: the negative, with the vertex removed in place of v.
     """
 
-    weight = 2.0
+    weight = 3.0
 
-    def objects(self, words: Vocabulary, graph: SceneGraph) -> list[str]:
-        carried = {vertex.parent for vertex in graph.vertices if vertex.contact.type in TILTED + LINE}
-        return [name for name in words.grown(graph) if name in carried and self.laws(words, graph, name)]
+    def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
+        if rng.random() < 0.5:
+            vertex = words.proposal.sample(rng, words, graph)
+            return None if vertex is None else Birth(vertex)
+        leaves = words.leaves(graph)
+        return Death(leaves[int(rng.random() * len(leaves))]) if leaves else None
 
-    def laws(self, words: Vocabulary, graph: SceneGraph, name: str) -> Any:
-        return {key: law for key, law in words.free_numbers(graph, name).items() if key[0] == "contact"}
+    def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
+        if isinstance(choice, Birth):
+            return math.log(0.5) + words.proposal.log_density(words, graph, choice.vertex)
+        leaves = words.leaves(graph)
+        return math.log(0.5) + log_uniform_choice(len(leaves)) if choice.name in leaves else -math.inf
 
-    def place(self, words: Any, graph: Any, vertex: Any, back: Any) -> Applied | None:
-        alone = replace(graph, vertices=tuple(vertex if o.name == vertex.name else o for o in graph.vertices))
-        poses, total, changed = graph.poses(), 0.0, {}
-        moved_pose = alone.poses()[vertex.name]
-        for name in graph.children(vertex.name):
-            child = graph.vertex(name)
-            contact, body, parent = child.contact, child.body, vertex.body
-            table, faces = words.table_of(graph, child), (contact.parent_face, contact.child_face)
-            if table is None or contact.type not in TILTED + LINE:
-                return None
-            before = all_numbers(contact, parent.shape, body.shape)
-            found = contacts[contact.type].invert(inverse(moved_pose) @ poses[name], parent, body, *faces)
-            if found.outside > 1e-9 or found.angle > 1e-9:
-                return None
-            after = dict(found.values)
-            values = dict(contact.values)
-            for key, value in after.items():
-                law = table.get(key)
-                if isinstance(law, Distribution):
-                    values[key] = moved(value, 0.0, law)
-                    if key == "theta" and abs(math.remainder(values[key] - value, math.tau)) > 1e-9:
-                        return None  # folding would turn the child's axes
-                    after[key] = values[key]
-                elif key not in ("theta", "roll") and abs(value - before[key]) > 1e-9:
-                    return None  # the contact would no longer hold
-                elif key in ("theta", "roll"):
-                    after[key] = value
-            total += log_pose_element(contact.type, before, parent, body, faces)
-            total -= log_pose_element(contact.type, after, parent, body, faces)
-            changed[name] = replace(child, contact=replace(contact, values=values))
-        vertices = tuple(changed.get(other.name, other) for other in alone.vertices)
-        return Applied(replace(alone, vertices=vertices), back, total)
+    def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
+        if isinstance(choice, Birth):
+            return Applied(graph.add(choice.vertex), Death(choice.vertex.name))
+        return Applied(graph.remove(choice.name), Birth(graph.vertex(choice.name)))
