@@ -1,8 +1,9 @@
 """Maximum a posteriori estimation of the numbers of a scene graph whose structure is given (A.3, Figure 5).
 
-Two ways up. `gauss-newton` (the default): from each start a coarse image is scanned and descended, then the full one,
-by Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the paper's steps of fixed length.
-Both keep every state inside the domain, angles going round their period.
+Any scene is led to its mode by a walk ever colder (`cooled`); where none of its solids is a mesh, two ways lead on.
+`gauss-newton` (the default): from each start a coarse image is scanned and descended, then the full one, by
+Levenberg-Marquardt on the exact Jacobian of the antialiased image. `gradient`: the paper's steps of fixed length. Both
+keep every state inside the domain, angles going round their period.
 """
 
 import math
@@ -13,10 +14,13 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.posterior.ascent import Ascent, Cost, fixed_steps, levenberg, new_placement
+from derender.posterior.compiled.backend import backend_of
+from derender.posterior.kernels.base import first_tuning, mixture, rescale
 from derender.registry import suggest
 from derender.render.blur import blur_taps
 from derender.render.raycast.normal_equations import new_misfit
 from derender.scene.graph import SceneGraph
+from derender.scene.solids import MESH
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -28,6 +32,8 @@ LATTICE, GENERATORS = 24, (1, 5, 11, 7)  # points of the scan, and their rank-1 
 KEPT = 2  # places of the scan that are descended from
 COARSE_STEPS, COARSE_STEPS_ALONE = 4, 12  # with a scan before, and without
 COARSE_GAIN = 5.0  # nats; a smaller one ends a descent on the coarse image
+COLDER = tuple(2.0 ** np.arange(0.0, 10.0, 0.5))  # what the likelihood is raised to, one after the other
+COLD_STEPS, GAIN = 100, 3.0  # at each, of each block of unknowns; of their scales for a rate wrong by 1
 DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's range: about a pixel
 
 
@@ -86,14 +92,15 @@ class MapProblem:
         seen = np.isfinite(observed) & (observed > 0)
         spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
         self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
-        scene = graph.solids()
-        kinds = scene.kind
-        fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit, scene)
+        kinds = graph.solids().kind
+        if (kinds == MESH).any():
+            raise DerenderError("meshes have no exact derivative", remedy="give boxes, cubes, cylinders or spheres")
+        fine = new_misfit(camera, observed, spread, kinds, count, blur_taps(blur), background, limit)
         factor = max(1, min(camera.width, camera.height) // COARSE_ROWS)
         small = camera.downscaled(factor)
         means, deviations = _blocks(np.where(seen, observed, np.nan), spread, factor)
         taps = blur_taps(blur / factor)
-        coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit, scene)
+        coarse = new_misfit(small, means, deviations, kinds, count, taps, background, limit)
         self._fine, self._coarse = Cost(fine, self.placement, edges), Cost(coarse, self.placement)
 
     def scene(self, values: np.ndarray) -> SceneGraph:
@@ -192,11 +199,11 @@ def climb(
 ) -> np.ndarray:
     """Return values (P,) of a SceneTarget, at least as probable as those given: ends of ascents, judged by the target.
 
-    The ascents move contact and shape numbers on the antialiased image under uniform priors in the target's ranges; the
-    target's own density decides, so neither approximation can make things worse. Rotations, the root, faces and the
-    likelihood's unknowns stay. Scenes that have no compiled derivative come back as they are.
+    All unknowns are `cooled`. The ascents then move contact and shape numbers on the antialiased image under uniform
+    priors in the target's ranges; the target's own density decides, so neither approximation can make things worse.
     """
-    space, best = target.space, np.array(values, np.float64)
+    rng = np.random.default_rng(0) if rng is None else rng
+    space, best = target.space, cooled(rng, target, values)
     chosen, ranges = [], {}
     for unknown, offset in zip(space.unknowns, space.offsets, strict=False):
         name = unknown.address.partition(".")[0]
@@ -215,7 +222,7 @@ def climb(
     except DerenderError:
         return best
     density = target.log_prior(best) + target.log_likelihood(best)
-    starts = np.vstack([problem.values, problem.random_starts(rng or np.random.default_rng(0), 4)])
+    starts = np.vstack([problem.values, problem.random_starts(rng, 4)])
     if gradient == "exact":
         found = problem.maximise(starts[:1], explore=False) + problem.maximise(starts)
         ends = [maximum.values for maximum in found]
@@ -233,4 +240,18 @@ def climb(
             value = log_prior + target.log_likelihood(trial)
             if value > density:
                 best, density = trial, value
+    return best
+
+
+def cooled(rng: np.random.Generator, target: Any, values: np.ndarray) -> np.ndarray:
+    """Return the likeliest values (P,) that a walk from some meets while the likelihood weighs ever more."""
+    parts = mixture(target.space, [{"drift": {}}])
+    backend, tuning = backend_of(target, parts), first_tuning(target.space, values)
+    best, density = np.array(values, np.float64), sum(backend.evaluate(values))
+    for cold in COLDER:
+        stretch = backend.sweep(rng, best, tuning._replace(temperature=cold), COLD_STEPS * len(parts), 1)
+        found = stretch.densities.sum(axis=1)
+        if found.max() > density:
+            best, density = stretch.values[found.argmax()], found.max()
+        tuning = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, GAIN))
     return best

@@ -8,7 +8,7 @@ from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.sensitivity import MOTION
 from derender.scene.pose import rotation_x, rotation_z, translation, twist_exp
-from derender.scene.solids import BOX, MESH, PLANE, SPHERE, Solids
+from derender.scene.solids import BOX, PLANE, SPHERE, Solids
 
 CAMERA = Camera.from_field_of_view(64, 64)
 BACKGROUND, BLUR = 10.0, 1.0
@@ -43,20 +43,13 @@ def random_scene(seed: int, kind: int, stacked: bool = False) -> Solids:
     return Solids(kinds, np.array(poses), np.array(sizes), np.full(5, -1, np.int32))
 
 
-def as_meshes(solids: Solids, vertices: np.ndarray, triangles: np.ndarray) -> Solids:
-    """Return the same poses and extents with this mesh for every solid but the plane."""
-    mesh = np.ascontiguousarray(vertices, float), np.ascontiguousarray(triangles, np.int32)
-    kinds, index = np.where(solids.kind == PLANE, PLANE, MESH), np.where(solids.kind == PLANE, -1, 0)
-    return solids._replace(kind=kinds.astype(np.int32), mesh=index.astype(np.int32), meshes=(mesh,))
-
-
 def random_motion(solids: Solids, k: int, seed: int) -> np.ndarray:
     """Return a motion of solid k with turns about its own centre and, keeping it what it is, growth."""
     rng = np.random.default_rng([seed, 7])
     motion = rng.normal(size=MOTION)
     motion[3:6] /= 0.08  # as much movement at a surface from turning as from shifting
     motion[:3] -= np.cross(motion[3:6], solids.pose[k, :3, 3])
-    if solids.kind[k] not in (BOX, MESH):
+    if solids.kind[k] != BOX:
         motion[7] = motion[6]
     if solids.kind[k] == SPHERE:
         motion[8] = motion[6]

@@ -14,7 +14,7 @@ from derender.scene.solids import Solids
 
 def antialiased_depth(solids: Solids, camera, background: float = 10.0, blur_sigma: float = 0.0) -> np.ndarray:
     """Return the (height, width) mean depth over the area of each pixel, blurred by `blur_sigma` pixels."""
-    canvas = new_canvas(camera, len(solids.kind), solids)
+    canvas = new_canvas(camera, len(solids.kind))
     window = np.array([0, camera.width, 0, camera.height], np.int64)
     draw_antialiased(canvas, *_arrays(solids), float(background), window)  # type: ignore[call-arg]
     return blur(canvas.depth, blur_sigma)
@@ -29,7 +29,7 @@ def derivative_image(
     edges : False leaves out the occlusion edges, which makes it wrong: for comparison only.
     """
     count, width, height = len(solids.kind), camera.width, camera.height
-    canvas, records = new_canvas(camera, count, solids), new_records(camera, count)
+    canvas, records = new_canvas(camera, count), new_records(camera, count)
     window, motions = np.array([0, width, 0, height]), np.zeros((1, count, MOTION))
     images = np.zeros((1, width * height))
     kinds, poses, sizes = _arrays(solids)
@@ -50,17 +50,14 @@ class SmoothLikelihood:
     kinds : (N,) int32 of the scenes' solids.
     sigma : noise in metres, a number or (height, width). blur_sigma : pixels. background : metres.
     parameters : most parameters that `equations` will be asked for.
-    scene : Solids with the meshes, where there are any.
     """
 
-    def __init__(self, camera, observed, kinds, sigma=0.005, blur_sigma=1.0, background=10.0, parameters=1,
-                 scene=None) -> None:  # fmt: skip
+    def __init__(self, camera, observed, kinds, sigma=0.005, blur_sigma=1.0, background=10.0, parameters=1) -> None:
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
         spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
         self._constant = -float(np.sum(np.log(spread[seen]) + 0.5 * math.log(2 * math.pi)))
-        self.misfit = new_misfit(camera, observed, sigma, kinds, parameters, blur_taps(blur_sigma), background,
-                                 math.inf, scene)  # fmt: skip
+        self.misfit = new_misfit(camera, observed, sigma, kinds, parameters, blur_taps(blur_sigma), background)
 
     def log_likelihood(self, solids: Solids) -> float:
         """Return Eq. 6's log density, missing pixels left out."""

@@ -9,10 +9,7 @@ from gradient_check import (
     CAMERA,
     LINES_STEP,
     RAYS_STEP,
-    STEPS,
-    as_meshes,
     cast_differences,
-    central,
     moved,
     own_error,
     random_motion,
@@ -87,75 +84,6 @@ def test_derivative_against_supersampled_images(kind):
     assert share(exact, differences) < 0.01
     without = derivative_image(solids, CAMERA, 1, motion, BACKGROUND, BLUR, edges=False)
     assert share(without, differences) > 0.3
-
-
-def test_a_mesh_of_a_box_is_a_box():
-    import trimesh
-
-    cube = trimesh.creation.box()
-    for seed in range(4):
-        boxes = random_scene(seed, BOX, stacked=seed % 2 == 1)
-        meshes, motion = as_meshes(boxes, cube.vertices, cube.faces), random_motion(boxes, 2, seed)
-        images = [antialiased_depth(solids, CAMERA, BACKGROUND) for solids in (boxes, meshes)]
-        # pixels that one face fills count at their centre or their centroid
-        assert share(*images) < 1e-4
-        assert np.median(np.abs(images[0] - images[1])) < 1e-12
-        first, second = (derivative_image(solids, CAMERA, 2, motion, BACKGROUND) for solids in (boxes, meshes))
-        # edges where two boxes touch may be cut on either side of a rounding error
-        assert np.linalg.norm(first - second) < 1e-3 * np.linalg.norm(first)
-
-
-def test_meshes_that_hide_parts_of_themselves():
-    """Tori: the derivative is that of the image to a thousandth of its norm at the median."""
-    import trimesh
-
-    torus = trimesh.creation.torus(1.0, 0.4, major_sections=16, minor_sections=8)
-    found = []
-    for seed in range(5):
-        solids = as_meshes(random_scene(seed, BOX), torus.vertices, torus.faces)
-        motion, pixel = random_motion(solids, 2, seed), solids.pose[2, 2, 3] / CAMERA.fx
-        exact = derivative_image(solids, CAMERA, 2, motion, BACKGROUND)
-
-        def image(step, solids=solids, motion=motion):
-            return antialiased_depth(moved(solids, 2, motion, step), CAMERA, BACKGROUND)
-
-        found.append(min(share(exact, central(image, step * pixel, 2)) for step in STEPS))
-    assert np.median(found) < 1e-3
-    assert max(found) < 0.01
-
-
-@pytest.mark.slow
-def test_fine_meshes():
-    """5,120 triangles, a hundred of them in a pixel at an outline: still the derivative of the image, and the rays'."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=4)
-    solids, motion, pixel = one_moving(as_meshes(random_scene(0, BOX), ball.vertices, ball.faces))
-    exact = derivative_image(solids, CAMERA, 1, motion, BACKGROUND, BLUR)
-
-    def image(step):
-        return antialiased_depth(moved(solids, 1, motion, step), CAMERA, BACKGROUND, BLUR)
-
-    assert share(exact, central(image, 1e-3 * pixel, 2)) < 1e-3
-    differences, doubt = cast_differences(lambda h: moved(solids, 1, motion, h), RAYS_STEP * pixel, 4)
-    assert share(exact, differences) < 0.01 + 2.0 * doubt
-
-
-@pytest.mark.slow
-def test_open_meshes_fold():
-    """A bowl, a sphere's lower half: its rim and the fold where its outside turns away are outlines."""
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    lower = ball.triangles_center[:, 2] < 0.3
-    for seed in range(3):
-        solids, motion, pixel = one_moving(as_meshes(random_scene(seed, BOX), ball.vertices, ball.faces[lower]), seed)
-        exact = derivative_image(solids, CAMERA, 1, motion, BACKGROUND)
-
-        def image(step, solids=solids, motion=motion):
-            return antialiased_depth(moved(solids, 1, motion, step), CAMERA, BACKGROUND)
-
-        assert min(share(exact, central(image, step * pixel, 2)) for step in STEPS) < 2e-3
 
 
 def test_areas_add_up():

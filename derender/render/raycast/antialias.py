@@ -13,14 +13,9 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.render.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, prepare, sort_solids
 from derender.render.raycast.convex import DISCRIMINANT, FACES, discriminant, inverse_depth
-from derender.render.raycast.facet_pieces import draw_facets, insert_facets, list_facets
 from derender.render.raycast.integral import integrate
-from derender.render.raycast.outline import LINES
 from derender.render.raycast.pieces import curved_inverse_depth, insert_solid, whole_pixel
-from derender.scene.solids import BOX, MESH, PLANE
-
-CROWD = 8  # triangles to a cell, of what a pixel is divided into first where it sees many: pieces meet each other
-MOST_CELLS = 16  # of them in a row
+from derender.scene.solids import BOX, PLANE
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
@@ -136,7 +131,7 @@ def _draw_curved(k, prepared, row, first, end, inverse, code, mixed):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _draw_mixed(canvas, kinds, wall, window):
+def _draw_mixed(canvas, wall, window):
     """Divide and integrate the mixed pixels of a window: write their depths, parts and borders.
 
     Arrays are handed on one by one: a whole canvas costs more to pass than most pixels to divide.
@@ -145,40 +140,24 @@ def _draw_mixed(canvas, kinds, wall, window):
     lines, line_counts, mixed, depth = canvas.lines, canvas.line_counts, canvas.mixed, canvas.depth
     part_range, border_range = canvas.part_range, canvas.border_range
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
-    facets, sides = canvas.facets, kinds.shape[0] * LINES
-    meshes = facets.first[kinds.shape[0]] > 0
-    triangles = list_facets(facets, mixed, window) if meshes else order  # any array of numbers
     width = depth.shape[1]
     part, border = canvas.used[0], canvas.used[1]
     for row in range(window[2], window[3]):
         for column in range(window[0], window[1]):
             if mixed[row, column] == 0:
                 continue
-            first, end, cells = 0, 0, 1
-            if meshes:
-                first, end = facets.listed[row, column, 0], facets.listed[row, column, 1]
-                cells = min(int(math.sqrt((end - first) / CROWD)) + 1, MOST_CELLS)
             pixel, begin = row * width + column, part
-            half, total = 0.5 / cells, 0.0
             part_range[pixel, 0], border_range[pixel, 0] = part, border
-            for cell in range(cells * cells):
-                x = column + (2 * (cell % cells) + 1) * half - 0.5
-                y = row + (2 * (cell // cells) + 1) * half - 0.5
-                whole_pixel(pieces, 0, wall, half)
-                count = 1
-                for n in range(order.shape[0]):
-                    k = order[n]
-                    if not (rectangle[k, 0] <= column < rectangle[k, 1] and rectangle[k, 2] <= row < rectangle[k, 3]):
-                        continue
-                    if kinds[k] == MESH:
-                        count = insert_facets(facets, triangles[first:end], pieces, prepared, lines, sides, k, x, y,
-                                              half, count)  # fmt: skip
-                    else:
-                        count = insert_solid(pieces, prepared, lines, line_counts, k, x, y, half, count)
-                integral, part, border = integrate(pieces, prepared, part_code, parts, border_code, borders, count,
-                                                   x, y, begin, part, border)  # fmt: skip
-                total += integral
-            depth[row, column] = total
+            whole_pixel(pieces, 0, wall)
+            count = 1
+            for n in range(order.shape[0]):
+                k = order[n]
+                if rectangle[k, 0] <= column < rectangle[k, 1] and rectangle[k, 2] <= row < rectangle[k, 3]:
+                    count = insert_solid(pieces, prepared, lines, line_counts, k, float(column), float(row), count)
+            depth[row, column], part, border = integrate(
+                pieces, prepared, part_code, parts, border_code, borders, count, float(column), float(row), begin, part,
+                border
+            )  # fmt: skip
             part_range[pixel, 1], border_range[pixel, 1] = part, border
     canvas.used[0], canvas.used[1] = part, border
 
@@ -221,7 +200,7 @@ def _draw_window(canvas, kinds, background, window, around):
         mixed[row, c0:c1] = 0
         for k in range(kinds.shape[0]):
             rectangle = canvas.rectangle[k]
-            if kinds[k] == MESH or row < rectangle[2] or row >= rectangle[3]:
+            if row < rectangle[2] or row >= rectangle[3]:
                 continue
             first, end = max(rectangle[0], c0), min(rectangle[1], c1)
             if first >= end:
@@ -230,10 +209,6 @@ def _draw_window(canvas, kinds, background, window, around):
                 _draw_faces(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
             else:
                 _draw_curved(k, canvas.prepared[k], row, first, end, inverse, code, mixed)
-    for k in range(kinds.shape[0]):
-        if kinds[k] == MESH:
-            sides = kinds.shape[0] * LINES
-            draw_facets(canvas.facets, k, canvas.lines, sides, inverse, code, mixed, window)
     wall = 1.0 / background
     for row in range(r0, r1):
         for column in range(c0, c1):
@@ -245,7 +220,7 @@ def _draw_window(canvas, kinds, background, window, around):
             if mixed[row, column] == 0:
                 seen = code[row, column] != NOTHING
                 canvas.depth[row, column] = 1.0 / inverse[row, column] if seen else background
-    _draw_mixed(canvas, kinds, wall, window)
+    _draw_mixed(canvas, wall, window)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)

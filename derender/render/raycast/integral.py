@@ -151,7 +151,7 @@ def _curved(corner, edges, count, across, all_prepared, part_code, parts, p, cod
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
 def integrate(pieces, prepared, part_code, parts, border_code, borders, count, column, row, begin, part, border):
-    """Integrate depth over a pixel, or a cell of it, that is cut into `count` pieces; write its parts and borders.
+    """Integrate depth over a pixel that is cut into `count` pieces; write its parts and borders.
 
     column, row : its middle. begin, part, border : where the pixel's parts begin, and where new ones and borders go.
     Return (integral of depth, end of parts, end of borders).

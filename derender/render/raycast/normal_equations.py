@@ -18,7 +18,6 @@ from derender.compilation.cache import address_of, call_for_nothing, njit
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import Canvas, new_canvas
 from derender.render.raycast.sensitivity import MOTION, Records, new_records, record, spread
-from derender.scene.solids import Solids
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -74,16 +73,14 @@ def new_misfit(
     taps: np.ndarray,
     background: float,
     limit: float = math.inf,
-    scene: Solids | None = None,
 ) -> Misfit:
-    """Allocate a Misfit. observed : (H, W), NaN or 0 where missing; sigma : metres, a number or (H, W); scene : Solids,
-    needed where there are meshes."""
+    """Allocate a Misfit. observed : (H, W), NaN or 0 where missing; sigma : metres, a number or (H, W)."""
     height, width = camera.height, camera.width
     seen = np.isfinite(observed) & (observed > 0)
     precision = np.where(seen, 1.0 / np.broadcast_to(np.asarray(sigma, float), (height, width)) ** 2, 0.0)
     kinds = np.ascontiguousarray(kinds, np.int32)
     blurred, weighted, scratch, weight, spare = np.zeros((5, height, width))
-    canvas, records = new_canvas(camera, len(kinds), scene), new_records(camera, len(kinds))
+    canvas, records = new_canvas(camera, len(kinds)), new_records(camera, len(kinds))
     window = np.array([0, width, 0, height], np.int64)
     poses, sizes, active = np.empty((len(kinds), 4, 4)), np.empty((len(kinds), 3)), np.empty(len(kinds), np.bool_)
     return Misfit(

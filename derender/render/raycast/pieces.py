@@ -37,11 +37,11 @@ def _value(code, plane, prepared, slot, column, row, x, y):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def whole_pixel(pieces, slot, wall, half):
-    """Make a piece the whole pixel, or the whole cell with sides 2 `half`, seeing a wall at this inverse depth."""
+def whole_pixel(pieces, slot, wall):
+    """Make a piece the whole pixel, seeing a wall at this inverse depth."""
     for n in range(4):
-        pieces.corner[slot, n, 0] = -half if n == 0 or n == 3 else half
-        pieces.corner[slot, n, 1] = -half if n < 2 else half
+        pieces.corner[slot, n, 0] = -0.5 if n == 0 or n == 3 else 0.5
+        pieces.corner[slot, n, 1] = -0.5 if n < 2 else 0.5
         pieces.edge[slot, n] = NOTHING
     pieces.corners[slot] = 4
     pieces.code[slot] = NOTHING
@@ -188,9 +188,9 @@ def insert(pieces, prepared, count, cuts, column, row):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge, half):
+def bound(lines, edges, cuts, a, b, c, inner_edge, outer_edge):
     """Append a line to the cell's if it passes through the pixel. Return (lines, False if nothing is inside)."""
-    reach = half * (abs(b) + abs(c))
+    reach = 0.5 * (abs(b) + abs(c))
     if a <= -reach:
         return cuts, False
     if a < reach:
@@ -240,20 +240,20 @@ def _keep_needed(pieces, polygon, first, cuts):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def insert_solid(pieces, everything, lines, line_counts, k, column, row, half, count):
-    """Put a convex solid into the `count` pieces of the square about (column, row); return how many there are then."""
+def insert_solid(pieces, everything, lines, line_counts, k, column, row, count):
+    """Put a convex solid into the `count` pieces of the pixel at (column, row); return how many there are then."""
     prepared, outlines, rims, base = everything[k], line_counts[k, 0], line_counts[k, 1], k * LINES
     cuts, inside = 0, True
     for n in range(outlines):
         a = lines[base + n, 0] + lines[base + n, 1] * column + lines[base + n, 2] * row
         b, c, edge = lines[base + n, 1], lines[base + n, 2], 2 * (base + n)
-        cuts, inside = bound(pieces.lines, pieces.edges, cuts, a, b, c, edge, edge + 1, half)
+        cuts, inside = bound(pieces.lines, pieces.edges, cuts, a, b, c, edge, edge + 1)
         if not inside:
             return count
     curved = prepared[2] != 0.0 and prepared[3] > 0.0
     polygon = FIRST
     if cuts > 1 or curved:
-        whole_pixel(pieces, FIRST, 0.0, half)
+        whole_pixel(pieces, FIRST, 0.0)
         cuts, polygon = _keep_needed(pieces, polygon, 0, cuts)
         if polygon < 0:
             return count
@@ -264,7 +264,7 @@ def insert_solid(pieces, everything, lines, line_counts, k, column, row, half, c
         for n in range(outlines, rims):
             a, b, c = lines[base + n, 0], lines[base + n, 1], lines[base + n, 2]
             a += b * column + c * row
-            ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING, half)
+            ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING)
             if not inside:
                 break
         if inside:
@@ -290,7 +290,7 @@ def insert_solid(pieces, everything, lines, line_counts, k, column, row, half, c
                 p = FACES + 3 * other
                 a = prepared[p] + prepared[p + 1] * column + prepared[p + 2] * row - pieces.plane[CELL, 0]
                 b, c = prepared[p + 1] - pieces.plane[CELL, 1], prepared[p + 2] - pieces.plane[CELL, 2]
-                ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING, half)
+                ends, inside = bound(pieces.lines, pieces.edges, ends, a, b, c, NOTHING, NOTHING)
         if inside:
             count = insert(pieces, everything, count, ends, column, row)
     return count

@@ -23,7 +23,7 @@ from derender.render.raycast.convex import FACES
 from derender.render.raycast.integral import TWO
 from derender.render.raycast.outline import DEPTH, LINES, NORMAL
 from derender.render.raycast.pieces import curved_inverse_depth
-from derender.scene.solids import CYLINDER, MESH
+from derender.scene.solids import CYLINDER
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -91,20 +91,18 @@ def add_form(forms, slot, weight, nx, ny, nz, px, py, pz, poses, sizes, s):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _plane(kinds, prepared, planes, s, face):
+def _plane(prepared, s, face):
     """The inverse depth a + b i + c j of a flat face."""
-    if kinds[s] == MESH:
-        return planes[face, 0], planes[face, 1], planes[face, 2]
     p = FACES + 3 * face
     return prepared[s, p], prepared[s, p + 1], prepared[s, p + 2]
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, planes, s, face, column, row, camera):
+def _add_surface(forms, slot, weight, kinds, poses, sizes, prepared, s, face, column, row, camera):
     """Add the inner term of one place, weight * n . dp / (n . r), to forms[slot]."""
     x, y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
     if face != QUADRIC:
-        a, b, c = _plane(kinds, prepared, planes, s, face)
+        a, b, c = _plane(prepared, s, face)
         depth = 1.0 / (a + b * column + c * row)
         # the plane is n . p = 1 with n = (b fx, c fy, a + b cx + c cy), so n . r is the inverse depth
         nx, ny, nz = b * camera[0], c * camera[1], a + b * camera[2] + c * camera[3]
@@ -137,21 +135,19 @@ def _slot_of(pixels, solids, forms, begin, count, pixel, solid):
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _seen_depth(kinds, prepared, planes, code, solid, w, background, column, row):
+def _seen_depth(prepared, code, solid, w, background, column, row):
     """Depth of the piece with this code at a place on an outline of `solid`, whose own inverse depth there is w."""
     if code == NOTHING:
         return background
     owner, face = code >> FACE_BITS, code & FACE_MASK
     if face == QUADRIC:  # at its own limb: the chord may lie on either side
         return 1.0 / (w if owner == solid else curved_inverse_depth(prepared[owner], column, row))
-    a, b, c = _plane(kinds, prepared, planes, owner, face)
+    a, b, c = _plane(prepared, owner, face)
     return 1.0 / (a + b * column + c * row)
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True)
-def _add_border(
-    forms, slot, solid, edge, code, x0, y0, x1, y1, lines, kinds, prepared, planes, camera, background, poses, sizes
-):
+def _add_border(forms, slot, solid, edge, code, x0, y0, x1, y1, lines, prepared, camera, background, poses, sizes):
     """Add what a piece gains or loses where its border, a part of an outline, moves: depth times speed, integrated."""
     line = edge >> 1
     dx, dy = x1 - x0, y1 - y0
@@ -166,7 +162,7 @@ def _add_border(
         column, row = x0 + share * dx, y0 + share * dy
         w = lines[line, DEPTH] + lines[line, DEPTH + 1] * column + lines[line, DEPTH + 2] * row
         if w > 0.0:
-            weight = 0.5 * length * w * _seen_depth(kinds, prepared, planes, code, solid, w, background, column, row)
+            weight = 0.5 * length * w * _seen_depth(prepared, code, solid, w, background, column, row)
             depth = 1.0 / w
             x, y = depth * (column - camera[2]) / camera[0], depth * (row - camera[3]) / camera[1]
             add_form(forms, slot, weight, nx, ny, nz, x, y, depth, poses, sizes, solid)
@@ -186,7 +182,6 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
     part_code, parts, border_code, borders = canvas.part_code, canvas.parts, canvas.border_code, canvas.borders
     pixels, solids, forms = records.pixel, records.solid, records.form
     part_range, border_range = canvas.part_range, canvas.border_range
-    planes, owners, triangles = canvas.facets.plane, canvas.facets.solid, kinds.shape[0] * LINES
     width, count = code.shape[1], 0
     left, right, top, bottom = window[1], window[0], window[3], window[2]
     for k in range(kinds.shape[0]):  # elsewhere no active solid is seen
@@ -203,7 +198,7 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                     slot = _slot_of(pixels, solids, forms, begin, count, pixel, k)
                     x, y = float(column), float(row)
                     if slot >= 0:
-                        _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, planes, k, face, x, y, camera)
+                        _add_surface(forms, slot, 1.0, kinds, poses, sizes, prepared, k, face, x, y, camera)
                         count += 1
                 continue
             for part in range(part_range[pixel, 0], part_range[pixel, 1]):
@@ -211,18 +206,17 @@ def record(canvas, records, kinds, poses, sizes, active, background, window, edg
                 slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
                 if slot >= 0:
                     count = max(count, slot + 1)
-                    _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, planes, k, face,
+                    _add_surface(forms, slot, parts[part, 0], kinds, poses, sizes, prepared, k, face,
                                  parts[part, 1], parts[part, 2], camera)  # fmt: skip
             if not edges:
                 continue
             for border in range(border_range[pixel, 0], border_range[pixel, 1]):
                 edge = border_code[border, 0]
-                line = edge >> 1
-                k = line // LINES if line < triangles else owners[(line - triangles) // 3]
+                k = (edge >> 1) // LINES
                 slot = _slot_of(pixels, solids, forms, begin, count, pixel, k) if active[k] else -1
                 if slot >= 0:
                     count = max(count, slot + 1)
                     _add_border(forms, slot, k, edge, border_code[border, 1], borders[border, 0], borders[border, 1],
-                                borders[border, 2], borders[border, 3], lines, kinds, prepared, planes, camera,
-                                background, poses, sizes)  # fmt: skip
+                                borders[border, 2], borders[border, 3], lines, prepared, camera, background,
+                                poses, sizes)  # fmt: skip
     records.filled[0] = count
