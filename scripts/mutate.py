@@ -79,8 +79,8 @@ MUTATIONS = [
          "_rank_normalise(draws)", ("tests/sampling/test_diagnostics.py",)),
         # kernels of one structure
         ("sweep: no temperature", "posterior/compiled/steps.py",
-         "+ temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])",
-         "+ values[NEXT, DENSITY] - values[NOW, DENSITY]",
+         "temperature * (values[NEXT, DENSITY] - values[NOW, DENSITY])",
+         "values[NEXT, DENSITY] - values[NOW, DENSITY]",
          KERNELS),
         ("independence: proposal's ratio upside down", "posterior/kernels/independence.py",
          "return log_proposal(unknowns, laws, members, tangent, factor, solved) - forward",
@@ -118,8 +118,8 @@ MUTATIONS = [
         # reversible jumps
         ("jumps: birth without leaves", "structures/jumps/object_moves.py",
          "math.log(0.5) + log_uniform_choice(len(leaves)) if", "math.log(0.5) if", JUMPS),
-        ("jumps: birth twice as often", "structures/jumps/object_moves.py", "if rng.random() < 0.5:",
-         "if rng.random() < 0.67:", JUMPS),
+        ("jumps: birth twice as often", "structures/jumps/object_moves.py",
+         "if rng.random() < 0.5:\n            vertex", "if rng.random() < 0.67:\n            vertex", JUMPS),
         ("jumps: density of a list, not a set", "structures/jumps/base.py",
          "density + self.prior.log_orderings(graph) if", "density if", JUMPS),
         ("jumps: rotations' element", "structures/jumps/proposal.py", "return normal + HAAR - math.log(element)",
@@ -169,7 +169,7 @@ MUTATIONS = [
          "spread = values[\"sigma\"]", SCORE),
         # what happens next
         ("fall angle tripled", "physics/verdict.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
-        ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 4.0\n", "CALM_TIME = 0.16\n",
+        ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 8e-3, 4.0", "CALM_TIME = 8e-3, 0.16",
          PHYSICS),
     )
 ]  # fmt: skip
