@@ -20,8 +20,7 @@ from derender.detection.solids.graph import matched_names, names_of, scene_graph
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
-from derender.structures.alternatives import from_search, of_one_solid
-from derender.structures.combined import combinations
+from derender.structures.alternatives import combinations, from_search, of_one_solid
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
     WARM,

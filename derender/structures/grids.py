@@ -38,7 +38,7 @@ from derender.structures.draws.numbers import numbers_at
 
 FEWEST = 4  # boxes of a grid: two or three are found as such
 # Nats of the likeliest grid before its seams are looked for: those of a household's boxes lie below.
-PRUNE_THRESHOLD = -12.0
+LEAST_ODDS = -12.0
 # Metres by which faces of flush boxes may be off, and a seam that was found, from where equal parts put it.
 FLUSH = 0.01
 AGAINST = 0.1  # share of boxes that somebody has set flush against another
@@ -236,7 +236,7 @@ def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Bel
     """
     cartons, (pose, size) = beliefs.loose.cartons, hull_of(graph, names)
     before, cuts = odds_before(graph, names, cartons, beliefs, image.unit), cuts_of(graph, names)
-    if max(before.values(), default=-np.inf) < PRUNE_THRESHOLD:
+    if max(before.values(), default=-np.inf) < LEAST_ODDS:
         return []
     index = render_depth(graph.solids(), image.camera)[1]
     mask = np.isin(index, [list(graph.solid_names).index(name) for name in names])

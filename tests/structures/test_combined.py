@@ -4,7 +4,7 @@ import numpy as np
 from test_structure_weights import RULES, mode_of, whole_odds
 
 from derender.detection.search.greedy import Settings
-from derender.structures.combined import MOST_COMBINED, combinations, likeliest_of, odds_apart
+from derender.structures.alternatives import MOST_COMBINED, combinations, likeliest_of, odds_apart
 from derender.structures.graph_posterior import DrawsOfOne, weighed_structures
 from derender.structures.weighing import CLOSE, Weighed
 

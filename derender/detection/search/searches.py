@@ -12,7 +12,6 @@ import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
-from derender.detection.search.crossover import crossed
 from derender.detection.search.greedy import Changed, Settings, Task, greedy, prune, settle, sweep, total_energy
 from derender.detection.search.moves import aligned_pairs, merge_pair, propose
 from derender.detection.search.places import find_places
@@ -22,7 +21,7 @@ from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
 from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, UPRIGHT
-from derender.detection.solids.state import FLOOR, State, held_out, run_polish
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish, subset
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
@@ -60,8 +59,9 @@ AGREEING, APIECE = 8.0, 2.0  # nats between the energies of searches that found 
 # Moves between structures of a search that goes on where free-form things are known: some settings.repairs take a whole
 # search there, and this one begins with most of the structure.
 ON_REPAIRS = 24
-PRUNE_THRESHOLD = 200.0  # nats that a merged solid may cost before those about it are settled
+UNSETTLED = 200.0  # nats that a merged solid may cost before those about it are settled
 IN_VAIN = 4  # times as many rounds without success as where all is explained: what a sensor loses at edges stays
+SHARED = 0.1  # of the pixels of one of two solids that both show from which on they belong to one part
 FEW, YAWS = 120, 8  # pixels in which a piece shows; ways in which the box about several is turned
 SUPPORTING = 6  # tries for each solid of the scene to support one that floats
 
@@ -134,6 +134,45 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, state: State, image: Image) -> None:
         super().__init__("interrupted")
         self.state, self.image = state, image
+
+
+def crossed(rng: np.random.Generator, image: Image, state: State, other: State, settings: Settings) -> State:
+    """Return a State with parts of another in place of its own wherever that lowers the energy.
+
+    Searches end in optima that are better here in one and there in the other.
+    """
+    best, tried = total_energy(image, state, settings), set[tuple[int, ...]]()
+    while untried := [part for part in parts(image, state, other) if part[1] and part[1] not in tried]:
+        mine, theirs = untried[0]
+        tried.add(theirs)
+        trial = subset(state, set(range(len(state))) - set(mine))
+        count = len(trial)
+        for k in theirs:
+            trial = trial.add(other.rows[k], other.forms[k], other.cubes[k])
+        trial = settle(rng, image, trial, settings, only=set(range(count, len(trial))))
+        if (value := total_energy(image, trial, settings)) < best:
+            state, best = trial, value
+    return state
+
+
+def parts(image: Image, state: State, other: State) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    """Return the solids of one state and of another, by index, of each part of the scene: what shows in the same pixels
+    hangs together."""
+    from scipy.sparse.csgraph import connected_components
+
+    one, two = (held_out(image, each, -1)[1] for each in (state, other))
+    count, more = len(state), len(other)
+    both = (one >= 0) & (two >= 0)
+    shared = np.zeros((count, more), int)
+    np.add.at(shared, (one[both], two[both]), 1)
+    least = np.minimum(np.bincount(one[one >= 0], minlength=count)[:, None], np.bincount(two[two >= 0], minlength=more))
+    tied = np.zeros((count + more, count + more), bool)
+    tied[:count, count:] = shared > SHARED * least
+    number, part = connected_components(tied, directed=False)
+    return [
+        (tuple(np.flatnonzero(part[:count] == k).tolist()), tuple(np.flatnonzero(part[count:] == k).tolist()))
+        for k in range(number)
+    ]
 
 
 def first_search(rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings) -> State:
@@ -326,7 +365,7 @@ def unite_few(rng: np.random.Generator, task: Task, state: State) -> State:
                                         step=GUESSED, heat=4.0))  # fmt: skip
             row, _, _ = min(tries, key=lambda tried: tried[1])
             new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
-            if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
+            if total_energy(image, new, settings) > best + settings.temper * UNSETTLED:
                 continue
             new, value = settled(rng, task, (new, {len(fewer)}), [])
             if value < best:
@@ -362,7 +401,7 @@ def merge_all(rng: np.random.Generator, task: Task, state: State) -> State:
         for i, j in aligned_pairs(state):
             for spread in ((False, False, False), (True, True, True)):
                 new, changed = merge_pair(rng, task, state, i, j, spread)
-                if total_energy(image, new, settings) > best + settings.temper * PRUNE_THRESHOLD:
+                if total_energy(image, new, settings) > best + settings.temper * UNSETTLED:
                     continue
                 new, value = settled(rng, task, (new, changed), [])
                 if value < best:
