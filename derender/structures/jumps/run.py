@@ -94,14 +94,16 @@ def _named(
     from derender.scene.shapes import shapes
 
     variants: list[Hypothesis] = []
+    rounded = entry.type in ("cylinder", "sphere")  # which turn about its own axis tells nothing of
     for turn in turns:
         new, extents = pose.copy(), np.abs(turn.T) @ size  # the same box, its axes named anew
         new[:3, :3] = pose[:3, :3] @ turn
         if len(turns) > 1 and new[:3, 2] @ up < math.cos(math.radians(45.0)):
             continue
         psi = shapes[entry.type].psi_from_size(extents, entry.options)
-        parameters = {p.name: float(x) for p, x in zip(shapes[entry.type].parameters, psi, strict=True)}
-        if all(abs(new[:3, :3] @ h.pose[:3, :3].T)[0, 0] < 0.999 or h.parameters != parameters for h in variants):
+        parameters = {p.name: round(float(x), 9) for p, x in zip(shapes[entry.type].parameters, psi, strict=True)}
+        alike = [h for h in variants if h.parameters == parameters]
+        if not alike or (not rounded and all(abs(new[:3, :3] @ h.pose[:3, :3].T)[0, 0] < 0.999 for h in alike)):
             variants.append(Hypothesis(kind, parameters, new, likely, length, angle))
     return [h._replace(weight=likely / len(variants)) for h in variants]
 
