@@ -38,6 +38,7 @@ WALL, EDGE, MOSTLY = 0.2, 0.03, 0.8  # metres: the least length of a wall, and h
 # besides the pixel that begins there.
 FOOT, FOOT_NOISES = 0.03, 4.0
 PIECE = 60  # pixels of such a piece, at least
+STANDS = 0.6  # share of its columns in which a body ends at its foot from which on it shows that it stands
 LEVEL, TOP, TOP_SHARE = 0.95, 0.03, 0.2  # cosine of a level patch with up; metres below the top; share of the pixels
 ENDS = 0.02  # share of a body's points beyond its ends: flying pixels
 GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the background, within so many metres and pixels
@@ -82,7 +83,11 @@ def standing_bodies(
         return not (
             np.mean(beyond[mask] > MARGIN) > OUTSIDE
             or along_edge(points[mask], beyond[mask])
-            or (cut_off(points, mask, frame, real) and not shows_top(points[mask], normal[mask]))
+            or (
+                cut_off(points, mask, frame, real)
+                and not shows_top(points[mask], normal[mask])
+                and not shows_foot(points, mask, beyond)
+            )
             or (not floating and floats(points, mask, good, jump, origin))
         )
 
@@ -167,6 +172,19 @@ def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:
     return np.mean((points[:, 2] > top) & (normal[:, 2] > LEVEL)) > TOP_SHARE
 
 
+def shows_foot(points: np.ndarray, mask: np.ndarray, beyond: np.ndarray) -> bool:
+    """Return whether a body shows that it stands well within the support, and all along: arms and walls do not.
+
+    points : (H, W, 3). mask : (H, W) bool, its pixels. beyond : (H, W) metres, see `standing_bodies`.
+    """
+    own = points[mask]
+    if np.mean(beyond[mask] > -EDGE) > MOSTLY or max(length(own), np.ptp(ends_of(own[:, 2:], ENDS))) > LONG:
+        return False
+    columns = np.flatnonzero(mask.any(axis=0))
+    rows = mask.shape[0] - 1 - np.argmax(mask[::-1, columns], axis=0)
+    return float(np.mean(points[rows, columns, 2] < FOOT)) > STANDS
+
+
 def is_background(
     points: np.ndarray,
     mask: np.ndarray,
@@ -182,6 +200,7 @@ def is_background(
     background. beyond : (H, W) metres, see `standing_bodies`. frame : see `cut_off`.
     """
     cut = cut_off(points, mask, frame, least=0.0) and not shows_top(points[mask], normal[mask])
+    cut = cut and not shows_foot(points, mask, beyond)
     if cut or np.mean(beyond[mask] > -MARGIN) > MOSTLY:
         return True
     outline, joined = np.zeros(mask.shape, bool), np.zeros(mask.shape, bool)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from table_scenes import CAMERA, SIGMA, TABLE, seen_on_the_table
 
-from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length
+from derender.detection.background import along_edge, cut_off, frame_seen, is_background, length, shows_foot
 from derender.detection.floor_noise import local_noise
 from derender.detection.search.observation import observe
 from derender.evaluation.frontier_scenes import KINDS, make
@@ -117,10 +117,25 @@ def test_what_has_grown_together_with_the_background_belongs_to_it():
 
 def test_what_the_side_of_the_image_cuts_as_a_hand_belongs_to_it():
     points, mask, nothing = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
-    mask[20:40, 70:80] = True
+    mask[20:40, 70:80], points[..., 2] = True, 0.05  # it does not stand on the floor
     inside, upright = np.full((60, 80), -1.0), np.zeros_like(points)
     assert is_background(points, mask, upright, nothing, inside, (0, 59, 0, 79))
     assert not is_background(points, np.roll(mask, -5, axis=1), upright, nothing, inside, (0, 59, 0, 79))
+
+
+@pytest.mark.parametrize("side", ["top", "right"])
+def test_what_the_border_cuts_but_shows_to_stand_on_the_floor_is_no_hand_and_no_wall(side):
+    """Of a block that stands on the floor all along its lower edge the border may cut off what it likes."""
+    points, mask, nothing = flat_points(60, 80), np.zeros((60, 80), bool), np.zeros((60, 80), bool)
+    rows, columns = (slice(0, 24), slice(30, 54)) if side == "top" else (slice(16, 40), slice(56, 80))
+    mask[rows, columns] = True
+    points[rows, columns, 2] = 0.005 * np.arange(24)[::-1, None]
+    inside, at_edge, upright, frame = np.full((60, 80), -1.0), np.zeros((60, 80)), np.zeros_like(points), (0, 59, 0, 79)
+    assert cut_off(points, mask, frame, least=0.0)
+    assert shows_foot(points, mask, inside) and not is_background(points, mask, upright, nothing, inside, frame)
+    assert not shows_foot(points, mask, at_edge)  # where the floor ends, as a wall
+    assert not shows_foot(points + [0.0, 0.0, 0.05], mask, inside)  # over the floor, as an arm
+    assert not shows_foot(6.0 * points, mask, inside)  # furniture
 
 
 def test_the_border_is_where_returns_begin_not_the_top_of_a_solid():
