@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.tracking.hidden import Hidden
+
 STILL, MOVING, HIDDEN, LOST, GONE = "still", "moving", "hidden", "lost", "gone"
 TIES = {
     "box": np.eye(3),
@@ -26,6 +28,7 @@ class Thing:
     velocity, spin, acceleration : (3,) metres and radians a second, metres a second squared, world axes.
     state : still, moving, hidden (nothing of it can be seen), lost (what is seen there is something else) or gone.
     quiet : frames on end in which it has hardly moved. waiting : frames on end in which it was not seen.
+    hidden : where it may be while nothing shows it, or None.
     usual_misfit : share of its pixels that are off while all is well. usual_cost, usual_off :
         nats a pixel about it then, and the share of those pixels that are off.
     """
@@ -42,6 +45,7 @@ class Thing:
     state: str = STILL
     quiet: int = 0
     waiting: int = 0
+    hidden: Hidden | None = None
     usual_misfit: float = 0.05
     usual_cost: float = 0.5
     usual_off: float = 0.01

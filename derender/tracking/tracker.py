@@ -15,6 +15,7 @@ from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
+from derender.tracking.hidden import last_seen, one_frame_later
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Thing
 from derender.tracking.unexplained import Blob, blobs_of, shifts_to
 
@@ -104,7 +105,9 @@ class Tracker(Drawing):
         return BIAS * max(float((self.view @ thing.pose)[2, 3]), 0.0) / self.camera.fx
 
     def _expected(self, thing: Thing) -> np.ndarray:
-        """Return where constant velocity leads a thing, (4, 4)."""
+        """Return where constant velocity leads a thing, (4, 4), or where it may be while nothing shows it."""
+        if thing.hidden is not None:
+            return thing.hidden.pose
         pose = thing.pose.copy()
         pose[:3, :3] = from_rotation_vector(thing.spin * self.step)[:3, :3] @ pose[:3, :3]
         pose[:3, 3] += thing.velocity * self.step
@@ -148,6 +151,8 @@ class Tracker(Drawing):
         thing = self.things[k]
         before = thing.pose.copy()
         information = self._information(thing)
+        if thing.hidden is not None:
+            thing.hidden = one_frame_later(thing.hidden, self, k)
         expected = self._expected(thing)
         self.draw(k, expected)
         if thing.state == MOVING and self.unexplained(k):
@@ -161,24 +166,27 @@ class Tracker(Drawing):
         fitting.pixels_of(self.misfit, self.counts, OFF)
         seen = self.counts[self.planes + k]
         wrong = (seen[2] + seen[3]) / max(seen[1], 1.0)
-        if seen[1] < FEW:
-            outside = self.outside(k)
-            self.draw(k, expected if thing.waiting < GIVEN_UP else thing.pose)
-            thing.pose = inverse(self.view) @ self.poses[self.planes + k]
-            thing.waiting += 1
-            thing.state = GONE if outside else HIDDEN
-            thing.covariance[:3, :3] += (ROOM[0] + 0.3 * np.linalg.norm(thing.velocity) * self.step) ** 2 * np.eye(3)
-            thing.covariance[3:6, 3:6] += ROOM[1] ** 2 * np.eye(3)
+        is_wrong = wrong > thing.usual_misfit + 2 * WRONG
+        thing.waiting = thing.waiting + 1 if is_wrong and seen[1] >= FEW else 0
+        if thing.waiting >= GIVEN_UP:
+            thing.state, thing.hidden = LOST, None
+            self.place()
+            cost(self.misfit, self.poses, self.sizes)
             return
-        if wrong > thing.usual_misfit + 2 * WRONG:
-            thing.waiting += 1
-            if thing.waiting >= GIVEN_UP:
-                thing.state = LOST
-                self.place()
-                cost(self.misfit, self.poses, self.sizes)
-                return
-        else:
-            thing.waiting = 0
+        if seen[1] < FEW or (is_wrong and thing.hidden is not None):
+            thing.state = GONE if self.outside(k) else HIDDEN
+            if thing.hidden is None:
+                thing.hidden = one_frame_later(last_seen(thing, self.step, np.random.default_rng(k)), self, k)
+            thing.pose = thing.hidden.pose
+            thing.covariance[:6, :6] = thing.hidden.covariance()
+            self.draw(k, thing.pose)
+            return
+        if thing.hidden is not None:
+            thing.velocity, thing.spin = thing.hidden.motion
+            thing.hidden = None
+            before = inverse(self.view) @ self.poses[self.planes + k]
+            before[:3, :3] = from_rotation_vector(-thing.spin * self.step)[:3, :3] @ before[:3, :3]
+            before[:3, 3] -= thing.velocity * self.step
         self._take(k, curvature)
         self._moved(thing, before)
 
@@ -186,7 +194,7 @@ class Tracker(Drawing):
         """Take the thing's motion since the last frame as its velocity; let it rest when it is quiet."""
         shift = thing.pose[:3, 3] - before[:3, 3]
         turn = rotation_between(before, thing.pose)
-        if thing.state in (HIDDEN, LOST, GONE):
+        if thing.state in (LOST, GONE):
             shift, turn = shift / (1 + thing.waiting), turn / (1 + thing.waiting)
         thing.acceleration = (shift / self.step - thing.velocity) / self.step
         thing.velocity, thing.spin = shift / self.step, turn / self.step
@@ -357,6 +365,7 @@ class Tracker(Drawing):
                     self._take(k, curvature)
                     self._moved(thing, before)
                     thing.velocity, thing.spin, thing.waiting, thing.state = np.zeros(3), np.zeros(3), 0, MOVING
+                    thing.hidden = None
                     break
             else:
                 self.poses[index] = drawn

@@ -143,6 +143,19 @@ def test_what_is_hidden_is_said_to_be_and_comes_back_under_its_name():
     assert track.names == ["box_1", "box_2"]
 
 
+def test_what_falls_behind_something_is_expected_on_the_floor():
+    """It was expected to go straight on for three frames, and to stay 8 cm below the floor, where that led."""
+    large, small = [0.14, 0.04, 0.18], [0.06, 0.05, 0.06]
+    heights = [max(0.24 - 0.5 * 9.81 * (t / FPS) ** 2, 0.03) for t in range(12)]
+    paths = [[at(0, -0.05, 0.09), at(-0.04 + 0.003 * min(t, 7), 0.12, h)] for t, h in enumerate(heights)]
+    frames, poses = film(np.random.default_rng(4), ["box", "box"], [large, small], paths)
+    track = follow(frames, start(["box", "box"], [large, small], poses[0])).track()
+    assert [row[1] for row in track.states[-4:]] == ["hidden"] * 4
+    off = track.poses[-1, 1, :3, 3] - poses[-1, 1, :3, 3]
+    assert abs(off @ films.view()[:3, 2]) < 0.02 and np.linalg.norm(off) < 0.07
+    assert (np.abs(off) < 3 * np.sqrt(np.diag(track.covariances[-1, 1])[:3])).all()
+
+
 @pytest.mark.parametrize("seed", [3, 4, 10])
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_camera_that_moves_is_told_from_things_that_do(count, seed):
