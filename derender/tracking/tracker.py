@@ -13,6 +13,7 @@ import numpy as np
 
 from derender.render.raycast.normal_equations import cost
 from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
+from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
 from derender.tracking.hidden import last_seen, one_frame_later
@@ -41,6 +42,8 @@ GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 # equal sides that did not turn gains up to 60 so beside others; one that was taken wrongly from the first on hundreds.
 TURNED = 100.0
 QUARTERS = [from_rotation_vector(0.5 * np.pi * axis) for axis in np.eye(3)]  # by which a box resembles itself
+X, Y, Z = QUARTERS
+TURNS = [a @ b for a in (np.eye(4), X, X @ X, X.T, Z, Z.T) for b in (np.eye(4), Y, Y @ Y, Y.T)]  # all 24 of those
 
 
 class Tracker(Drawing):
@@ -217,22 +220,45 @@ class Tracker(Drawing):
         best = self.price(k)
         kept = self.poses[index].copy(), self.sizes[index].copy(), curvature
         owner, here = self.owner() == index, self.poses[index].copy()
+        quarters = [inverse(self.view) @ here @ turn for turn in QUARTERS]
         starts = [inverse(self.view) @ here, expected, *self._predictions(thing)]
         starts += [inverse(self.view) @ pose for pose in shifts_to(self, blobs_of(self), owner, here)]
-        quarters = [inverse(self.view) @ here @ turn for turn in QUARTERS]
         self.loosen(True)
         ranked = [(start, TOLERANCE) for start in self._ranked(k, starts)[:SEARCHED]]
         for start, gain in [*ranked, *((start, TURNED) for start in quarters)]:
-            self.draw(k, start)
-            bent = self.fit_from_afar(k, start, wide)
-            value = self.price(k)
+            value, found = self._tried(k, start, expected, wide)
             if value < best - gain:
-                best, kept = value, (self.poses[index].copy(), self.sizes[index].copy(), bent)
+                best, kept = value, found
                 if not self.unexplained(k):
                     break
-        self.poses[index], self.sizes[index] = kept[0], kept[1]
-        cost(self.misfit, self.poses, self.sizes)
+        self._put(k, kept)
         return kept[2]
+
+    def _tried(self, k: int, start: np.ndarray, expected: np.ndarray, information: np.ndarray) -> tuple[float, tuple]:
+        """Fit thing k from a pose in the world; return its price, and (pose, size, curvature) where it is drawn then.
+
+        A box may roll by a quarter on its way to where it slid: it is as it is expected unless that is TURNED worse.
+        """
+        index = self.planes + k
+        self.draw(k, start)
+        curvature = self.fit_from_afar(k, start, information)
+        value, found = self.price(k), (self.poses[index].copy(), self.sizes[index].copy(), curvature)
+        if self.things[k].kind != BOX:
+            return value, found
+        pose = inverse(self.view) @ found[0]
+        turn = max(TURNS, key=lambda turn: float(np.trace(expected[:3, :3].T @ (pose @ turn)[:3, :3])))
+        if np.trace(turn) < 4:
+            self.draw(k, pose @ turn)
+            curvature = self.fit_from_afar(k, pose @ turn, information)
+            if self.price(k) < value + TURNED:
+                return self.price(k), (self.poses[index].copy(), self.sizes[index].copy(), curvature)
+            self._put(k, found)
+        return value, found
+
+    def _put(self, k: int, found: tuple) -> None:
+        """Draw thing k with a pose (to camera) and a size that were found."""
+        self.poses[self.planes + k], self.sizes[self.planes + k] = found[:2]
+        cost(self.misfit, self.poses, self.sizes)
 
     def _wake(self, k: int) -> None:
         """Test whether a resting thing moves; if so, follow it."""
@@ -249,7 +275,7 @@ class Tracker(Drawing):
         if self.counts[index, 1] < FEW:
             return
         before, kept = thing.pose.copy(), self.poses[index].copy()
-        curvature = self.fit_from_afar(k, thing.pose, self._information(thing))
+        curvature = self._tried(k, thing.pose, thing.pose, self._information(thing))[1][2]
         if self.unexplained(k):
             curvature = self._search(k, thing.pose, self._information(thing), curvature)
             if self.unexplained(k):
@@ -257,8 +283,7 @@ class Tracker(Drawing):
         now = inverse(self.view) @ self.poses[index]
         shift, turn = np.linalg.norm(now[:3, 3] - before[:3, 3]), np.linalg.norm(rotation_between(before, now))
         if (shift < WOKEN[0] and turn < WOKEN[1]) or self.wrong_share(k) > thing.usual_misfit + 2 * WRONG:
-            self.poses[index], self.sizes[index] = kept, thing.size
-            cost(self.misfit, self.poses, self.sizes)
+            self._put(k, (kept, thing.size))
             return
         self._take(k, curvature)
         thing.quiet = 0

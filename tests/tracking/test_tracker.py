@@ -156,6 +156,19 @@ def test_what_falls_behind_something_is_expected_on_the_floor():
     assert (np.abs(off) < 3 * np.sqrt(np.diag(track.covariances[-1, 1])[:3])).all()
 
 
+def test_a_box_that_is_found_rolled_by_a_quarter_is_as_it_was_before():
+    """On its way to where a box slid a fit may roll it, and sides of 53 and 57 mm look alike there."""
+    size = [0.0557, 0.1005, 0.0531]
+    frames, poses = film(np.random.default_rng(0), ["box"], [size], [[at(0, 0, size[2] / 2, (0, 0, 0.4))]])
+    tracker = Tracker(CAMERA, start(["box"], [size], poses[0]), frames[0], GRAVITY, 1 / FPS)
+    rolled = poses[0, 0] @ at(0, 0, 0, (0, 1.4, 0))
+    _, (pose, _, _) = tracker._tried(0, rolled, poses[0, 0], np.diag([0.05**-2] * 3 + [1.0] * 3 + [0.001**-2] * 3))
+    assert np.trace(pose[:3, :3].T @ poses[0, 0, :3, :3]) > 2.98
+    tracker.draw(0, rolled)
+    tracker.fit_from_afar(0, rolled, np.diag([0.05**-2] * 3 + [1.0] * 3 + [0.001**-2] * 3))
+    assert np.trace(tracker.poses[1, :3, :3].T @ poses[0, 0, :3, :3]) < 1.5  # so it would be otherwise
+
+
 @pytest.mark.parametrize("seed", [3, 4, 10])
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_camera_that_moves_is_told_from_things_that_do(count, seed):
