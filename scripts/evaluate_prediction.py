@@ -3,8 +3,8 @@
     python scripts/evaluate.py prediction -n 4 [--kinds slide,bounce] [--keep DIR]
     python scripts/evaluate.py tosses -n 20 [--keep DIR]
 
-prediction: the first half of a made film goes through `infer --track --dynamics`; where on the floor is each thing that
-still moves at the end of the second half? Beside it one film of the engine with MuJoCo's default friction of 1 and no
+prediction: the first half of a made film's motion goes through `infer --track --dynamics`; where on the floor is each
+thing that moves on at the film's end? Beside it one film of the engine with MuJoCo's default friction of 1 and no
 restitution, from the same inferred state. tosses: real tosses of a cube (see the README of the real frames). Of some,
 half a second of poses at 30 frames a second, with errors like those of tracking, tells friction and restitution; they
 are pooled (dynamics.prediction), and other tosses are predicted from their release. What holds the truth is a region of
@@ -35,6 +35,7 @@ from derender.tracking.run import track_to_folder
 FILMS = ("slide", "slope", "bounce", "collide", "topple")
 DRAWS = 60
 MOVES = 0.005  # metres in the second half: what already rests tells nothing
+FEWEST = 5  # frames that are seen of a film that comes to rest early: two speeds and what slows them
 DEFAULT_FRICTION, DEFAULT_RESTITUTION = 1.0, 0.0  # of MuJoCo
 EVERY, SECONDS, MOST = 5, 0.5, 90  # of 148 poses a second; watched; intervals until a toss must rest
 POSE_ERROR = (0.0005, 0.005)  # metres and radians, of made tracked poses
@@ -50,7 +51,7 @@ def default_of(engine):
 def predict_film(kind, seed, sensor):
     """Return a row for each thing that moves: whether the region holds, the error and that of default physics."""
     frames, camera, truth = make_sequence(np.random.default_rng([seed, KINDS.index(kind)]), kind, sensor)
-    half, rows, rng = FRAMES // 2, [], np.random.default_rng(seed)
+    half, rows, rng = half_of(truth), [], np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as place:
         write_sequence(Path(place) / "film", frames[:half], camera, truth)
         track = track_to_folder([f"{place}/film"], Options(seed=seed), f"{place}/out").track
@@ -75,6 +76,13 @@ def predict_film(kind, seed, sensor):
         if travel > MOVES:
             rows.append(row_of(draws[:, k, :3] @ floor, end @ floor, usual[k, :3] @ floor))
     return rows
+
+
+def half_of(truth):
+    """Return the frames of the first half of a film's motion: slides are over before half of the film."""
+    centres = np.array([np.array(item["poses"])[:, :3, 3] for item in truth["objects"]])
+    far = np.linalg.norm(centres - centres[:, -1:], axis=-1).max(axis=0)
+    return max(-(-int(np.sum(far > MOVES / 5)) // 2), FEWEST)
 
 
 def row_of(draws, end, usual):
