@@ -234,22 +234,6 @@ class SceneGraph:
             constraints = tuple(constraint.renamed(name, new.name) for constraint in constraints)
         return replace(self, vertices=tuple(vertices), constraints=constraints)
 
-    def exchange(self, changed: Mapping[str, Vertex]) -> "SceneGraph":
-        """Return the graph with vertices exchanged by name; those whose parent comes late now come after it."""
-        waiting = [changed.get(vertex.name, vertex) for vertex in self.vertices]
-        placed: list[Vertex] = []
-        done = {ROOT}
-        while waiting:
-            late = []
-            for vertex in waiting:
-                if vertex.parent in done:
-                    placed.append(vertex)
-                    done.add(vertex.name)
-                else:
-                    late.append(vertex)
-            waiting = late
-        return replace(self, vertices=tuple(placed))
-
     def add(self, *vertices: Vertex) -> "SceneGraph":
         """Return the graph with vertices appended; those before them stay where they are."""
         graph = replace(self, vertices=(*self.vertices, *vertices))
@@ -277,23 +261,6 @@ class SceneGraph:
         """
         relative = inverse(self._poses[parent]) @ self._poses[name]
         return nearest_contact(relative, self.body(parent), self.body(name), type, parent_face, child_face)
-
-    def reparent(
-        self, name: str, parent: str, type: str, parent_face: str | None = None, child_face: str | None = None
-    ) -> "SceneGraph":
-        """Return the graph with a vertex hung under another parent, every pose in the world as it was.
-
-        Slack takes up what the ideal contact cannot. DerenderError where even that is not enough: the two outlines
-        miss each other, the lean is out of range, or the new parent is below the vertex.
-        """
-        if parent == name or parent in self.descendants(name):
-            raise DerenderError(f"{parent!r} depends on {name!r}", f"{name}.parent", "a scene graph has no cycle")
-        contact, left = self.nearest_contact(name, parent, type, parent_face, child_face)
-        if left.outside > 1e-9 or left.angle > 1e-9:
-            what = f"no {type} contact with {parent!r} keeps the pose"
-            miss = f"it misses by {1e3 * left.outside:.1f} mm and {np.degrees(left.angle):.1f} degrees"
-            raise DerenderError(f"{what}: {miss}", f"{name}.contact")
-        return self.exchange({name: replace(self.vertex(name), parent=parent, contact=contact)})
 
     def check(self) -> None:
         """Raise DerenderError, with the address, for an unknown type, a number out of range or a face that is not."""
