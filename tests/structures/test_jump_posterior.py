@@ -11,7 +11,7 @@ from jump_worlds import document_of, generator
 from derender.camera.intrinsics import Camera
 from derender.posterior.target import ObservedImage
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps.base import State, Target, Vocabulary, mixture
+from derender.structures.jumps.base import State, Target, Vocabulary
 from derender.structures.jumps.chain import Draws, called, jump_chain, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
 
@@ -98,7 +98,7 @@ def test_chain_agrees_with_brute_force(seed):
     assert effective > 100
     words = words_with_hypotheses(prior, truth)
     target = Target(prior, likelihood_of(image))
-    draws = jump_chain(generator(seed, 79), target, words, truth, 3000, 500, 3, mixture())
+    draws = jump_chain(generator(seed, 79), target, words, truth, 3000, 500, 3)
     keys = [key_of(state.graph) for state in draws.states]
     for key in set(shares) | set(keys):
         walked = np.array([k == key for k in keys], float)

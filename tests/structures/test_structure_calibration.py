@@ -16,7 +16,6 @@ from scipy.stats import chi2
 from test_jump_posterior import CAMERA, TINY, VALUES, key_of, likelihood_of
 
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps import mixture
 from derender.structures.jumps.base import Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import walk
 from derender.structures.jumps.object_moves import Birth, BirthDeath
@@ -74,7 +73,7 @@ def calibration(scenes, thin, in_bank):
         for length in (before, STATES - before):
             state = evaluate(target, truth)
             for _ in range(length):
-                state = walk(rng, target, words, state, thin, mixture())
+                state = walk(rng, target, words, state, thin)
                 states.append(state.graph)
         own, others = np.array(figures(truth)), np.array([figures(graph) for graph in states])
         below = (others < own - 1e-12).sum(axis=0)

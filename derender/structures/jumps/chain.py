@@ -11,7 +11,7 @@ import numpy as np
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import diagnostics
 from derender.scene.graph import SceneGraph
-from derender.structures.jumps.base import Move, State, Target, Vocabulary, evaluate, step
+from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
 
 SAME_PLACE = 0.05  # metres between the centres of what is taken for the same object in two draws
 CHUNK = 256  # moves chosen at a time
@@ -33,15 +33,10 @@ class Visit(NamedTuple):
 
 
 def walk(
-    rng: np.random.Generator,
-    target: Target,
-    words: Vocabulary,
-    state: State,
-    steps: int,
-    parts: Sequence[tuple[Move, float]],
-    counts: Counter | None = None,
+    rng: np.random.Generator, target: Target, words: Vocabulary, state: State, steps: int, counts: Counter | None = None
 ) -> State:
-    """Return the state after some steps of a mixture of moves. counts : (name, accepted) of each step is added."""
+    """Return the state after some steps of the mixture of moves. counts : (name, accepted) of each step is added."""
+    parts = mixture()
     shares = np.array([share for _, share in parts])
     for start in range(0, steps, CHUNK):
         for number in rng.choice(len(parts), size=min(CHUNK, steps - start), p=shares):
@@ -59,15 +54,14 @@ def jump_chain(
     draws: int,
     warmup: int,
     thin: int,
-    parts: Sequence[tuple[Move, float]],
     counts: Counter | None = None,
 ) -> Draws:
     """Return `draws` states, `thin` steps apart, after `warmup` steps; counts : see `walk`."""
-    state = walk(rng, target, words, evaluate(target, start), warmup, parts)
+    state = walk(rng, target, words, evaluate(target, start), warmup)
     counts = Counter() if counts is None else counts
     states = []
     for _ in range(draws):
-        state = walk(rng, target, words, state, thin, parts, counts)
+        state = walk(rng, target, words, state, thin, counts)
         states.append(state)
     return Draws(states, acceptance_of(counts))
 

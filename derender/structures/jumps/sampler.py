@@ -64,7 +64,7 @@ class JumpSampler:
     ) -> dict[str, np.ndarray]:
         """Return the state after `rounds` times `thin` steps."""
         target, words, place = self._begin(state)
-        place = walk(rng, target, words, place, rounds * self.thin, mixture())
+        place = walk(rng, target, words, place, rounds * self.thin)
         return {**state, "now": _packed([place.graph])}
 
     def advance(
@@ -73,7 +73,7 @@ class JumpSampler:
         """Return the state and the densities of `draws` more scenes; the scenes are in the state."""
         target, words, place = self._begin(state)
         counts: Counter = Counter()
-        found = jump_chain(rng, target, words, place.graph, draws, 0, self.thin, mixture(), counts)
+        found = jump_chain(rng, target, words, place.graph, draws, 0, self.thin, counts)
         graphs = [drawn.graph for drawn in found.states]
         steps = [[counts[move.name, True] + counts[move.name, False], counts[move.name, True]]
                  for move, _ in mixture()]  # fmt: skip
