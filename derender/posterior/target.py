@@ -125,6 +125,16 @@ class SceneTarget:
         graph = self.template.with_numbers(numbers)
         return replace(graph, root_pose=self.root_pose(values)) if self._root_free else graph
 
+    def values(self, graph: SceneGraph) -> np.ndarray:
+        """Return the (P,) values of a scene of this structure, 0 where a contact leaves one out; undoes `graph`."""
+        numbers: dict[str, Any] = {}
+        if self._root_free and self.root_prior is not None:
+            numbers.update(self.root_prior.values(graph.root_pose))
+        for axis, x in zip("wxyz", numbers.pop("root.quat_wxyz", ()), strict=False):
+            numbers[f"root.q{axis}"] = x
+        numbers.update(graph.numbers())
+        return np.array([numbers.get(address, 0.0) for address in self.space.addresses])
+
     def log_prior(self, values: np.ndarray) -> float:
         """Return the log prior: the unknowns' own, and the prior's constraints where it has any."""
         log_prior = self.space.log_prior(values)

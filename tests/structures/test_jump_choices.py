@@ -195,7 +195,7 @@ def evenness(move, count=3000):
         choice = move.draw(rng, words, graph)
         if choice is None:
             continue
-        steps += [float(step) / choice.scale for step in choice.steps.values() if not isinstance(step, np.ndarray)]
+        steps += list(choice.tangent)
         applied = move.apply(words, graph, choice)
         if applied is not None and number < 200:
             forth = move.log_choice(words, graph, choice)
@@ -211,7 +211,7 @@ class Drifting(Twin):
         choice = super().draw(rng, words, graph)
         if choice is None or rng.random() < 0.8:
             return choice
-        return choice._replace(steps={key: abs(step) for key, step in choice.steps.items()})
+        return choice._replace(tangent=np.abs(choice.tangent))
 
 
 @pytest.mark.slow

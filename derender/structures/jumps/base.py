@@ -19,7 +19,7 @@ one continuous number for each object that can be born: two objects are never th
 import math
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from derender.errors import DerenderError
 from derender.registry import Registry
 from derender.sampling.metropolis import Info, decide
 from derender.scene.distributions import Categorical, Distribution
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.objects import ShapePrior
@@ -35,6 +35,8 @@ from derender.scene.priors.tree import seat
 
 if TYPE_CHECKING:
     from derender.structures.jumps.proposal import HypothesisProposal
+
+MOST_STRUCTURES = 1024  # whose coordinates are remembered
 
 Choice = tuple[str, str | None, str | None]  # contact type, parent's face, child's face
 Table = Mapping[str, float | Distribution]  # a contact's numbers by name, slack that is ideal left out
@@ -62,7 +64,7 @@ class Vocabulary:
         self.proposal = PriorProposal() if proposal is None else proposal
         self._equal = Categorical(dict.fromkeys(self.shapes, 1.0))
         self.table = lru_cache(maxsize=4096)(self._table)
-        self._free = lru_cache(maxsize=4096)(self._free_numbers)
+        self._coordinates: dict[tuple, Any] = {}
 
     def grown(self, graph: SceneGraph) -> tuple[str, ...]:
         """Return the names of the objects that jumps may change: all but the base."""
@@ -100,29 +102,18 @@ class Vocabulary:
         found = self.prior.contacts.choices(shape, self.shapes[kind].type, top)
         return None if found is None else found[0]
 
-    def free_numbers(self, graph: SceneGraph, name: str) -> Mapping[tuple[str, str], Distribution]:
-        """Return the prior of each free number of an object, by ("shape" or "contact", name); the base's too."""
-        vertex = graph.vertex(name)
-        contact = vertex.contact
-        choice = (contact.type, contact.parent_face, contact.child_face)
-        kind = name if name in self.base else self.kind_of(vertex)
-        return self._free(kind, name in self.base, *self.seat(graph, vertex.parent), choice)
+    def coordinates(self, graph: SceneGraph) -> Any:
+        """Return the SceneTarget that says which numbers of a scene's structure are free; None where none is."""
+        key = graph.structure()
+        if key not in self._coordinates:
+            from derender.posterior.target import SceneTarget
 
-    def _free_numbers(
-        self, kind: str, base: bool, parent: str, top: str | None, choice: Choice
-    ) -> dict[tuple[str, str], Distribution]:
-        if base:
-            item = cast(GrammarPrior, self.prior).tree.by_name[kind]
-            shape = item.shape.free()
-            contact = item.contact.free(Contact(*choice), parent, item.shape.type, top)
-        else:
-            entry = self.shapes[kind]
-            shape, table = entry.free(), self.table(parent, top, entry.type, choice) or {}
-            contact = {key: value for key, value in table.items() if isinstance(value, Distribution)}
-        return {
-            **{("shape", key): value for key, value in shape.items()},
-            **{("contact", key): value for key, value in contact.items()},
-        }
+            if len(self._coordinates) >= MOST_STRUCTURES:
+                self._coordinates.clear()
+            prior: Any = self.prior
+            found = SceneTarget(prior, graph, None) if prior.free_addresses(graph) else None  # type: ignore[arg-type]
+            self._coordinates[key] = found
+        return self._coordinates[key]
 
     def _table(self, parent: str, top: str | None, child: str, choice: Choice) -> Table | None:
         found = self.prior.contacts.choices(parent, child, top)
