@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -199,6 +200,16 @@ def test_walk_draws_sizes_from_their_prior():
     z = (np.log(draws.values[:, side]) - math.log(0.085)) / 0.45
     assert kstest(z[::2], "norm").pvalue > 1e-3
     assert kstest(z[::2] - 0.45, "norm").pvalue < 1e-6  # the broken twin
+
+
+def test_a_walk_gives_its_generator_back():
+    """Else each of the hundred walks that a frame takes would keep one in memory for good."""
+    chart, values = make_chart(cube(), floor_pose(), Rules(0.0015))
+    sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
+    rng, proposals = np.random.default_rng(3), make_proposals(single_steps(chart))
+    held = sys.getrefcount(rng)
+    run(rng, engine_of(chart, sensor), chart, values, proposals, 1.0, 0.0, 5, 1)
+    assert sys.getrefcount(rng) == held
 
 
 @pytest.mark.parametrize("part", [1.0, 0.5])

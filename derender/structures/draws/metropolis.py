@@ -153,6 +153,14 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
     return accepted
 
 
+@njit(cache=True, nogil=True)
+def walk_counted(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept,
+                 densities, scratch):  # fmt: skip
+    """As `walk`, for Python: numba gives a generator that it was handed back only where it counts references."""
+    return walk(rng, views, chart, values, prior, likelihood, proposals, temperature, gain, steps, thin, kept,
+                densities, scratch)  # fmt: skip
+
+
 @njit(cache=True, nogil=True, borrows=True)
 def take_moved(touched, poses, sizes, indices):
     """Bring the poses and sizes of what moves to the front, write which solids these are, and return how many."""
@@ -231,8 +239,9 @@ def run(rng: np.random.Generator, engine: Views, chart: Chart, values: np.ndarra
     """Return the Draws of a walk of count * thin steps; `values` and, with a gain, the scales change in place."""
     kept, densities = np.empty((count, len(values))), np.empty((count, 2))
     prior, likelihood = load(engine, chart, values)
-    accepted = walk(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
-                    count * thin, thin, kept, densities, scratch_for(len(chart.flags), len(values)))  # fmt: skip
+    scratch = scratch_for(len(chart.flags), len(values))
+    accepted = walk_counted(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
+                            count * thin, thin, kept, densities, scratch)  # fmt: skip
     return Draws(kept, densities, accepted / max(count * thin, 1))
 
 
