@@ -6,9 +6,8 @@ import pytest
 from derender.detection.estimate import point_estimate
 from derender.detection.search.bodies import body_hypotheses, bridged, find_bodies, label_bodies
 from derender.detection.search.greedy import Settings, Task, complexity, settle, sweep, total_energy
-from derender.detection.search.moves import explain_anew
+from derender.detection.search.moves import appear, explain_anew
 from derender.detection.search.places import find_places
-from derender.detection.search.shape_moves import appear
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish

@@ -7,7 +7,7 @@ import pytest
 
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate
-from derender.detection.search.round_proposals import rim_circle
+from derender.detection.search.proposals import rim_circle
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.graph import matched_names
 from derender.detection.solids.image import make_row

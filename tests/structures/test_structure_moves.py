@@ -5,9 +5,8 @@ import pytest
 
 from derender.detection.estimate import point_estimate
 from derender.detection.search.greedy import Settings, Task, settle, total_energy
-from derender.detection.search.moves import MOVES, as_cube, as_high, recut
+from derender.detection.search.moves import MOVES, as_cube, as_high, lift, recut, shake, stand, stretch, tilt
 from derender.detection.search.places import find_places
-from derender.detection.search.shape_moves import lift, shake, stand, stretch, tilt
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row

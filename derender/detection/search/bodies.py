@@ -11,8 +11,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.local_planes import separation
-from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.search.round_proposals import fit_sphere, lying_circle
+from derender.detection.search.proposals import fit_sphere, lying_circle, smallest_rectangle
 from derender.detection.search.surface import THINNEST, UP, Hypothesis, cross
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT

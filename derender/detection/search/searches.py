@@ -13,9 +13,17 @@ import numpy as np
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
 from derender.detection.search.greedy import Changed, Settings, Task, greedy, prune, settle, sweep, total_energy
-from derender.detection.search.moves import aligned_pairs, merge_pair, propose
+from derender.detection.search.moves import (
+    LOWER,
+    aligned_pairs,
+    appear_on,
+    merge_pair,
+    propose,
+    put_under,
+    raise_support,
+    stand,
+)
 from derender.detection.search.places import find_places
-from derender.detection.search.shape_moves import LOWER, appear_on, put_under, raise_support, stand
 from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
