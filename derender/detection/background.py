@@ -223,7 +223,8 @@ def length(points: np.ndarray) -> float:
 def floats(points: np.ndarray, mask: np.ndarray, good: np.ndarray, jump: np.ndarray, origin: np.ndarray) -> bool:
     """Return whether a body hangs over the support with nothing under it.
 
-    What shows below it and is nearly as high as its lowest point may bear it, with something hidden between.
+    What shows below it and is nearly as high as its lowest point may bear it, with something hidden between; and seen
+    from above it shows no sides, so that only what shows underneath it tells that there are none.
     """
     lowest = np.quantile(points[mask][:, 2], ENDS)
     if lowest < FLOATS:
@@ -234,8 +235,13 @@ def floats(points: np.ndarray, mask: np.ndarray, good: np.ndarray, jump: np.ndar
     apart = np.linalg.norm(points[1:] - points[:-1], axis=2)[lower]
     far = np.linalg.norm(points - origin, axis=2)
     lies_deeper = (far[1:] > far[:-1])[lower]
-    bears = points[1:][lower][:, 2] > lowest - FLOATS
-    return float(np.mean((apart > jump[:-1][lower]) & lies_deeper)) > HANGS and bears.mean() < BORNE
+    edge, below = points[:-1][lower], points[1:][lower]
+    inwards = points[mask][:, :2].mean(axis=0) - edge[:, :2]
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    underneath = ((below - edge)[:, :2] * inwards).sum(axis=1)
+    nothing = np.minimum(apart, underneath) > jump[:-1][lower]
+    bears = below[:, 2] > lowest - FLOATS
+    return float(np.mean(nothing & lies_deeper)) > HANGS and bears.mean() < BORNE
 
 
 FILLING = 0.5  # metres across

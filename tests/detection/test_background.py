@@ -12,13 +12,13 @@ from derender.render.raycast.depth import render_depth
 from derender.scene.solids import BOX, PLANE, Solids
 
 
-def told_apart(solids):
+def told_apart(solids, table=TABLE):
     """Return (Observation, label (H, W) of the solids behind it) of boxes (x, y, bottom, size) about the table."""
-    poses, sizes = [TABLE], [np.zeros(3)]
+    poses, sizes = [table], [np.zeros(3)]
     for x, y, bottom, size in solids:
         pose = np.eye(4)
         pose[:3, 3] = x, y, bottom + 0.5 * size[2]
-        poses.append(TABLE @ pose), sizes.append(np.array(size, float))
+        poses.append(table @ pose), sizes.append(np.array(size, float))
     kinds = np.array([PLANE] + [BOX] * len(solids), np.int32)
     scene = Solids(kinds, np.array(poses), np.array(sizes), np.full(len(kinds), -1, np.int32))
     depth, label = render_depth(scene, CAMERA)
@@ -47,6 +47,13 @@ def test_what_seems_to_hang_over_a_carton_may_stand_on_it():
     assert seen.mask[label == 2].mean() > 0.9
     seen, label = told_apart([above])  # a broken twin: nothing there that could bear it
     assert seen.behind[label == 1].mean() > 0.9
+
+
+def test_a_carton_right_below_the_camera_stands_though_no_side_of_it_shows():
+    table = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.8], [0.0, 0.0, 0.0, 1.0]])
+    seen, label = told_apart([(0.0, 0.0, 0.0, (0.12, 0.1, 0.15)), (0.2, 0.1, 0.0, (0.1, 0.1, 0.05))], table)
+    assert seen.mask[label == 1].mean() > 0.9
+    assert seen.mask[label == 2].mean() > 0.9
 
 
 def test_a_small_thing_at_the_edge_of_the_image_stands_there():
