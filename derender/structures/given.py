@@ -292,7 +292,7 @@ def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weigh
         part.name: float(accepted / steps) if steps else math.nan
         for part, (steps, accepted) in zip(mixed, counts_by_kernel, strict=True)
     }
-    return _part(
+    return part_at(
         target,
         values,
         np.stack([record.log_prior[:length] for record in chosen]),
@@ -302,7 +302,7 @@ def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weigh
     )
 
 
-def _part(
+def part_at(
     target: SceneTarget,
     values: np.ndarray,
     log_prior: np.ndarray,
@@ -310,6 +310,7 @@ def _part(
     weight: float,
     extras: Any,
 ) -> StructurePosterior:
+    """Return the draws of one structure, values (chains, draws, P) and their densities, as a part of a posterior."""
     poses = None
     if any(address.startswith("root.") for address in target.space.addresses):
         poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
@@ -334,7 +335,7 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
     if np.array_equal(values, part.values[0, 0]):
         return part
     prior, likelihood = np.array([[target.log_prior(values)]]), np.array([[target.log_likelihood(values)]])
-    return _part(target, values[None, None], prior, likelihood, part.weight, part.extras)
+    return part_at(target, values[None, None], prior, likelihood, part.weight, part.extras)
 
 
 def _particles(
@@ -350,4 +351,4 @@ def _particles(
     densities = np.stack([population.densities for population in populations])
     extras = {"log_evidence": [population.log_evidence for population in populations]}
     values = np.stack([population.values for population in populations])
-    return _part(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)
+    return part_at(target, values, densities[:, :, 0], densities[:, :, 1], weight, extras)

@@ -11,6 +11,7 @@ import numpy as np
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling import diagnostics
 from derender.scene.graph import SceneGraph
+from derender.structures.given import part_at
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
 
 SAME_PLACE = 0.05  # metres between the centres of what is taken for the same object in two draws
@@ -183,35 +184,14 @@ def in_step(chains: list[list[Visit]]) -> list[list[Visit]]:
     return [[visit for chain in chains for visit in chain]]
 
 
-def _part(words: Any, chains: list[list[Visit]]) -> StructurePosterior:
-    weight = sum(visit.weight for chain in chains for visit in chain)
+def _part(words: Vocabulary, chains: list[list[Visit]]) -> StructurePosterior:
+    weight = float(sum(visit.weight for chain in chains for visit in chain))
     chains = in_step(chains)
-    group = [visit for chain in chains for visit in chain]
-    shape = len(chains), len(chains[0])
-    template = max(group, key=lambda item: item[1].log_prior + item[1].log_likelihood)[0]
-    free = words.prior.free_addresses(template)
-    addresses, periods = [], []
-    for address, law in free.items():
-        if address.startswith("root."):
-            continue
-        if address.endswith(".quat_wxyz"):
-            stem = address.removesuffix("quat_wxyz")
-            addresses += [stem + part for part in ("qw", "qx", "qy", "qz")]
-            periods += [None] * 4
-        else:
-            addresses.append(address)
-            low, high = law.support
-            periods.append(high - low if address.endswith(".theta") and np.isfinite(high - low) else None)
-    numbers = [graph.numbers() for graph, _, _ in group]
-    values = np.array([[row.get(address, 0.0) for address in addresses] for row in numbers])
-    root = np.array([graph.root_pose for graph, _, _ in group])
-    return StructurePosterior(
-        template,
-        tuple(addresses),
-        values.reshape(*shape, len(addresses)),
-        np.array([state.log_prior for _, state, _ in group]).reshape(shape),
-        np.array([state.log_likelihood for _, state, _ in group]).reshape(shape),
-        float(weight),
-        tuple(periods),
-        root.reshape(*shape, 4, 4) if words.prior.root.free_addresses() else None,
-    )
+    log_prior, log_likelihood = (np.array([[getattr(visit.state, kind) for visit in chain] for chain in chains])
+                                 for kind in State._fields[1:])  # fmt: skip
+    graph = chains[0][0].graph
+    target = words.coordinates(graph)
+    if target is None:  # nothing is free
+        return StructurePosterior(graph, (), np.empty((*log_prior.shape, 0)), log_prior, log_likelihood, weight)
+    values = np.array([[target.values(visit.graph) for visit in chain] for chain in chains])
+    return part_at(target, values, log_prior, log_likelihood, weight, {})
