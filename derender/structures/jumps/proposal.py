@@ -9,13 +9,14 @@ from scipy.special import ndtr, ndtri
 
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
-from derender.scene.graph import Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
 from derender.scene.priors.values import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
 from derender.structures.jumps.base import Vocabulary
 
 HAAR = math.log(8.0 * math.pi**2)  # of the mass of dw over all rotation vectors w, near each rotation
+MOST_KNOWN = 10_000  # hypotheses on a parent in one place whose components are remembered
 ON_PRIOR = 0.2  # share of the births that come from the prior all the same: nothing it allows is out of reach
 
 
@@ -99,31 +100,42 @@ class HypothesisProposal:
         self.on_prior = on_prior
         self.fallback = PriorProposal()
         self._last: tuple = (None, [])
+        self._known: dict[tuple, list[Component]] = {}
 
     def components(self, words: Any, graph: SceneGraph) -> list[Component]:
         """Return the mixture's components, their weights summing to one; empty where no hypothesis hangs anywhere."""
         if self._last[0] is graph:
             return self._last[1]
-        found = []
-        poses = graph.poses()
-        for hypothesis in self.hypotheses:
-            shape = words.shapes[hypothesis.kind].type
-            body = Body(shapes[shape], np.array([hypothesis.parameters[p.name] for p in shapes[shape].parameters]),
-                        words.shapes[hypothesis.kind].options)  # fmt: skip
+        found, poses = [], graph.poses()
+        for number, hypothesis in enumerate(self.hypotheses):
             for parent in words.bearers(graph):
-                if words.kinds(graph, parent).log_density(hypothesis.kind) == -math.inf:
-                    continue
-                relative = inverse(poses[parent]) @ hypothesis.pose
-                choices = words.contacts(graph, parent, hypothesis.kind)
-                for choice, share in () if choices is None else choices.probabilities.items():
-                    ways = _component(words, graph, hypothesis, parent, body, relative, choice)
-                    found += [way._replace(weight=share * way.weight) for way in ways]
+                if words.kinds(graph, parent).log_density(hypothesis.kind) > -math.inf:
+                    found += self._ways(words, graph, number, parent, poses[parent])
         total = math.fsum(component.weight for component in found)
         found = [c._replace(weight=c.weight / total) for c in found if c.weight > 1e-6 * total] if total > 0 else []
         total = math.fsum(component.weight for component in found)
         found = [component._replace(weight=component.weight / total) for component in found]
         self._last = (graph, found)
         return found
+
+    def _ways(self, words: Any, graph: SceneGraph, number: int, parent: str, pose: np.ndarray) -> list[Component]:
+        """Return the components of one hypothesis on one parent, remembered until that moves."""
+        sizes = () if parent == ROOT else tuple(graph.vertex(parent).parameters.values())
+        key = number, parent, *words.seat(graph, parent), pose.tobytes(), sizes
+        if key not in self._known:
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            hypothesis = self.hypotheses[number]
+            shape, options = words.shapes[hypothesis.kind].type, words.shapes[hypothesis.kind].options
+            psi = np.array([hypothesis.parameters[p.name] for p in shapes[shape].parameters])
+            body, relative = Body(shapes[shape], psi, options), inverse(pose) @ hypothesis.pose
+            choices = words.contacts(graph, parent, hypothesis.kind)
+            self._known[key] = [
+                way._replace(weight=share * way.weight)
+                for choice, share in (() if choices is None else choices.probabilities.items())
+                for way in _component(words, graph, hypothesis, parent, body, relative, choice)
+            ]
+        return self._known[key]
 
     def sample(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Vertex | None:
         """Return a new vertex; None where nothing can grow or a number fell outside its support by rounding."""
