@@ -7,8 +7,10 @@ import pytest
 from table_scenes import CAMERA, SIGMA, TABLE
 
 from derender.camera.intrinsics import Camera
+from derender.detection.floor import LEVEL
 from derender.detection.floors import find_floor, floors_of
 from derender.detection.search.observation import CORRELATED, Rival, observe
+from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
 from derender.scene.priors.bare_image import Missed
 from derender.scene.solids import BOX, PLANE, Solids
@@ -103,3 +105,10 @@ def test_what_may_stand_on_another_floor_may_be_missed():
     alone = missed_by([seen], {}, missed, 1.0)
     seen.rivals = (Rival((0.0, -1.0, 0.0, 0.5), 0.3),)
     assert 1.0 - missed_by([seen], {}, missed, 1.0) == pytest.approx(0.7 * (1.0 - alone))
+
+
+@pytest.mark.parametrize("number", [1307, 1312, 1321])
+def test_tables_at_two_heights_and_the_room_below_speak_for_one_another_against_a_large_wall(number):
+    scene = make(np.random.default_rng([number, list(KINDS).index("heights")]), "heights")
+    seen = observe(scene.depth, scene.camera)
+    assert seen.floor.pose[:3, 2] @ scene.tables["floor"][:3, 2] > LEVEL

@@ -8,6 +8,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.background import beyond_outline, joined_to_floor, main_part, standing_bodies, walls_behind
 from derender.detection.floor import (
+    LEVEL,
     MOST_NOISE,
     NO_PLANE,
     ROUGHEST,
@@ -53,6 +54,7 @@ LOWEST = 0.004  # metres over the floor from which on something stands on it; le
 # What a share of the pixels that a floor and what stands on it explain is worth, in nats for each nat of it; the least
 # probability at which another plane is told of.
 EXPLAINED, TOLD = 4.0, 0.01
+PARALLEL = 0.5  # of what lies on a parallel plane, a floor as likely as this one, that it explains too
 SURE_SHARE = 0.2  # of the pixels: the least that a plane holds that is one only when fitted closely
 SAME = 0.5  # of a plane's pixels that are another's too, from which on it is the same floor
 
@@ -183,13 +185,12 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
               floating: bool) -> Observation:  # fmt: skip
     """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
 
-    Floors that come near the first are weighed by what they and the things on them explain (these hide no more of a
-    floor than shows of it), less a part of what lies under them. Only what a sensor saw is weighed so; what is drawn
-    shows the floor of its prior.
+    Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
+    weighed so; what is drawn shows the floor of its prior.
 
     gravity : see `find_floor`.
     """
-    found: list[tuple[float, Observation]] = []
+    found: list[Observation] = []
     try:
         candidates = floors_of(depth, camera, gravity)
     except NoFloor:
@@ -198,26 +199,40 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
         seen = over_candidate(depth, camera, factor, candidate, rounding, floating)
         if seen is None and not found:
             break  # the likeliest comes first: where it is none there is none
-        if seen is None or any(same_floor(seen.floor, other.floor) for _, other in found):
+        if seen is None or any(same_floor(seen.floor, other.floor) for other in found):
             continue
-        normal, on, standing = seen.floor.pose[:3, 2], seen.floor.inliers.sum(), seen.mask.sum()
-        under = ((seen.image.weight > 0) & (seen.points[..., 2] < -ROUGHEST * seen.sigma)).sum()
-        explained = max(float(on + min(standing, on) - UNDER * under), 1.0) / depth.size
-        prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), gravity is not None)
-        found.append((float(prior[0]) + EXPLAINED * np.log(explained), seen))
+        found.append(seen)
         if seen.correlation <= CORRELATED:
             break
     if not found and pixel_noise(depth) >= MOST_NOISE:
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if not found:
         return without_floor(depth, camera, factor, rounding)
-    odds = np.array([value for value, _ in found])
+    odds = np.array([odds_among(seen, found, gravity is not None) for seen in found])
     probability = np.exp(odds - odds.max())
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
-    rivals = tuple(Rival(plane_of(found[k][1].floor), float(probability[k])) for k in order[1:]
+    rivals = tuple(Rival(plane_of(found[k].floor), float(probability[k])) for k in order[1:]
                    if probability[k] > TOLD)  # fmt: skip
-    return found[order[0]][1]._replace(rivals=rivals)
+    return found[order[0]]._replace(rivals=rivals)
+
+
+def odds_among(seen: Observation, found: list[Observation], level: bool) -> float:
+    """Return the log odds in nats that the floor of one of the Observations `found` of an image is the floor.
+
+    They explain what is on it and as much again at most that stands there; of what is on others parallel to it, which
+    are further supports, or what it is itself a support of, a part. level : whether they are known to be level.
+    """
+    normal, own = seen.floor.pose[:3, 2], seen.floor.inliers | seen.mask
+    on, standing = seen.floor.inliers.sum(), seen.mask.sum()
+    parallel = [
+        other.floor.inliers for other in found if other is not seen and other.floor.pose[:3, 2] @ normal > LEVEL
+    ]
+    others = np.any(parallel, axis=0) & ~own if parallel else np.zeros_like(own)
+    under = (seen.image.weight > 0) & (seen.points[..., 2] < -ROUGHEST * seen.sigma) & ~others
+    explained = on + min(standing, on) + PARALLEL * others.sum() - UNDER * under.sum()
+    prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), level)
+    return float(prior[0] + EXPLAINED * np.log(max(explained, 1.0) / own.size))
 
 
 def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, candidate: Candidate, rounding: float,
