@@ -286,11 +286,6 @@ def image_of(seen: Observation, case: Case, temper: float) -> "Image":
     return Image(case.depth, case.camera, sigma, temper, case.options.unit or 1.0)
 
 
-if TYPE_CHECKING:
-    from derender.results.posterior import StructurePosterior
-    from derender.structures.together import Look
-
-
 def missed_by(observations: list[Observation], extras: dict[str, dict[str, float | str] | list[float] | float],
               missed: Missed, explained: float) -> float:  # fmt: skip
     """Return the probability that the search has missed what is there.

@@ -12,30 +12,34 @@ from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
+LEVEL = 0.16  # sine of nine degrees: patches as near the vertical or the horizontal are made exactly so
+ORTHOGONAL = 0.2  # cosine of the least angle between patches that may be faces of one box
+TOUCH = 2  # pixels in which patches of one solid are neighbours, at least
+MOST_AXES = 3  # of a cylinder, tried for one cluster of patches
 BEYOND = 0.01  # share of a patch's points beyond the ends of its extents: flying pixels
 
 
-def snap(normal: np.ndarray, level: Any = 0.16) -> tuple[np.ndarray, str]:
+def snap(normal: np.ndarray) -> tuple[np.ndarray, str]:
     """Return a patch normal made exactly vertical or horizontal where it is within about nine degrees of it, and which.
 
     Returns (normal (3,), "top", "side" or "tilted").
     """
-    if normal[2] > np.sqrt(1 - level**2):
+    if normal[2] > np.sqrt(1 - LEVEL**2):
         return UP, "top"
-    if abs(normal[2]) < level:
+    if abs(normal[2]) < LEVEL:
         flat = np.array([normal[0], normal[1], 0.0])
         return flat / np.linalg.norm(flat), "side"
     return normal, "tilted"
 
 
-def groups_of_faces(surface: Surface, orthogonal: Any = 0.2, touch: Any = 2) -> Any:
+def groups_of_faces(surface: Surface) -> Any:
     """Return the index tuples of one to three patches that can be faces of one box: touching, orthogonal, convex."""
     count = len(surface.pixels)
     pairs = {
         (a, b)
         for a, b in combinations(range(count), 2)
-        if surface.touching[a, b] >= touch
-        and abs(surface.normal[a] @ surface.normal[b]) < orthogonal
+        if surface.touching[a, b] >= TOUCH
+        and abs(surface.normal[a] @ surface.normal[b]) < ORTHOGONAL
         and convex(surface, a, b)
     }
     triples = [
@@ -43,8 +47,8 @@ def groups_of_faces(surface: Surface, orthogonal: Any = 0.2, touch: Any = 2) -> 
         for (a, b) in pairs
         for c in range(b + 1, count)
         if ((a, c) in pairs or (b, c) in pairs)
-        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
-        and abs(surface.normal[b] @ surface.normal[c]) < orthogonal
+        and abs(surface.normal[a] @ surface.normal[c]) < ORTHOGONAL
+        and abs(surface.normal[b] @ surface.normal[c]) < ORTHOGONAL
         and convex(surface, a, c)
         and convex(surface, b, c)
     ]
@@ -55,7 +59,7 @@ def groups_of_faces(surface: Surface, orthogonal: Any = 0.2, touch: Any = 2) -> 
         if c != a
         and (min(b, c), max(b, c)) in pairs
         and (a, c) not in pairs
-        and abs(surface.normal[a] @ surface.normal[c]) < orthogonal
+        and abs(surface.normal[a] @ surface.normal[c]) < ORTHOGONAL
         and convex(surface, a, c)
     ]
     return sorted(set(triples) | set(wedges)), sorted(pairs), [(a,) for a in range(count)]
@@ -236,8 +240,8 @@ def spheres(surface: Any, group: Any) -> Iterator[Any]:
         yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False, tuple(group))
 
 
-def cylinder_axes(surface: Surface, group: tuple[int, ...], most: Any = 3) -> list[np.ndarray]:
-    """Return up to `most` directions for the axis of a cylinder whose side and caps are these patches.
+def cylinder_axes(surface: Surface, group: tuple[int, ...]) -> list[np.ndarray]:
+    """Return up to MOST_AXES directions for the axis of a cylinder whose side and caps are these patches.
 
     A cap's normal is the axis; two strips of a side have it as their cross product.  A direction counts by the pixels
     of the patches that are across it or along it.
@@ -262,7 +266,7 @@ def cylinder_axes(surface: Surface, group: tuple[int, ...], most: Any = 3) -> li
     for _, axis in found:
         if all(abs(axis @ other) < 0.98 for other in axes):
             axes.append(axis)
-        if len(axes) == most:
+        if len(axes) == MOST_AXES:
             break
     return axes
 
@@ -344,13 +348,13 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     return solution[:2], np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 1e-8))
 
 
-def clusters(surface, touch=2):
+def clusters(surface):
     """Return tuples of patches joined by convex edges: each with its neighbours, and the whole components."""
     count = len(surface.pixels)
     joined = np.zeros((count, count), bool)
     for a in range(count):
         for b in range(count):
-            if a != b and surface.touching[a, b] >= touch and convex(surface, a, b):
+            if a != b and surface.touching[a, b] >= TOUCH and convex(surface, a, b):
                 joined[a, b] = True
     found = set()
     remaining = set(range(count))
