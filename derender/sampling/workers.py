@@ -45,7 +45,7 @@ def run(plan: Plan, jobs: int = 1, processes: bool = True, progress: Progress = 
     jobs = min(jobs, plan.chains)
     with interruptible() as stop:
         if jobs > 1 and processes:
-            records, lost = _Processes(plan, stop, progress).run(jobs)
+            records, lost = _run_processes(plan, jobs, stop, progress)
         else:
             records, lost = _run_threads(plan, jobs, stop, progress)
     if lost and not records:
@@ -100,112 +100,63 @@ def _run_threads(
     return records, lost
 
 
-class _Processes:
-    """Chains over processes, a process for each of `jobs` at a time.
-
-    workers : by our end of a process's pipe: the process, and the number of its chain or None.
-    records, lost : by chain, see `Outcome`. fault : of the user's, which ends all.
-    """
-
-    def __init__(self, plan: Plan, stop: Any, progress: Callable[..., Any]) -> None:
-        self.plan, self.stop, self.progress = plan, stop, progress
-        self.context = multiprocessing.get_context("spawn")
-        self.waiting = deque(range(plan.chains))
-        self.workers: dict[Any, tuple[Any, int | None]] = {}
-        self.records: dict[int, Record] = {}
-        self.lost: dict[int, str] = {}
-        self.fault: BaseException | None = None
-
-    def run(self, jobs: int) -> tuple[dict[int, Record], dict[int, str]]:
-        """Return (records, lost)."""
-        told = False
-        try:
-            for _ in range(jobs):
-                self._hire()
-            while self.workers:
-                if self.stop.is_set() and not told:
-                    told = True
-                    for connection in self.workers:
-                        self._tell(connection, ("stop", None))
-                for connection in multiprocessing.connection.wait(list(self.workers), timeout=0.1):
-                    self._hear(connection)
-        finally:
-            for process, _ in self.workers.values():
-                process.terminate()
-        if self.fault is not None:
-            raise self.fault
-        return self.records, self.lost
-
-    def _hire(self) -> None:
-        ours, theirs = self.context.Pipe()
-        process = self.context.Process(target=_work, args=(theirs, self.plan), daemon=True)
-        with safe_path():
-            process.start()
-        theirs.close()
-        self.workers[ours] = (process, None)
-        self._assign(ours)
-
-    def _assign(self, connection: Any) -> None:
-        process, _ = self.workers[connection]
-        number = None if not self.waiting or self.stop.is_set() else self.waiting.popleft()
-        self.workers[connection] = (process, number)
-        self._tell(connection, ("leave", None) if number is None else ("run", number))
-
-    def _tell(self, connection: Any, message: tuple[str, int | None]) -> None:
-        with contextlib.suppress(OSError):  # the process has died: reading from the connection will tell
-            connection.send(message)
-
-    def _hear(self, connection: Any) -> None:
-        process, number = self.workers[connection]
-        try:
-            kind, content = connection.recv()
-        except (EOFError, OSError):
-            del self.workers[connection]
-            process.join()
-            if number is not None:
-                self.lost[number] = f"the process of chain {number} died with exit status {process.exitcode}"
-                if self.waiting and not self.stop.is_set():
-                    self._hire()
-            return
-        if kind == "progress":
-            self.progress(*content)
-            return
-        assert number is not None, "only a process that is on a chain answers"
-        if kind == "done":
-            self.records[number] = content
-        elif kind == "fault":
-            self.fault = content
-            self.stop.set()
-        else:
-            self.lost[number] = content
-        self._assign(connection)
+def _run_processes(
+    plan: Plan, jobs: int, stop: Any, progress: Callable[..., Any]
+) -> tuple[dict[int, Record], dict[int, str]]:
+    """Run each chain in a process of its own, at most `jobs` at a time."""
+    context, waiting = multiprocessing.get_context("spawn"), deque(range(plan.chains))
+    running: dict[Any, tuple[Any, int]] = {}  # by our end of a process's pipe: the process and its chain
+    records: dict[int, Record] = {}
+    lost: dict[int, str] = {}
+    told = False
+    try:
+        while running or (waiting and not stop.is_set()):
+            while waiting and len(running) < jobs and not stop.is_set():
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_work, args=(theirs, plan, waiting[0]), daemon=True)
+                with safe_path():
+                    process.start()
+                theirs.close()
+                running[ours] = process, waiting.popleft()
+            if stop.is_set() and not told:
+                told = True
+                for connection in running:
+                    with contextlib.suppress(OSError):  # the process has died: reading from the connection will tell
+                        connection.send("stop")
+            ready: list[Any] = multiprocessing.connection.wait(list(running), timeout=0.1)
+            for connection in ready:
+                process, number = running[connection]
+                try:
+                    kind, content = connection.recv()
+                except (EOFError, OSError):
+                    process.join()
+                    kind, content = "lost", f"the process of chain {number} died with exit status {process.exitcode}"
+                if kind == "progress":
+                    progress(*content)
+                    continue
+                del running[connection]
+                process.join()
+                if kind == "fault":
+                    raise content
+                if kind == "done":
+                    records[number] = content
+                else:
+                    lost[number] = content
+    finally:
+        for process, _ in running.values():
+            process.terminate()
+    return records, lost
 
 
-def _work(connection: Any, plan: Plan) -> None:
-    """Serve chains to the parent until it says leave. Ctrl-C is the parent's business."""
+def _work(connection: Any, plan: Plan, number: int) -> None:
+    """Run one chain for the parent, whose only word is to stop. Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stopped = False
-
-    def stop() -> bool:
-        nonlocal stopped
-        if not stopped and connection.poll():
-            kind, _ = connection.recv()
-            stopped = kind == "stop"
-        return stopped
-
     progress: Callable = lambda *content: connection.send(("progress", content))  # noqa: E731
-    while True:
-        kind, number = connection.recv()
-        if kind == "stop":
-            stopped = True
-            continue
-        if kind == "leave":
-            return
-        answer: tuple[str, Any]
-        try:
-            answer = ("done", run_chain(plan, number, stop, progress))
-        except DerenderError as fault:
-            answer = ("fault", fault)
-        except Exception:  # reported by the parent with its traceback
-            answer = ("lost", traceback.format_exc())
-        connection.send(answer)
+    answer: tuple[str, Any]
+    try:
+        answer = ("done", run_chain(plan, number, connection.poll, progress))
+    except DerenderError as fault:
+        answer = ("fault", fault)
+    except Exception:  # reported by the parent with its traceback
+        answer = ("lost", traceback.format_exc())
+    connection.send(answer)
