@@ -11,7 +11,7 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.render.raycast.state import taps_of
+from derender.render.raycast.state import BLUR, RADIUS, taps_of
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures.alternatives import longer, of_one_solid, stood_up
 from derender.structures.draws.metropolis import engine_of, evaluate, load, with_blurs_drawn
@@ -256,6 +256,21 @@ def test_a_box_that_is_longer_than_a_cube_has_the_face_that_is_seen_where_the_cu
         seen = along * np.sign(along @ (eye - cube[10:13]))
         faces = [each[10:13] @ seen + 0.5 * each[13 + axis] for each in (cube, new)]
         assert faces[0] == pytest.approx(faces[1]) and new[13 + axis] > 1.3 * cube[13 + axis]
+
+
+def test_views_hold_their_own_blur_whatever_is_drawn_from_them():
+    """Chains that do not agree walk on from views that they had before: with the kernel for as many taps as theirs."""
+    rng = np.random.default_rng(2)
+    state = solid(BOX, (0.08, 0.07, 0.06))
+    sensor, _, _ = observe(rng, state, {"sigma": 0.01, "blur": 0.3}, camera(24, 18))
+    best = at_mode(rng, state, floor_pose(), sensor._replace(prior=PRIOR), RULES)
+    views = engine_of(best.chart, best.sensor)
+    before = load(views, best.chart, best.values)
+    kept = views.engines.settings.copy()
+    other = with_blurs_drawn(rng, views, best.sensor, [np.array([1.5])])
+    assert other.engines.taps.shape != views.engines.taps.shape
+    assert np.array_equal(views.engines.settings[:, [RADIUS, BLUR]], kept[:, [RADIUS, BLUR]])
+    assert load(views, best.chart, best.values) == before
 
 
 def test_a_blur_is_drawn_as_the_image_and_the_prior_have_it():

@@ -347,6 +347,7 @@ def with_blurs_drawn(
     states = []
     for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
         engine, logs = engine_of_view(views, number), []
+        engine = engine._replace(settings=engine.settings.copy())  # they name the kernel for so many taps
         for blurred in some:
             engine = with_blur(engine, blurred)
             logs.append(rescore_state(engine) + log_prior_of(view.prior, {"blur": float(blurred)}))
