@@ -30,6 +30,7 @@ from derender.scene.vertex import is_name
 
 FORMAT = 1  # of posterior.npz
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
+NINETY = 1.645  # standard errors on either side that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
 UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
               NotImplementedError, OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile,
@@ -109,12 +110,14 @@ class StructurePosterior:
         return replace(self, values=self.values[place], log_prior=self.log_prior[place],
                        log_likelihood=self.log_likelihood[place], root_pose=root_pose)  # fmt: skip
 
-    def scaled(self, share: float) -> "StructurePosterior":
-        """Return the same draws with a share of the weight."""
-        ends = self.weight_interval
-        interval = None if ends is None else (share * ends[0], share * ends[1])
-        return replace(self, weight=share * self.weight, weight_error=share * self.weight_error,
-                       weight_interval=interval)  # fmt: skip
+    def scaled(self, share: float, error: float = 0.0) -> "StructurePosterior":
+        """Return the same draws with a share of the weight. error : standard error of the share."""
+        ends, weight = self.weight_interval, share * self.weight
+        if ends is not None:
+            wider = [math.hypot(share * (end - self.weight), NINETY * error * self.weight) for end in ends]
+            ends = max(weight - wider[0], 0.0), min(weight + wider[1], 1.0)
+        own = math.hypot(share * self.weight_error, error * self.weight)
+        return replace(self, weight=weight, weight_error=own, weight_interval=ends)
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Return the diagnostics' summary of each unknown, by address."""

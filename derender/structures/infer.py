@@ -235,7 +235,9 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
         extras = {**extras, "unexplained": int(told.share(case.depth) < believed.explained)}
     missed = missed_by(observations, extras, believed, told.share(case.depth))
     meta.update(missed=missed, wrong_if_missed=believed.wrong)
-    return replace(posterior, parts=tuple(part.scaled(1.0 - missed) for part in parts), explanation=told)
+    return replace(
+        posterior, parts=tuple(part.scaled(1.0 - missed, believed.error * missed) for part in parts), explanation=told
+    )
 
 
 def settings_of(options: Options) -> Settings:

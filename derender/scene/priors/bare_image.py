@@ -55,6 +55,7 @@ class Missed:
     few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
     wrong : share of the objects of an answer that are not there where it is one that missed what is.
     explained : of an answer of known objects, share of the pixels from which on nothing is left unexplained.
+    error : standard error of what these come to, as a share of it: a few misses were counted.
     """
 
     settled: float = 0.005
@@ -66,6 +67,7 @@ class Missed:
     pixels: float = 10.0
     wrong: float = 0.5
     explained: float = 0.95
+    error: float = 0.4
 
 
 @dataclass(frozen=True)
