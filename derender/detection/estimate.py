@@ -92,17 +92,18 @@ def on_one_floor(
         the view; None: it tells.
     """
     fills = correlation is not None
-    seen = observe(depth, camera, widest, plane, settings.may_float, fills)
+    floor = (bare_image() if settings.beliefs is None else settings.beliefs).loose.floor
+    seen = observe(depth, camera, widest, plane, settings.may_float, fills, floor)
     if seen.no_floor and settings.free_forms:
         if returns_about(seen) < SPECKLED:
-            coarser = observe(depth, camera, widest // 2, plane, settings.may_float)
+            coarser = observe(depth, camera, widest // 2, plane, settings.may_float, believed=floor)
             seen = coarser if coarser.no_floor else seen
         return State(), with_freestanding(seen, settings)
     wanted = width_wanted(seen, widest)
     if reduced_by(depth, wanted) != seen.factor:
         same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
         with contextlib.suppress(NoFloor):  # it is one in this resolution
-            closer = observe(depth, camera, wanted, same, settings.may_float, fills)
+            closer = observe(depth, camera, wanted, same, settings.may_float, fills, floor)
             seen = seen if closer.no_floor else closer._replace(rivals=seen.rivals)
     if correlation is not None:
         seen = seen._replace(correlation=correlation)

@@ -26,12 +26,13 @@ from derender.detection.floor import (
     plane_through,
     sensor_deviation,
 )
+from derender.detection.solids.beliefs import bare_image
 from derender.errors import DerenderError
+from derender.scene.priors.bare_image import Floors
 
 # Of the pixels: the least of a level plane to which others are no match, and of a floor before a wall that the camera
 # faces; the least of any floor, unless there is none.
 FLOOR_SHARE, SMALL_FLOOR = 0.1, 0.06
-NOWHERE = -7.0  # log odds, as `odds_of_floors` tells them, below which there is rather no floor
 # Cosine between the normals of a wall and of the floor before it, at most; times as rough as others that may be.
 ACROSS, ROUGH = 0.5, 2.0
 NEAR_PLANE = 3.0  # standard deviations of consumer sensors, or of the noise that neighbours show, off a plane at most
@@ -40,18 +41,9 @@ NEAR_PLANE = 3.0  # standard deviations of consumer sensors, or of the noise tha
 SLANT = 0.3
 WIDTHS = (1.0, 1.0 / NEAR_PLANE)  # of that, about which a plane is fitted: a wide one may take in what is beside it
 FAR_UNDER = 2.0  # times as far under it a point cannot lie on what stands on a plane
-# What a share of the pixels is worth, in nats for each nat of it: a plane twice as large is four times as likely the
-# floor. What is far under it takes away a part of its share; less of a share than SMALL counts as so much.
-WORTH, UNDER, SMALL = 2.0, 0.3, 0.02
+SMALL = 0.02  # share of the pixels: less counts as so much
 LEAST_FLOOR = 0.05  # of the pixels: a smaller plane is no rival
-# Metres between camera and floor in the middle, and the factor by which one in three is nearer or farther: desks are
-# seen from half a metre, rooms from one and a half.
-HEIGHT, HEIGHTS = 0.7, 2.0
-# Nats against a floor for how it lies in the image: cameras are held upright, rarely on their side (2.5 % each) and
-# hardly ever upside down (1 %), but what faces downwards more steeply than a wall (STEEP, its sine) is a ceiling else,
-# of which they see large ones only thrice as often; what they look straight at is a wall four times as often as floors.
-ASIDE, UPSIDE_DOWN, FACED = 3.6, 4.5, 1.4
-CEILING, STEEP = 1.1, 0.64
+STEEP = 0.64  # sine of what faces downwards more steeply than a wall
 CLOSE, RIVALS = 3.0, 2  # nats behind the likeliest floor within which another plane is weighed too; how many at most
 DISTINCT = 0.7  # of a plane's points that lie off the likelier ones, from which on it is another plane
 SQUARE = 0.1  # cosine between a top's normal and that of a side below it, at most
@@ -79,7 +71,8 @@ class Candidate(NamedTuple):
 
 
 def find_floor(depth: np.ndarray, camera: Camera | dict[str, float],
-               gravity: tuple[float, float, float] | np.ndarray | None = None) -> Floor:  # fmt: skip
+               gravity: tuple[float, float, float] | np.ndarray | None = None,
+               believed: Floors | None = None) -> Floor:  # fmt: skip
     """Find the plane that most likely is the floor: a large one that faces the image's upper edge.
 
     Parameters
@@ -87,10 +80,11 @@ def find_floor(depth: np.ndarray, camera: Camera | dict[str, float],
     depth : (H, W) float metres, NaN = no return.
     gravity : (3,) in camera axes, the direction in which things fall, where the camera knows it: only a level plane
         is a floor then, if there is one.
+    believed : Floors of a prior; None: those of the built-in one.
 
     Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
     """
-    return fitted(depth, back_project(depth, camera), floors_of(depth, camera, gravity)[0])
+    return fitted(depth, back_project(depth, camera), floors_of(depth, camera, gravity, believed)[0])
 
 
 def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: float = 1.0) -> Floor:
@@ -104,8 +98,10 @@ def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: f
     return plane_through(depth, points, candidate.normal, candidate.offset, WIDTHS[1] * candidate.near)
 
 
-def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any = None) -> list[Candidate]:
+def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any = None,
+              believed: Floors | None = None) -> list[Candidate]:  # fmt: skip
     """Return the Candidates that come near the likeliest one, that first. Takes what `find_floor` does."""
+    believed = bare_image().loose.floor if believed is None else believed
     points = back_project(depth, camera)
     count = int((np.isfinite(depth) & (depth > 0)).sum())
     if count < 50:
@@ -120,12 +116,12 @@ def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any
     if noise > max(MOST_NOISE, ROUGHEST * float(sensor_deviation(float(np.median(sample[:, 2]))))):
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)  # there are no surfaces
     near = tolerance_of(sample[:, 2], noise)
-    odds, share = odds_of_floors(sample, near, normal, offset, gravity)
+    odds, share = odds_of_floors(sample, near, normal, offset, gravity, believed)
     best = int(np.argmax(odds))
-    if odds[best] < NOWHERE:
+    if odds[best] < np.log(believed.none):
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if gravity is None and np.hypot(*normal[best, :2]) < FACING:
-        score, _ = scores(sample, ROUGH * near, normal, offset, 1.0)
+        score, _ = scores(sample, ROUGH * near, normal, offset, believed.under, 1.0)
         before = (score > FLOOR_SHARE) & (-normal[:, 1] > UPWARD) & (np.abs(normal @ normal[best]) < ACROSS)
         if before.any():
             best = int(np.argmax(np.where(before, score, 0.0)))
@@ -202,7 +198,7 @@ def near_plane(points: np.ndarray, near: np.ndarray, normal: np.ndarray, offset:
 
 
 def odds_of_floors(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: np.ndarray,
-                   gravity: Any) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+                   gravity: Any, believed: Floors) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return (log odds in nats, share of the sample on it), each (N,), of planes normal (N, 3) . p = offset (N,).
 
     Log odds are to be the floor of what a sample of the image shows. Points far under a plane cannot lie on what stands
@@ -211,55 +207,55 @@ def odds_of_floors(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, off
 
     sample : (S, 3) points. near : (S,) metres, see `tolerance_of`.
     """
-    score, share = scores(sample, near, normal, offset)
-    below = below_a_top(normal, score, share)
+    score, share = scores(sample, near, normal, offset, believed.under)
+    below = below_a_top(normal, score, share, (share - score) / believed.under)
     if (score > SMALL_FLOOR).any():
         score = np.where(score > SMALL_FLOOR, score, 0.0)
     level = np.zeros(len(normal), bool)
     if gravity is not None:
         level = (normal @ -np.asarray(gravity, float) > LEVEL) & (score > FLOOR_SHARE)
-    odds = WORTH * np.log(np.maximum(score, SMALL)) + prior_of(normal, offset, bool(level.any()))
+    odds = believed.share * np.log(np.maximum(score, SMALL)) + prior_of(normal, offset, bool(level.any()), believed)
     if not level.any():
-        odds = np.where(below, odds - UPSIDE_DOWN + CEILING, odds)
+        odds = np.where(below, odds + np.log(believed.upside_down / believed.ceiling), odds)
     return np.where(level, odds, -np.inf) if level.any() else odds, share
 
 
-def prior_of(normal: np.ndarray, offset: np.ndarray, level: bool) -> np.ndarray:
+def prior_of(normal: np.ndarray, offset: np.ndarray, level: bool, believed: Floors) -> np.ndarray:
     """Return the log prior of floors normal (N, 3) . p = offset (N,) in camera axes, in nats.
 
     Of the camera's height over them, and unless they are known to be level of how they lie in the image: 0 at the
     likeliest height before a camera that is held upright.
     """
     height = np.maximum(-offset, 1e-6)
-    odds = -0.5 * (np.log(height / HEIGHT) / np.log(HEIGHTS)) ** 2
+    odds = -0.5 * (np.log(height / believed.height) / np.log(believed.spread)) ** 2
     if level:
         return odds
     x, y = np.abs(normal[:, 0]), normal[:, 1]
-    downwards = np.where(y > STEEP, -CEILING, -UPSIDE_DOWN)
-    turned = np.where(x > np.abs(y), -ASIDE, np.where(y > 0.0, downwards, 0.0))
-    return odds + np.where(np.hypot(x, y) < FACING, -FACED, turned)
+    downwards = np.where(y > STEEP, believed.ceiling, believed.upside_down)
+    turned = np.where(x > np.abs(y), believed.aside, np.where(y > 0.0, downwards, 1.0))
+    return odds + np.log(np.where(np.hypot(x, y) < FACING, believed.faced, turned))
 
 
-def below_a_top(normal: np.ndarray, score: np.ndarray, share: np.ndarray) -> np.ndarray:
+def below_a_top(normal: np.ndarray, score: np.ndarray, share: np.ndarray, under: np.ndarray) -> np.ndarray:
     """Return (N,) bool: which planes face steeply downwards where another faces up, square to them and behind them.
 
     That is rather a box's side below its top than the floor of a camera held upside down: a wall stands before a floor.
-    normal (N, 3), score and share (N,) : of planes, see `scores`.
+    normal (N, 3), score, share and under (N,) : of planes, see `scores`, and the share far under them.
     """
     downwards = (normal[:, 1] > STEEP) & (np.abs(normal[:, 0]) <= normal[:, 1])
     tops = (score > FLOOR_SHARE) & (-normal[:, 1] > UPWARD)
     if not (downwards.any() and tops.any()):
         return np.zeros(len(normal), bool)
     top = int(np.argmax(np.where(tops, score, -np.inf)))
-    behind = (share - score) / UNDER > 0.5 * share[top]
+    behind = under > 0.5 * share[top]
     return downwards & behind & (np.abs(normal @ normal[top]) < SQUARE)
 
 
 def scores(sample: np.ndarray, near: np.ndarray, normal: np.ndarray, offset: np.ndarray,
-           slant: float = SLANT) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+           part: float, slant: float = SLANT) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return (share of a sample of points on planes less a part of what is far under them, that share), each (N,)."""
     share, under = on_and_under(np.ascontiguousarray(sample.T), near, normal, offset, slant).T / len(sample)
-    return share - UNDER * under, share
+    return share - part * under, share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # a check for zero would be a branch
@@ -281,12 +277,12 @@ def on_and_under(points, near, normal, offset, slant):
     return found
 
 
-def find_backdrop(depth: np.ndarray, camera: Any) -> Any:
+def find_backdrop(depth: np.ndarray, camera: Any, believed: Floors | None = None) -> Any:
     """Return the Floor of a plane before which everything is seen, a table or a wall, and (H, W) bool: what lies on it
     or beyond; or None. It reaches three sides of the image: a solid that does would fill it.
     """
     try:
-        plane = find_floor(depth, camera)
+        plane = find_floor(depth, camera, believed=believed)
     except DerenderError:
         return None
     seen = np.isfinite(depth) & (depth > 0)

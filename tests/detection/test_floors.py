@@ -1,5 +1,6 @@
 """Which plane is the floor where several might be, and lengths that follow how far away it is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,12 +8,15 @@ import pytest
 from table_scenes import CAMERA, SIGMA, TABLE
 
 from derender.camera.intrinsics import Camera
+from derender.detection.estimate import point_estimate
 from derender.detection.floor import LEVEL
 from derender.detection.floors import find_floor, floors_of
+from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Rival, observe
+from derender.detection.solids.beliefs import bare_image
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.render.raycast.depth import render_depth
-from derender.scene.priors.bare_image import Missed
+from derender.scene.priors.bare_image import Floors, Missed
 from derender.scene.solids import BOX, PLANE, Solids
 from derender.structures.infer import missed_by
 
@@ -112,3 +116,15 @@ def test_tables_at_two_heights_and_the_room_below_speak_for_one_another_against_
     scene = make(np.random.default_rng([number, list(KINDS).index("heights")]), "heights")
     seen = observe(scene.depth, scene.camera)
     assert seen.floor.pose[:3, 2] @ scene.tables["floor"][:3, 2] > LEVEL
+
+
+def test_the_odds_of_floors_are_those_of_the_file(rng):
+    """Of the camera's height and how it is held, and that there is one at all."""
+    image = plane_depth(DOWN[[1, 0, 2]], 0.5) + smooth_noise(rng, 0.001)  # a camera on its side
+    usual = floors_of(image, WIDE)[0].odds
+    assert floors_of(image, WIDE, believed=Floors(aside=1.0))[0].odds == pytest.approx(usual - np.log(Floors().aside))
+    nearer = floors_of(image, WIDE, believed=Floors(height=0.5, spread=1.5))[0].odds
+    assert nearer == pytest.approx(usual + 0.5 * (np.log(0.7 / 0.5) / np.log(2.0)) ** 2, abs=0.01)
+    loose = bare_image().loose
+    none = Settings(beliefs=bare_image()._replace(loose=replace(loose, floor=replace(loose.floor, none=1.0))))
+    assert point_estimate(rng, image, WIDE, none)[1].no_floor and not point_estimate(rng, image, WIDE)[1].no_floor

@@ -177,6 +177,12 @@ def test_correlations_that_exclude_each_other_are_told(tmp_path):
         read_document(tmp_path / "wrong.yaml")
 
 
+def test_floors_of_cameras_that_are_all_at_one_height_are_told_as_a_fault(tmp_path):
+    (tmp_path / "wrong.yaml").write_text(SHORT.format(more="floor: {height: 50 cm, spread: 0.5}"))
+    with pytest.raises(DerenderError, match=r"line 5, structure.floor.spread: '0.5' is too"):
+        read_document(tmp_path / "wrong.yaml")
+
+
 def test_a_coarser_slack_is_a_wider_density():
     """The numbers about contacts reach the density too: a leaning solid that is off by a centimetre."""
     loose = replace(bare_image().loose, slack=0.01)

@@ -27,7 +27,6 @@ from derender.detection.floor import (
 )
 from derender.detection.floor_noise import GRAZING, drawn, neighbour_correlation, noise_map, rounding_of
 from derender.detection.floors import (
-    UNDER,
     WIDTHS,
     Candidate,
     find_backdrop,
@@ -42,6 +41,7 @@ from derender.detection.patches import Patches, find_patches
 from derender.detection.pyramid import reduce, sampled, single_pixels
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
+from derender.scene.priors.bare_image import Floors
 
 # Where the residuals of neighbouring pixels on the floor are correlated beyond this, the frame is a real one: its
 # solids differ from ideal ones by some millimetres too, and what neighbouring pixels say is not independent.
@@ -51,10 +51,7 @@ AWAY = 0.05  # metres, seen from USUAL, off what stands on it from which on a re
 HIDDEN_FLOOR = 0.3  # share of the pixels: where more show the floor, nothing fills the view
 MARGIN = 0.01  # metres, seen from USUAL, beyond the outline of the visible floor that still count as over it
 LOWEST = 0.004  # metres over the floor from which on something stands on it; less of it where it is nearer than USUAL
-# What a share of the pixels that a floor and what stands on it explain is worth, in nats for each nat of it; the least
-# probability at which another plane is told of.
-EXPLAINED, TOLD = 4.0, 0.01
-PARALLEL = 0.5  # of what lies on a parallel plane, a floor as likely as this one, that it explains too
+TOLD = 0.01  # the least probability at which another plane is told of
 SURE_SHARE = 0.2  # of the pixels: the least that a plane holds that is one only when fitted closely
 SAME = 0.5  # of a plane's pixels that are another's too, from which on it is the same floor
 
@@ -151,12 +148,14 @@ class Support(NamedTuple):
 
 def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 160,
             plane: "np.ndarray | str | Support | None" = None, floating: bool = False,
-            fills: bool = False) -> Observation:  # fmt: skip
+            fills: bool = False, believed: Floors | None = None) -> Observation:  # fmt: skip
     """Reduce the image, find the floor and the noise, and tell the background from what stands on the floor.
 
     plane : the floor as it is given, see `read_floor`, or a Support; None: find it.
     floating : whether solids may hang in the air. fills : whether what is over a given floor stands there, all of it.
+    believed : Floors of a prior; None: those of the built-in one.
     """
+    believed = bare_image().loose.floor if believed is None else believed
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole = depth
@@ -174,15 +173,15 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     elif plane is not None:
         floor = given_floor(depth, camera, plane)
         # With --floor none nothing rests on a plane that fills the image; what is on it or beyond is background.
-        backdrop = find_backdrop(depth, camera) if isinstance(plane, str) else None
+        backdrop = find_backdrop(depth, camera, believed) if isinstance(plane, str) else None
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
-        seen = likeliest(depth, camera, factor, gravity, rounding, floating)
+        seen = likeliest(depth, camera, factor, gravity, rounding, floating, believed)
     return seen._replace(single=single_pixels(whole, factor))
 
 
 def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,
-              floating: bool) -> Observation:  # fmt: skip
+              floating: bool, believed: Floors) -> Observation:  # fmt: skip
     """Return the Observation over the likeliest floor of a reduced image, the others as its rivals; or without a floor.
 
     Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
@@ -192,7 +191,7 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
     """
     found: list[Observation] = []
     try:
-        candidates = floors_of(depth, camera, gravity)
+        candidates = floors_of(depth, camera, gravity, believed)
     except NoFloor:
         candidates = []
     for candidate in candidates:
@@ -208,7 +207,7 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if not found:
         return without_floor(depth, camera, factor, rounding)
-    odds = np.array([odds_among(seen, found, gravity is not None) for seen in found])
+    odds = np.array([odds_among(seen, found, gravity is not None, believed) for seen in found])
     probability = np.exp(odds - odds.max())
     probability /= probability.sum()
     order = np.argsort(-probability, kind="stable")
@@ -217,7 +216,7 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
     return found[order[0]]._replace(rivals=rivals)
 
 
-def odds_among(seen: Observation, found: list[Observation], level: bool) -> float:
+def odds_among(seen: Observation, found: list[Observation], level: bool, believed: Floors) -> float:
     """Return the log odds in nats that the floor of one of the Observations `found` of an image is the floor.
 
     They explain what is on it and as much again at most that stands there; of what is on others parallel to it, which
@@ -230,9 +229,9 @@ def odds_among(seen: Observation, found: list[Observation], level: bool) -> floa
     ]
     others = np.any(parallel, axis=0) & ~own if parallel else np.zeros_like(own)
     under = (seen.image.weight > 0) & (seen.points[..., 2] < -ROUGHEST * seen.sigma) & ~others
-    explained = on + min(standing, on) + PARALLEL * others.sum() - UNDER * under.sum()
-    prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), level)
-    return float(prior[0] + EXPLAINED * np.log(max(explained, 1.0) / own.size))
+    explained = on + min(standing, on) + believed.parallel * others.sum() - believed.under * under.sum()
+    prior = prior_of(normal[None], np.array([normal @ seen.floor.pose[:3, 3]]), level, believed)
+    return float(prior[0] + believed.explained * np.log(max(explained, 1.0) / own.size))
 
 
 def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, candidate: Candidate, rounding: float,

@@ -105,6 +105,35 @@ class Shared:
 
 
 @dataclass(frozen=True)
+class Floors:
+    """What is believed of the plane that is the floor, see `detection.floors`.
+
+    Attributes
+    ----------
+    height : of the camera over it in the middle; spread : factor by which one in three is lower or higher.
+    aside, upside_down : how often a camera is held on either side or upside down, against upright. ceiling : against
+        floors seen upright, what faces down more steeply than a wall and is no ceiling. faced : planes that the camera
+        looks straight at and are no walls.
+    share : power of the share of the pixels on a plane with which the odds grow; explained : of the share that it and
+        what stands on it explain, among planes that come near the likeliest. under : what far under it takes away of
+        that share, and parallel : what on likely planes parallel to it adds.
+    none : odds, of a plane against one that is all that is seen, from which on there rather is no floor.
+    """
+
+    height: float = 0.7
+    spread: float = 2.0
+    aside: float = 0.027
+    upside_down: float = 0.011
+    ceiling: float = 0.33
+    faced: float = 0.25
+    share: float = 2.0
+    explained: float = 4.0
+    under: float = 0.3
+    parallel: float = 0.5
+    none: float = 0.0009
+
+
+@dataclass(frozen=True)
 class Cartons:
     """What is believed of equal cartons stacked in a grid, see `structures.grids`.
 
@@ -139,7 +168,7 @@ class Loose:
     second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
         in which that top lies otherwise.
     shared : Shared, by pixels that err together. existence : of a free-form thing; things : of their extents.
-    cartons : Cartons, of boxes that are many.
+    cartons : Cartons, of boxes that are many. floor : Floors, of which plane is the floor.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
@@ -159,6 +188,7 @@ class Loose:
     existence: Existence = field(default_factory=Existence)
     things: Things = field(default_factory=Things)
     cartons: Cartons = field(default_factory=Cartons)
+    floor: Floors = field(default_factory=Floors)
 
 
 class MayTip:
@@ -231,7 +261,7 @@ NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hangi
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
     section.allow("type", "offspring", "unit", "seen_from", "missed", "crowding", "stranger", "second_support",
-                  "shared", "existence", "things", "cartons", *NUMBERS)  # fmt: skip
+                  "shared", "existence", "things", "cartons", "floor", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
@@ -280,6 +310,14 @@ def read_loose(section: Section) -> Loose:
         told = section["things"].section().allow("hidden", "silhouette")
         names = [each.name for each in fields(Things)]
         found["things"] = Things(**{name: told[name].number(lower=0.0) for name in names if name in told})
+    if "floor" in section:
+        names = [each.name for each in fields(Floors)]
+        told = section["floor"].section().allow(*names)
+        found["floor"] = Floors(**{
+            name: told[name].number("m" if name == "height" else "", lower=1.0 + 1e-9 if name == "spread" else 1e-9,
+                                    upper=None if name in ("height", "spread", "share", "explained") else 1.0)
+            for name in names if name in told
+        })  # fmt: skip
     if "cartons" in section:
         told = section["cartons"].section().allow("probability", "most", "extent", "gap")
         carton: dict = {}
