@@ -4,7 +4,7 @@ import glob
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +37,11 @@ def is_pattern(text: str) -> bool:
 
 
 def find_frames(
-    arguments: Iterable[str], output: str | Path, empty: bool = False, topic: str | None = None
+    arguments: Iterable[str],
+    output: str | Path,
+    empty: bool = False,
+    topic: str | None = None,
+    warn: Callable[[str], None] = lambda line: None,
 ) -> list[Frame]:
     """Return the frames that files, folders (and those below them), patterns and bags name, each once, in this order.
 
@@ -46,40 +50,48 @@ def find_frames(
 
     empty : whether folders and patterns may have none, as when they are watched.
     topic : of the depth images of ROS bags, each of which has many frames; None: the only one.
+    warn : called with a line about what was left out.
 
     Raises DerenderError : a pattern or a folder without an image.
     """
     found: dict[str, str] = {}  # the name within its folder, by path
     output = Path(output).resolve()
     for argument in arguments:
+        shallow: list[str] = []
         if is_bag(argument):
             paths = bag_frames(argument, topic)
         elif os.path.isdir(argument):
-            paths = {path: _inside(path, argument) for path in _below(Path(argument), output)}
+            paths = {path: _inside(path, argument) for path in _below(Path(argument), output, shallow)}
         elif is_pattern(argument):
             matches = sorted(glob.glob(argument, recursive=True))
-            paths = {path: Path(path).stem for path in matches if _may_be_depth(Path(path), output)}
+            paths = {path: Path(path).stem for path in matches if _may_be_depth(Path(path), output, shallow)}
         else:
             paths = {argument: Path(argument).stem if argument != "-" else "scene"}
+        told = f"{len(shallow)} PNG{'s' * (len(shallow) != 1)} of 8 bits a pixel (colours or masks)"
         if not paths and not empty:
-            raise DerenderError("no depth image is there", argument, "a frame is one of " + " ".join(SUFFIXES))
+            but = f" but {told}" if shallow else ""
+            raise DerenderError(f"no depth image is there{but}", argument, f"a frame is one of {' '.join(SUFFIXES)}")
+        if shallow:
+            warn(f"{argument}: {told} left out: depth in a PNG has 16")
         for path, name in paths.items():
             found.setdefault(path, name)
     return _named(found)
 
 
-def _below(folder: Path, output: Path) -> list[str]:
+def _below(folder: Path, output: Path, shallow: list[str]) -> list[str]:
     found = []
     for place, folders, files in os.walk(folder):
         if RESULT in files or LEDGER in files:
             folders.clear()
             continue
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        found += [os.path.join(place, name) for name in sorted(files) if _may_be_depth(Path(place, name), output)]
+        paths = (os.path.join(place, name) for name in sorted(files))
+        found += [path for path in paths if _may_be_depth(Path(path), output, shallow)]
     return found
 
 
-def _may_be_depth(path: Path, output: Path) -> bool:
+def _may_be_depth(path: Path, output: Path, shallow: list[str]) -> bool:
+    """Return whether a file that was not named itself is taken; PNGs of 8 bits are not, and are listed."""
     if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or output in path.resolve().parents:
         return False
     if (path.parent / RESULT).exists():
@@ -91,7 +103,10 @@ def _may_be_depth(path: Path, output: Path) -> bool:
             head = file.read(PNG_DEPTH + 1)
     except OSError:
         return True  # it is told when it is read
-    return not (head.startswith(PNG_HEADER) and len(head) > PNG_DEPTH and head[PNG_DEPTH] <= 8)
+    if head.startswith(PNG_HEADER) and len(head) > PNG_DEPTH and head[PNG_DEPTH] <= 8:
+        shallow.append(str(path))
+        return False
+    return True
 
 
 def _inside(path: str, folder: str) -> str:

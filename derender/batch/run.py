@@ -64,6 +64,7 @@ def infer_frames(
     watch: bool = False,
     tell: Callable[[Done], None] = lambda done: None,
     progress: Callable[[float, str], None] = lambda share, words: None,
+    warn: Callable[[str], None] = lambda line: None,
 ) -> Tally:
     """Infer every frame that has no result in the output folder yet, and write the tables.
 
@@ -75,13 +76,14 @@ def infer_frames(
     tell : called with each frame that is done, in the order of the frames whichever is done first; while watching, in
         the order in which they are done.
     progress : called with (fraction done, words about the frames and the time left).
+    warn : called with a line about files that are left out.
 
     Raises
     ------
     DerenderError : no frame, or results of other options in the folder.
     """
     watcher = Watch(arguments, output) if watch else None
-    frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic)
+    frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)
     ledger = Ledger(output, order)
     waiting = deque(ledger.missing(frames))
     before, total = len(frames) - len(waiting), len(waiting)

@@ -259,7 +259,9 @@ def command(talk: Talk, **arguments: Any) -> int | None:
             raise click.UsageError("--together takes images that are there: leave out --watch and --scheduler")
         from derender.batch.frames import find_frames
 
-        first, *others = (frame.path for frame in find_frames(images, arguments["output"] or "inferred"))
+        first, *others = (
+            frame.path for frame in find_frames(images, arguments["output"] or "inferred", warn=talk.warn)
+        )
         if not others:
             talk.warn("--together says nothing here: there is one image")
         return _one(talk, first, arguments, others, poses)
@@ -336,7 +338,7 @@ def _many(
         return Cluster(scheduler, order, output)
 
     with talk.bar() as bar:
-        tally = infer_frames(images, output, order, crew, watch, tell, bar or (lambda share, words: None))
+        tally = infer_frames(images, output, order, crew, watch, tell, bar or (lambda share, words: None), talk.warn)
     doubtful = f" ({tally.doubtful} not to be trusted)" if tally.doubtful else ""
     before = f", {tally.before} were done before" if tally.before else ""
     failed = f", {tally.failed} failed" if tally.failed else ""

@@ -43,13 +43,17 @@ def test_frames_are_found_in_folders_patterns_and_by_name(tmp_path):
     (folder / "colour.png").write_bytes(png_bytes(np.zeros((2, 2, 3), np.uint8)))
     (folder / "out").mkdir()
     (folder / "out" / "frame.npy").write_bytes(b"x")
-    found = find_frames([str(folder)], folder / "out")
+    told: list[str] = []
+    found = find_frames([str(folder)], folder / "out", warn=told.append)
     assert [frame.name for frame in found] == ["a", "b", "more/a"]
+    assert len(told) == 1 and "1 PNG of 8 bits a pixel (colours or masks) left out" in told[0]
     assert find_frames([str(folder / "*.np?")], folder / "out") == [found[0], found[1]]
     named = find_frames([str(folder / "colour.png"), "missing.npy", str(folder / "colour.png")], tmp_path / "out")
     assert [frame.name for frame in named] == ["colour", "missing"]
-    with pytest.raises(DerenderError, match="no depth image is there"):
+    with pytest.raises(DerenderError, match="no depth image is there;"):
         find_frames([str(folder / "*.exr")], tmp_path)
+    with pytest.raises(DerenderError, match="no depth image is there but 1 PNG of 8 bits"):
+        find_frames([str(folder / "*.png")], tmp_path / "out")
 
 
 def test_no_two_frames_share_a_name(tmp_path):
