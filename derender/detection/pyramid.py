@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.detection.noise import estimate_blur
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
 FAR_OFF = 2.0  # standard deviations
 SLOPING = 0.004  # share of the depth by which a surface may go on beside all that returned of it
+# Standard deviations of a blur within which a pixel beside a jump shows 2 % or more of its other side; and those of the
+# noise by which three pixels of a row or column are bent at a jump: 5 of what noise alone bends them by, sqrt(6).
+MIXED, JUMP = 1.5, 12.0
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
@@ -157,13 +161,40 @@ def reduce(
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
 
 
-def single_pixels(depth: np.ndarray, factor: int) -> np.ndarray:
+def single_pixels(depth: np.ndarray, factor: int, beside: np.ndarray | None = None) -> np.ndarray:
     """Return (H / factor, W / factor) depths: of each block that of the pixel that stands for it, NaN = no return.
 
     Where `reduce` makes use of all pixels of a block, these are as the sensor gave them: their noise is the image's,
     and no edge that runs through a block bends them.
+
+    beside : (H, W) bool, pixels that are left out, see `blurred_jumps`; None: none.
     """
     first = sampled(factor)
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     single = np.asarray(depth, float)[first::factor, first::factor][:height, :width]
-    return np.where(np.isfinite(single) & (single > 0), single, np.nan)
+    told = np.isfinite(single) & (single > 0)
+    if beside is not None:
+        told &= ~beside[first::factor, first::factor][:height, :width]
+    return np.where(told, single, np.nan)
+
+
+def blurred_jumps(depth: np.ndarray, sigma: float) -> np.ndarray:
+    """Return (H, W) bool: the pixels so near a jump that a blurred image shows a mixture of its sides there.
+
+    How much of each a pixel shows hangs on where within a pixel the jump is: in a smaller image of single pixels that
+    falls between them, and no blur of whole pixels of that image explains it.
+
+    depth : (H, W) metres, NaN or 0 = no return. sigma : metres of noise, which may grow with the depth squared.
+    """
+    known = np.isfinite(depth) & (depth > 0)
+    inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), np.nan)
+    noise = np.maximum(sigma * inverse**2, sigma / np.median(depth[known]) ** 2) if known.any() else inverse
+    reach = int(np.ceil(MIXED * estimate_blur(depth, noise / inverse**2)))
+    jump = np.zeros(depth.shape, bool)
+    if reach == 0:
+        return jump
+    for bend, limit, out in ((inverse, noise, jump), (inverse.T, noise.T, jump.T)):
+        before, middle, after = bend[:, : -2 * reach], bend[:, reach:-reach], bend[:, 2 * reach :]
+        with np.errstate(invalid="ignore"):  # inverse depth is affine on a plane: there it does not bend
+            out[:, reach:-reach] |= np.abs(before - 2.0 * middle + after) > JUMP * limit[:, reach:-reach]
+    return jump

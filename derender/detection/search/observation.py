@@ -38,7 +38,7 @@ from derender.detection.floors import (
 )
 from derender.detection.noise import estimate_blur
 from derender.detection.patches import Patches, find_patches
-from derender.detection.pyramid import reduce, sampled, single_pixels
+from derender.detection.pyramid import blurred_jumps, reduce, reduced_by, sampled, single_pixels
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.scene.priors.bare_image import Floors
@@ -85,7 +85,8 @@ class Observation(NamedTuple):
     beyond : (H, W) metres by which points lie beyond the outline of the visible floor, negative over it.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
-    single : (H, W) metres, NaN = no return: the pixels of the image as it came that those of `image` stand for.
+    single : (H, W) metres, NaN = no return or left out: the pixels of the image as it came that those of `image` stand
+        for, but those beside jumps of a blurred image that is reduced.
     backdrop : whether that is a plane that would have been the floor, where there is to be none.
     interrupted : whether the search that looked at it was, so that what it found is the best so far.
     agreed : whether two searches found the same.
@@ -159,7 +160,9 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     rounding = rounding_of(depth)
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole = depth
-    depth, camera, factor = reduce(whole, camera, widest)
+    factor = reduced_by(whole, widest)
+    beside = blurred_jumps(whole, pixel_noise(whole)) if factor > 1 else None
+    depth, camera, factor = reduce(whole if beside is None else np.where(beside, np.nan, whole), camera, widest)
     if isinstance(plane, Support):
         others = None if plane.others is None else single_pixels(plane.others, factor) > 0.0
         alone = depth if others is None else np.where(others, np.nan, depth)
@@ -177,7 +180,7 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
         seen = likeliest(depth, camera, factor, gravity, rounding, floating, believed)
-    return seen._replace(single=single_pixels(whole, factor))
+    return seen._replace(single=single_pixels(whole, factor, beside))
 
 
 def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,

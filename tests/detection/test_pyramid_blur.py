@@ -1,0 +1,78 @@
+"""Reduced images of blurred ones: what a blur mixes beside jumps is left out of them."""
+
+import numpy as np
+import pytest
+
+from derender.camera.intrinsics import Camera
+from derender.detection.pyramid import blurred_jumps
+from derender.detection.search.observation import observe
+from derender.render.blur import blur
+from derender.render.raycast.depth import render_depth
+from derender.scene.pose import rotation_x, rotation_z, translation
+from derender.scene.solids import BOX, PLANE, Solids
+from derender.structures.infer import infer_structure
+from derender.structures.options import Options
+
+NOISE = 0.001  # metres
+WHOLE = Camera.from_field_of_view(320, 240)
+TABLE = translation(0.0, 0.02, 0.75) @ rotation_x(np.radians(125.0))
+SIZE = np.array([0.11, 0.14, 0.06])
+
+
+def box_image(seed, blurred):
+    """Return a noisy image (240, 320) of a box on a table, and the same without noise and blur."""
+    poses = np.stack([TABLE, TABLE @ translation(0.0, 0.0, 0.03) @ rotation_z(0.6)])
+    solids = Solids(np.array([PLANE, BOX], np.int32), poses, np.stack([np.zeros(3), SIZE]), np.full(2, -1, np.int32))
+    exact, label = render_depth(solids, WHOLE)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(exact.shape)
+    return blur(exact, blurred) + noise, exact, label
+
+
+def jumps_of(exact):
+    """Return (240, 320) bool: pixels one of whose neighbours along a row or column lies across a jump."""
+    bend = np.zeros(exact.shape)
+    inverse = 1.0 / exact
+    for w, out in ((inverse, bend), (inverse.T, bend.T)):
+        out[:, 1:-1] = np.maximum(out[:, 1:-1], np.abs(w[:, :-2] - 2.0 * w[:, 1:-1] + w[:, 2:]))
+    return bend * exact**2 > 30.0 * NOISE
+
+
+def test_what_a_blur_mixes_beside_jumps_is_found_and_little_else():
+    image, exact, _ = box_image(0, 0.5)
+    beside, jumps = blurred_jumps(image, NOISE), jumps_of(exact)
+    assert jumps.sum() > 100
+    assert (beside & jumps).sum() >= 0.95 * jumps.sum()
+    # what is 15 noises off for its blur is left out, and of what is not beside a jump as little as noise makes: none
+    mixed = np.abs(blur(exact, 0.5) - exact) > 15.0 * NOISE
+    assert not (mixed & ~beside).any()
+    near = np.zeros(exact.shape, bool)
+    for row in (-1, 0, 1):
+        for column in (-1, 0, 1):
+            near |= np.roll(np.abs(blur(exact, 0.5) - exact) > NOISE, (row, column), (0, 1))
+    assert not (beside & ~near).any()
+
+
+def test_a_sharp_image_and_a_sloping_floor_lose_nothing():
+    assert not blurred_jumps(box_image(1, 0.0)[0], NOISE).any()
+    _, exact, label = box_image(1, 0.5)
+    floor = np.where(label == 0, exact, np.nan)
+    assert not blurred_jumps(floor, NOISE).any() and not blurred_jumps(np.full((5, 5), np.nan), NOISE).any()
+
+
+def test_a_reduced_image_shows_no_mixture_of_two_depths():
+    image, exact, _ = box_image(2, 0.5)
+    seen = observe(image, WHOLE)
+    there = exact[::2, ::2]
+    assert seen.factor == 2
+    assert np.nanmax(np.abs(seen.single - there)) < 6.0 * NOISE  # of 19,200 normal numbers none is beyond 6
+    assert 0 < np.isnan(seen.single).sum() < 0.03 * seen.single.size
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_one_box_of_a_blurred_image_is_one_box(seed):
+    """Its rim, a mixture of both sides, was explained by a second one."""
+    image, *_ = box_image(seed, 0.5)
+    posterior = infer_structure(image, WHOLE, Options(), np.random.default_rng(seed))
+    graph = posterior.best_graph()
+    assert [v.shape for v in graph.vertices if v.shape != "plane"] == ["box"]
+    assert posterior.best_part.weight > 0.9
