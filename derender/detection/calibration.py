@@ -8,8 +8,9 @@ import numpy as np
 
 from derender.detection.floor import back_project
 from derender.detection.floors import find_floor
+from derender.detection.noise import noise_of
 from derender.errors import DerenderError
-from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated
+from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
 from derender.render.raycast.evaluator import DepthEvaluator
 
 NOISE = Correlated()
@@ -17,18 +18,8 @@ LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
 LEAST_PIXELS = 2000  # on the table, in each frame: fewer tell nothing of what neighbours share
 ROUNDS, AGAIN = 250, 2  # of the simplex, at most, and how often it is begun
 ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
-# Where the simplex begins. The slow bias is held: a plane was fitted to these very frames, which takes it out, and
-# between frames it is about as large as the rest.
-BEGIN = {
-    "sigma": 0.001,
-    "sigma_growth": 0.002,
-    "white": 0.05,
-    "reach": 4.0,
-    "reach_down": 2.0,
-    "tail": 0.1,
-    "bias": 1.0,
-}
-FITTED, SHARES = ("sigma", "sigma_growth", "reach", "reach_down", "white", "tail"), ("white", "tail")
+BEGIN = {"white": 0.05, "reach": 4.0, "reach_down": 2.0, "tail": 0.1}  # where the simplex begins, and a step
+SHARES = ("white", "tail")
 ON_TABLE = 1e-6  # share of outliers among pixels that were chosen because they lie on the table
 LEAST = 1e-5  # of a number whose logarithm is taken
 KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
@@ -65,14 +56,20 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
 
 
 def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:
-    """Return the Fit of (residual, depth) pairs of frames by one sensor: most likely numbers."""
-    tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", BEGIN) for residual, depth in pairs]
-    values = {**BEGIN, "outlier": ON_TABLE}
+    """Return the Fit of (residual, depth) pairs of frames by one sensor: how its residuals scatter, and the most likely
+    numbers of what neighbours share."""
+    depths = np.concatenate([depth.ravel() for _, depth in pairs])
+    sigma, growth = noise_of(np.concatenate([residual.ravel() for residual, _ in pairs]), depths)
+    steps = [innovations(depth + residual, NOISE.complete(BEGIN)).ravel() for residual, depth in pairs]
+    step, step_growth = noise_of(np.concatenate(steps), depths)
+    begin = {**BEGIN, "step": step, "step_growth": step_growth}
+    values = {"sigma": sigma, "sigma_growth": growth, **begin, "outlier": ON_TABLE}
+    tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", values) for residual, depth in pairs]
     for _ in range(AGAIN):
-        values = likeliest(tables, values, FITTED, ROUNDS)
+        values = likeliest(tables, values, tuple(begin), ROUNDS)
     white = [whitened(residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
-    return Fit({name: values[name] for name in BEGIN}, int(every.size),
+    return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin)}, int(every.size),
                (correlation([residual for residual, _ in pairs], 0, 1),
                 max((correlation(white, *neighbour) for neighbour in NEIGHBOURS), key=abs)),
                float(np.quantile(every, 0.99)) / NORMAL_99)  # fmt: skip

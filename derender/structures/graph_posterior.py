@@ -1,9 +1,8 @@
 """A posterior about the best state: draws of all numbers under each structure, and the weights of the structures.
 
 The likelihood is the engine's, with the blur and the noise that the image shows (`draws/refined.py`); structures are
-weighed by integrals (`alternatives.py`). Of a real sensor's image, whose neighbouring pixels err together, so many
-pixels tell as much as one independent one (`effective_pixels`), unless the prior's file has the likelihood `correlated`
-that says what they share; and faces are off where they appear (`draws/faces.py`).
+weighed by integrals (`alternatives.py`). Of a real sensor's image, whose neighbouring pixels err together, the
+likelihood is `correlated`; and faces are off where they appear (`draws/faces.py`).
 """
 
 from dataclasses import replace
@@ -65,7 +64,7 @@ def parts_of(
     if seen.no_floor:  # all is taken as it is seen: nothing for the engine to explain
         scores = np.zeros((1, 1) if only_best else (chains, draws))
         return [StructurePosterior(scene_graph(state, seen.floor.pose), (), scores[..., None][..., :0], scores, scores)]
-    first = refine(rng, [view_of(seen, settings.temper)], seen.floor.pose, state, settings.rules, settings.tries)
+    first = refine(rng, [view_of(seen)], seen.floor.pose, state, settings.rules, settings.tries)
     energy = total_energy(seen.image, state, settings)
     settings = settings._replace(reduced=seen.factor > 1)
     return independent_parts(rng, first, energy, pool, settings, chains, draws, only_best)
@@ -107,7 +106,7 @@ def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
 
     What neighbouring pixels share is not told from noise by its spots.
     """
-    shows = trial.sensor.shows
+    shows = trial.sensor.worth
     left = 0 if shows < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
     return {"pixels": [float(shows * count) for count in pixels_of(trial)], "unexplained": left}
 

@@ -214,18 +214,16 @@ def as_others_have_it(state: State, states: list[State], looks: Any, settings: S
     return state, energy
 
 
-def views_of(looks: Sequence[Look], settings: Settings) -> list[View]:
+def views_of(looks: Sequence[Look]) -> list[View]:
     """Return the Views by which all images are explained together."""
-    usual = settings.temper
-    return [view_of(look.seen, settings.for_correlation(look.seen.correlation).temper / usual)._replace(into=look.into)
-            for look in looks]  # fmt: skip
+    return [view_of(look.seen)._replace(into=look.into) for look in looks]
 
 
 def together_parts(
     rng: np.random.Generator, looks: Sequence[Look], settings: Settings, chains: int, draws: int, only_best: bool
 ) -> list[StructurePosterior]:
     """Return the parts of the posterior given all images, in the axes of the first camera."""
-    views, floor = views_of(looks, settings), looks[0].seen.floor.pose
+    views, floor = views_of(looks), looks[0].seen.floor.pose
     candidates = joined(looks, settings)
     refined = [refine(rng, views, floor, state, settings.rules, settings.tries) for state, _ in candidates]
     first = with_poses_refined(rng, max(refined, key=height), [look.found for look in looks])
@@ -251,15 +249,14 @@ def with_shared_errors(rng: np.random.Generator, refined: Refined) -> Refined:
     counts with the exponent 1 / (1 + sum over the others of r): a hundred images that share all count as one.
     """
     views = refined.sensor.views
-    if len(views) == 1 or any("effective_pixels" not in view.values for view in views):
+    if len(views) == 1 or any(view.likelihood.name != "correlated" for view in views):
         return refined
     shares = 1.0 / (1.0 + shared(refined).sum(axis=1))
     if np.all(shares == 1.0):
         return refined
-    tempered = [view.changed(effective_pixels=share * min(view.values["effective_pixels"],
-                                                          view.likelihood.counted_pixels(view.observed)))
-                for view, share in zip(views, shares, strict=True)]  # fmt: skip
-    sensor = tempered[0]._replace(others=tuple(tempered[1:]))
+    worth_less = [view.changed(shared=1.0 - share * (1.0 - view.values["shared"]))
+                  for view, share in zip(views, shares, strict=True)]  # fmt: skip
+    sensor = worth_less[0]._replace(others=tuple(worth_less[1:]))
     return with_sensor_refitted(rng, refined._replace(sensor=sensor))
 
 

@@ -23,8 +23,7 @@ CASES = [
     ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0}),
     ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0, "missing": 0.1, "missing_edge": 0.1}),
     ("correlated", {"blur": 0.6, "sigma_growth": 0.002, "outlier": 0.05}),
-    ("correlated", {"blur": 0.0, "reach": 2.0, "jump": 0.1}),
-    ("correlated", {"blur": 0.4, "sigma_growth": 0.002, "edge": 1.6, "flying": 0.3}),
+    ("correlated", {"blur": 0.0, "reach": 2.0, "shared": 0.6, "clump": 0.2}),
 ]
 
 
@@ -54,7 +53,7 @@ def test_the_engine_equals_the_readable_likelihood(likelihood, values):
         # is then off by 1e-3 |z|, besides the relative rounding of z^2.
         allowed = 2e-3 * (1.0 + np.sqrt(np.abs(expected))) + 1e-6 * np.abs(expected)
         wrong = np.abs(evaluator.per_pixel() - expected) > allowed
-        # A step of `edge_step` or `jump` to the last bit may count as an edge in float64 and not in float32.
+        # A step of `edge_step` to the last bit may count as an edge in float64 and not in float32.
         assert wrong.sum() <= (0 if likelihood == "gaussian" else 2)
         if not wrong.any():
             assert value == pytest.approx(expected.sum(), abs=np.sqrt(np.sum(allowed**2)))

@@ -346,8 +346,8 @@ def test_the_whole_image_s_likelihood_is_read_off_it():
     graph = scene_graph(stack(), floor_pose())
     true = {"sigma": 0.001, "sigma_growth": 0.002, "blur": 0.75, "outlier": 0.05, "missing": 0.1, "missing_edge": 0.1}
     observed = likelihoods["robust"].sample(rng, clean, true)
-    name, numbers = image_likelihood(eye, observed, graph.solids(), 500.0)
-    assert name == "robust" and numbers["effective_pixels"] == 500.0
+    name, numbers = image_likelihood(eye, observed, graph.solids())
+    assert name == "robust"
     assert numbers["blur"] == pytest.approx(0.75, abs=0.15) and numbers["outlier"] == 0.05
     assert numbers["missing"] == pytest.approx(0.1, abs=0.01)
     seen = clean[clean < 2.0] ** 2
@@ -356,7 +356,7 @@ def test_the_whole_image_s_likelihood_is_read_off_it():
     plain = likelihoods["gaussian"].sample(rng, clean, {"sigma": 0.003})
     name, numbers = image_likelihood(eye, plain, graph.solids())
     assert name == "gaussian" and numbers["sigma"] == pytest.approx(0.003, rel=0.03)
-    assert numbers["blur"] < 0.2 and "effective_pixels" not in numbers
+    assert numbers["blur"] < 0.2
 
 
 def test_a_scene_has_the_density_that_its_chart_gives_it():

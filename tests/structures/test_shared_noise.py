@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from derender import data_path
 from derender.camera.intrinsics import Camera
+from derender.detection.solids.beliefs import bare_image, sensor_beliefs
 from derender.document import LikelihoodPrior, read_document, read_prior_document
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
@@ -18,7 +20,7 @@ from derender.structures.options import Options
 
 CAMERA = Camera(110.0, 110.0, 63.5, 47.5, 128, 96)
 SIZE = np.array([0.14, 0.10, 0.12])
-NOISE = {"sigma": 0.001, "sigma_growth": 0.001, "white": 0.05, "reach": 3.0, "reach_down": 2.0, "bias": 0.5}
+NOISE = {"sigma": 0.001, "sigma_growth": 0.001, "step": 0.0003, "white": 0.05, "reach": 3.0, "reach_down": 2.0}
 
 
 def box_on_a_table():
@@ -32,18 +34,28 @@ def believed():
     return read_document(data_path("sensors/any.yaml")).likelihood
 
 
-def test_what_neighbours_share_is_found_again_and_what_a_file_gives_as_a_number_holds():
+def test_what_neighbours_share_is_found_and_what_a_file_gives_as_a_number_holds():
     depth, rng = box_on_a_table(), np.random.default_rng(1)
-    observed = likelihoods["correlated"].sample(rng, depth, NOISE)
+    field = gaussian_filter(rng.standard_normal(depth.shape), 1.5)
+    observed = depth + 0.002 * depth**2 * (field / field.std() + 0.1 * rng.standard_normal(depth.shape))
     sensor = Sensor(CAMERA, observed, likelihoods["robust"], {}, believed()).changed("robust", blur=0.0, outlier=0.01)
     found = under_shared_noise(sensor, depth, 150).values
-    assert found["reach"] == pytest.approx(3.0, rel=0.35) and found["reach_down"] == pytest.approx(2.0, rel=0.35)
-    assert found["white"] == pytest.approx(0.05, abs=0.04) and found["bias"] == 0.5
-    noise = [values["sigma"] + values["sigma_growth"] * 0.7**2 for values in (found, NOISE)]
-    assert noise[0] == pytest.approx(noise[1], rel=0.5)
+    noise, step = (found[name] + found[f"{name}_growth"] * 0.7**2 for name in ("sigma", "step"))
+    assert noise == pytest.approx(0.002 * 0.7**2, rel=0.2) and 0.1 * noise < step < 0.4 * noise
     held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0, "sigma": 0.002})
     found = under_shared_noise(sensor._replace(prior=held), depth, 40).values
     assert found["reach"] == 7.0 and found["sigma"] == 0.002
+
+
+def test_of_an_image_that_shows_shared_noise_what_a_file_says_of_its_noise_holds():
+    usual = bare_image()
+    assert sensor_beliefs(usual, False) is usual.sensor
+    held = usual._replace(sensor=LikelihoodPrior("robust", {**usual.sensor.values, "sigma": 0.006}))
+    found = sensor_beliefs(held, True)
+    assert found.type == "correlated" and found.values["sigma"] == 0.006
+    assert found.values["shared"] == believed().values["shared"] and "missing" not in found.values
+    own = usual._replace(sensor=LikelihoodPrior("correlated", {"shared": 0.5}))
+    assert sensor_beliefs(own, True) is own.sensor
 
 
 @pytest.mark.slow
@@ -58,4 +70,4 @@ def test_a_bare_image_is_inferred_under_it():
     usual = infer_structure(
         observed, CAMERA, replace(options, likelihood=document.likelihood), np.random.default_rng(0)
     )
-    assert usual.parts[0].extras["likelihood"]["type"] != "correlated"
+    assert usual.parts[0].extras["likelihood"]["type"] == "correlated"  # as the image shows by itself

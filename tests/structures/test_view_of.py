@@ -42,8 +42,8 @@ def observation(correlation):
 
 def test_what_is_no_part_of_the_scene_bounds_it():
     seen = observation(0.8)
-    view = view_of(seen, 4.0)
-    assert view.effective_pixels == seen.single.size / 4.0
+    view = view_of(seen)
+    assert view.shared
     assert np.array_equal(np.isnan(view.observed), np.isnan(seen.single))
     of_scene, returned = shown(view.observed), np.isfinite(seen.single)
     plain = (np.abs(seen.image.floor - seen.image.depth) > 1e-6) | seen.floor.inliers
@@ -59,7 +59,7 @@ def test_an_image_of_independent_noise_shows_a_scene_all_over():
     seen = observation(0.0)
     seen.behind[:] = False
     view = view_of(seen)
-    assert np.array_equal(view.observed, seen.single, equal_nan=True) and view.effective_pixels == np.inf
+    assert np.array_equal(view.observed, seen.single, equal_nan=True) and not view.shared
 
 
 @pytest.mark.parametrize("tries, heated", [(1, False), (2, True)])

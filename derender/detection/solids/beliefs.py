@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender import data_path
 from derender.detection.solids.sizes import CUBE, ROWS, sizes_of
-from derender.document import LikelihoodPrior, read_prior_document
+from derender.document import LikelihoodPrior, read_document, read_prior_document
 from derender.scene.distributions import Distribution
 from derender.scene.priors.bare_image import BareImagePrior, Loose
 from derender.scene.priors.grammar import GrammarPrior
@@ -52,6 +53,28 @@ def bare_image() -> Beliefs:
     """Return what is believed where no prior is given."""
     document = read_prior_document(BARE_IMAGE)
     return beliefs_of(document.prior, document.likelihood)
+
+
+@cache
+def any_sensor() -> LikelihoodPrior:
+    """Return what is believed of a sensor of which nothing is known but that neighbouring pixels share noise."""
+    found = read_document(data_path("sensors/any.yaml")).likelihood
+    assert found is not None
+    return found
+
+
+def sensor_beliefs(beliefs: Beliefs, shared: bool) -> LikelihoodPrior | None:
+    """Return what is believed of a sensor.
+
+    shared : whether the image shows that its neighbouring pixels share noise: then it is `any_sensor`, but for what the
+    prior's file says itself.
+    """
+    said = beliefs.sensor
+    if not shared or (said is not None and said.type == "correlated"):
+        return said
+    known = any_sensor().values
+    own = {} if said is None else {name: value for name, value in said.values.items() if name in known}
+    return LikelihoodPrior("correlated", {**known, **own})
 
 
 def beliefs_of(prior: Any, likelihood: LikelihoodPrior | None = None) -> Beliefs:

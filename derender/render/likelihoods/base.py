@@ -38,11 +38,13 @@ class Likelihood:
     name : registered name.
     parameters : the numbers that a file can give, or distributions over them.
     code : which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED).
+    of_image : names of the numbers on which `beside` depends.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     code: int
+    of_image: tuple[str, ...] = ()
 
     def complete(self, values: Mapping[str, float] | None) -> dict[str, float]:
         """Return a number for every parameter.
@@ -78,6 +80,10 @@ class Likelihood:
         pixels : how many pixels count in the exponent (`counted_pixels`).
         """
         raise NotImplementedError
+
+    def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray | None:
+        """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""
+        return None
 
     def counted_pixels(self, observed: np.ndarray) -> int:
         """Return how many pixels of an image have a density."""

@@ -47,10 +47,10 @@ from derender.render.raycast.state import (
     RASTERISE,
     RATE,
     REGIONS,
-    RESIDUALS,
     ROBUST,
     SCORE,
     SETTLE,
+    SHOWS,
     SIGMA,
     STALE,
     TEMPER,
@@ -210,7 +210,7 @@ def propose_state(state, count, indices, poses, sizes):
         _copy_pixels(images, DEPTH + CURRENT, DEPTH + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         _copy_pixels(images, SCORE + CURRENT, SCORE + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         if settings[LIKELIHOOD] == CORRELATED:
-            last = len(images) - RESIDUALS
+            last = len(images) - SHOWS
             _copy_pixels(images, last + CURRENT, last + CANDIDATE, 0, images.shape[2], 0, images.shape[1])
         settings[STALE] = 0
     settings[PENDING], settings[REGIONS] = count, 0
@@ -256,7 +256,7 @@ def settle_state(state, source):
         left, right, top, bottom = scored[0] + PAD, scored[1] + PAD, scored[2], scored[3]
         _copy_pixels(images, SCORE + source, SCORE + target, left, right, top, bottom)
         if settings[LIKELIHOOD] == CORRELATED:
-            last = len(images) - RESIDUALS
+            last = len(images) - SHOWS
             _copy_pixels(images, last + source, last + target, left, right, top, bottom)
     settings[PENDING], settings[REGIONS] = 0, 0
     if source == CANDIDATE:
@@ -271,13 +271,19 @@ def settle_state(state, source):
 
 
 def new_engine(
-    camera: "Camera", observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
+    camera: "Camera",
+    observed: np.ndarray,
+    solids: Solids,
+    kind: int,
+    parameters: np.ndarray,
+    blur: float,
+    beside: np.ndarray | None = None,
 ) -> EngineState:
     """Return the state of one chain, see `state.new_state`, with the addresses of what its kernels call.
 
     So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
     """
-    state = new_state(camera, observed, solids, kind, parameters, blur)
+    state = new_state(camera, observed, solids, kind, parameters, blur, beside)
     settings, images, index = state.settings, state.images, CURRENT
     meshes = state.vertices, state.triangles, state.starts
     settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(*meshes, images[0])

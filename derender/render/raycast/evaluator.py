@@ -19,7 +19,7 @@ from derender.render.raycast.engine import (
     with_blur,
 )
 from derender.render.raycast.score import pixel_log_densities
-from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, OBSERVED, PAD, SIGMA, EngineState
+from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
 from derender.scene.solids import Solids
 
 
@@ -100,7 +100,13 @@ class DepthEvaluator:
         state = self.state
         if state is None or not self._fits(state, solids):
             state = new_engine(
-                self.camera, self.observed, solids, self.likelihood.code, self._row(), self.values["blur"]
+                self.camera,
+                self.observed,
+                solids,
+                self.likelihood.code,
+                self._row(),
+                self.values["blur"],
+                self.likelihood.beside(self.observed, self.values),
             )
             self.state = state
             self._meshes = solids.meshes
@@ -131,6 +137,9 @@ class DepthEvaluator:
         observed = state.parameters[OBSERVED]
         state.parameters[SIGMA : SIGMA + len(row)] = row
         state.parameters[OBSERVED] = observed
+        if any(self.values[name] != former[name] for name in self.likelihood.of_image):
+            beside = self.likelihood.beside(self.observed, self.values)
+            state.images[-GOING_ON, :, PAD : PAD + self.camera.width] = beside
         if not rescore:
             return None
         if self.values["background"] != former["background"]:

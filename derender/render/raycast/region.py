@@ -118,8 +118,8 @@ def add_region(settings, regions, rectangle):
         drawn[2], drawn[3] = top, bottom
         first, end = max(left - margin, 0), min(right + margin, width)
         scored[0], scored[1] = first, first + (end - first + LANES - 1) // LANES * LANES
-        # under shared noise a pixel tells of those after it, in its own row and below; an edge of all two pixels away
-        above = max(settings[RADIUS], 2) if settings[LIKELIHOOD] == CORRELATED else margin
+        # under shared noise a pixel tells of those after it, in its own row and below
+        above = settings[RADIUS] if settings[LIKELIHOOD] == CORRELATED else margin
         scored[2], scored[3] = max(top - above, 0), min(bottom + margin, height)
         k = 0
     settings[REGIONS] = count + 1

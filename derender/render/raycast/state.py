@@ -28,10 +28,10 @@ GAUSSIAN, ROBUST, CORRELATED = range(3)  # values of settings[LIKELIHOOD]
 FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
 LIKELIHOOD_PARAMETERS, PARAMETERS = 8, 80
 # images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes,
-# and the last two are CORRELATED's residuals
+# and under CORRELATED what its scores need
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
-RESIDUALS = 2
-NO_RESIDUAL = np.float32(1e30)  # of a pixel that tells its neighbours nothing
+SHOWS, GOING_ON = 2, 3  # of CORRELATED, from the end: of both scenes, and of the image alone
+NO_RETURN = np.float32(-1.0)  # in SHOWS
 
 
 class EngineState(NamedTuple):
@@ -43,13 +43,14 @@ class EngineState(NamedTuple):
         gaussian likelihood `log_likelihood_of` is right at once, with others after `rescore_state`.
     total : (2,) float64, sums of the scores.
     taps : (R + 1,) float32, blur weights from the centre outwards.
-    images : (5 + 2 M, H, P; under CORRELATED 7 + 2 M) float32; pixel i of a row is at column i + PAD.
+    images : (5 + 2 M, H, P; under CORRELATED 8 + 2 M) float32; pixel i of a row is at column i + PAD.
         [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and
             below zero where they show what is no part of the scene, see `Robust`),
         [DEPTH + half] clean model depth, edges replicated,
         [SCORE + half] each pixel's squared residual (gaussian) or log density (others),
         [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only,
-        [-RESIDUALS + half] each pixel's residual, see raycast/score_correlated.py.
+        [-GOING_ON] the density of each pixel that goes on as earlier ones do, see `Correlated`,
+        [-SHOWS + half] the probability that each shows its surface, NO_RETURN where nothing returned.
     strip : (H, LANES) float32, scratch for wide blurs.
     kind : (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's.
     pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64. rectangle : (2, N, 4) int64.
@@ -91,22 +92,28 @@ def taps_of(blur: float) -> np.ndarray:
 
 
 def set_reach(settings: np.ndarray, radius: int) -> None:
-    """Write how far a pixel is blurred, and how far it tells on scores, two pixels farther where noise is shared.
+    """Write how far a pixel is blurred, and how far it tells on scores, a pixel farther where noise is shared.
 
     The robust score looks at its neighbours' clean depths.
     """
     kind = settings[LIKELIHOOD]
-    settings[RADIUS], settings[MARGIN] = radius, radius + 2 if kind == CORRELATED else max(radius, int(kind == ROBUST))
+    settings[RADIUS], settings[MARGIN] = radius, radius + 1 if kind == CORRELATED else max(radius, int(kind == ROBUST))
 
 
 def new_state(
-    camera: "Camera", observed: np.ndarray, solids: Solids, kind: int, parameters: np.ndarray, blur: float
+    camera: "Camera",
+    observed: np.ndarray,
+    solids: Solids,
+    kind: int,
+    parameters: np.ndarray,
+    blur: float,
+    beside: np.ndarray | None = None,
 ) -> EngineState:
     """Allocate the state of one chain for an image and for scenes with as many solids of the same kinds as `solids`.
 
     observed : (height, width) metres, NaN where nothing returned. kind : GAUSSIAN, ROBUST or CORRELATED, with its
         `parameters`.
-    blur : sigma in pixels. Kernels take what `engine.new_engine` makes of it.
+    blur : sigma in pixels. beside : see `Likelihood.beside`. Kernels take what `engine.new_engine` makes of it.
     """
     height, width = camera.height, camera.width
     padded = PAD + -(-width // LANES) * LANES + 2 * LANES
@@ -118,10 +125,12 @@ def new_state(
     is_mesh = np.asarray(solids.kind) == MESH
     kinds = np.stack([solids.kind, solids.mesh, np.where(is_mesh, np.cumsum(is_mesh) - 1, -1)]).astype(np.int64)
     last = MESHES + 2 * int(is_mesh.sum())
-    images = np.ones((last + (RESIDUALS if kind == CORRELATED else 0), height, padded), np.float32)
+    images = np.ones((last + (GOING_ON if kind == CORRELATED else 0), height, padded), np.float32)
     images[OBSERVED_IMAGE] = np.nan
     images[SCORE:MESHES] = 0.0  # the padding never scores
-    images[last:] = NO_RESIDUAL
+    images[last:] = NO_RETURN
+    if beside is not None:
+        images[last, :, PAD : PAD + width] = beside
     images[OBSERVED_IMAGE, :, PAD : PAD + width] = np.where(seen, observed, missing)
     numbers = np.zeros(PARAMETERS)
     numbers[:4] = camera_array(camera)

@@ -87,9 +87,9 @@ class Things:
 
 @dataclass(frozen=True)
 class Shared:
-    """How many pixels of a real sensor tell as much as one whose error is its own.
+    """How many pixels of a real sensor tell the search as much as one whose error is its own.
 
-    Where the likelihood is `correlated`, that says what neighbours share, and draws and weights know of nothing else.
+    Draws and weights are under the likelihood `correlated` there (data/sensors/any.yaml where no file says another).
 
     Attributes
     ----------

@@ -220,7 +220,15 @@ def engine_of(chart: Chart, sensor: Sensor) -> Views:
     for view in sensor.views:
         likelihood, camera = view.likelihood, view.camera
         row = likelihood.row(view.values, likelihood.counted_pixels(view.observed))
-        state = new_engine(camera, view.observed, solids, likelihood.code, row, view.values["blur"])
+        state = new_engine(
+            camera,
+            view.observed,
+            solids,
+            likelihood.code,
+            row,
+            view.values["blur"],
+            likelihood.beside(view.observed, view.values),
+        )
         state.rectangle[:, 0] = 0, camera.width, 0, camera.height
         states.append(state)
     return make_views(states, np.array([view.into for view in sensor.views]))

@@ -12,7 +12,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED
-from derender.detection.solids.beliefs import Rules, bare_image
+from derender.detection.solids.beliefs import Rules, bare_image, sensor_beliefs
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.image import ROW
 from derender.detection.solids.misfit import AS_SEEN
@@ -114,16 +114,17 @@ def refined_at(
 
 
 class View(NamedTuple):
-    """An image to refine by: its Camera; observed (H, W) and into, see Sensor; effective_pixels that it is worth."""
+    """An image to refine by: its Camera; observed (H, W) and into, see Sensor; shared : whether its neighbouring pixels
+    share noise, so that it is a real sensor's."""
 
     camera: Camera
     observed: np.ndarray
     into: np.ndarray = np.eye(4)
-    effective_pixels: float = np.inf
+    shared: bool = False
 
 
-def view_of(seen: Any, temper: float = 1.0) -> View:
-    """Return the View of an Observation of which so many pixels tell as much as one independent one.
+def view_of(seen: Any) -> View:
+    """Return the View of an Observation.
 
     Where the image shows background or a free-form thing, it tells that nothing stands before that (see `Robust`).
     """
@@ -136,7 +137,7 @@ def view_of(seen: Any, temper: float = 1.0) -> View:
         as_seen &= ~seen.floor.inliers | seen.behind  # what lies on the floor's plane tells where that is
         nearest = np.minimum(seen.image.depth, floor_depth(seen.floor.pose, camera)) - BEFORE * seen.sigma
         observed = np.where(as_seen & np.isfinite(observed), -np.maximum(nearest, LEAST_DEPTH), observed)
-    return View(camera, observed, effective_pixels=np.inf if temper <= 1.0 else observed.size / temper)
+    return View(camera, observed, shared=seen.correlation > CORRELATED)
 
 
 def background_share(seen: Any) -> float:
@@ -156,9 +157,7 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
     chart, values = make_chart(state, floor_pose, rules)
     beliefs = bare_image() if rules.beliefs is None else rules.beliefs
     first, *others = (
-        first_sensor(view.camera, view.observed, chart, values, beliefs.sensor, view.into).changed(
-            effective_pixels=view.effective_pixels
-        )
+        first_sensor(view.camera, view.observed, chart, values, sensor_beliefs(beliefs, view.shared), view.into)
         for view in views
     )
     sensor = first._replace(others=tuple(others))

@@ -15,19 +15,19 @@ from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.base import temper
-from derender.render.likelihoods.correlated import independent_share, shown_share
+from derender.render.likelihoods.correlated import independent_share, innovations
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import Chart, camera_poses, place_rows
 
-SHARED, ROUNDS = ("reach", "reach_down", "white", "tail"), 150  # what neighbours share; rounds in which it is sought
+SHARED = ("step", "step_growth", "reach", "reach_down", "white", "tail")  # numbers of what neighbours share
+ROUNDS = 60  # in which these are sought
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
-EDGE_STEP, MOST_EDGE = 0.5, 2.0  # pixels from a jump within which either surface may show: steps, and at most
-UNKNOWN = ("edge", "sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
+UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
 RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
 STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
@@ -76,11 +76,6 @@ class Sensor(NamedTuple):
         if self.likelihood.name == "correlated":
             return independent_share(self.values)
         return temper(self.values, self.likelihood.counted_pixels(self.observed))
-
-    @property
-    def shows(self) -> float:
-        """How many independent values one pixel of the first view shows: at most 1, and at least its worth."""
-        return shown_share(self.values) if self.likelihood.name == "correlated" else self.worth
 
     @property
     def views(self) -> "tuple[Sensor, ...]":
@@ -202,17 +197,19 @@ def shares_noise(prior: Any) -> bool:
 def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
     """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
 
-    What its prior gives as a number holds. The noise and its growth are those by which residuals scatter, the slow bias
-    among them; the blur, the share of outliers and, by a simplex search of so many `rounds` (0: as they are), what
-    neighbours share are the likeliest. To seek the noise with these leaves it open: what tells firmly is by how much
-    neighbours differ, and more noise that reaches farther differs by as much.
+    What its prior gives as a number holds. The noise and its growth are those by which residuals scatter; the blur, the
+    share of outliers and, by a simplex search of so many `rounds` (0: as they are), what neighbours share are the
+    likeliest. To seek the noise with these leaves it open: what tells firmly is by how much neighbours differ, and more
+    noise that reaches farther differs by as much.
     """
     given, held = sensor.prior.values, held_by(sensor.prior)
     begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
     begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
     sigma, growth = noise_of(sensor.returned - blur(clean, begin["blur"]), clean)
-    own = 1.0 / np.hypot(1.0, begin["bias"])
-    begin = {**begin, "sigma": max(own * sigma, LEAST_SIGMA), "sigma_growth": own * growth, **held}
+    begin = {**begin, "sigma": sigma, "sigma_growth": growth, **held}
+    if rounds:
+        step, growth = noise_of(innovations(sensor.returned, begin), clean)
+        begin = {**begin, "step": step, "step_growth": growth, **held}
     image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", begin)
     believed, sought = partial(log_prior_of, sensor.prior), tuple(name for name in SHARED if name not in held)
     best = likeliest([image], begin, sought, rounds, believed) if rounds and sought else begin
@@ -221,10 +218,11 @@ def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
         return image.set_values(values) + believed(values)
 
     height = density(best)
-    sides = [("edge", EDGE_STEP, (0.0, MOST_EDGE))] if "edge" in given else []
-    for name, step, (low, high) in (*sides, *(("blur", step, (0.0, MOST_BLUR)) for step in STEPS)):
-        for _ in range(0 if name in held else WALKED):
-            trials = [{**best, name: at} for at in (best[name] - step, best[name] + step) if low <= at <= high]
+    for step in STEPS:
+        for _ in range(0 if "blur" in held else WALKED):
+            trials = [
+                {**best, "blur": at} for at in (best["blur"] - step, best["blur"] + step) if 0.0 <= at <= MOST_BLUR
+            ]
             heights = [density(trial) for trial in trials]
             if max(heights) <= height:
                 break
@@ -322,7 +320,7 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     def refitted(view):
         clean = model_depth(chart, values, view.camera, view.into)
         if shares_noise(view.prior):
-            return under_shared_noise(view, clean, ROUNDS)
+            return under_shared_noise(view, clean, 0)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
         _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125),
                                     prior=view.prior)  # fmt: skip
@@ -392,13 +390,12 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
 
 
 def image_likelihood(
-    camera: Camera, observed: np.ndarray, solids: Solids, effective_pixels: float = np.inf, prior: Any = None
+    camera: Camera, observed: np.ndarray, solids: Solids, prior: Any = None
 ) -> tuple[str, dict[str, float]]:
     """Return (name, numbers) of the likelihood that a whole image suggests, given a scene.
 
     What inference looked at may be reduced, and cut where it is far away; this is of the image as it came.
-    observed : (H, W) metres, NaN where nothing returned. effective_pixels : how many independent ones it is worth,
-    unless what is believed of the sensor (prior, see Sensor) is that neighbours share noise.
+    observed : (H, W) metres, NaN where nothing returned. prior : what is believed of the sensor, see Sensor.
     """
     clean, _ = render_depth(solids, camera, background=BACKGROUND)
     every = max(1, camera.width // LOOKED_AT)
@@ -411,4 +408,4 @@ def image_likelihood(
     numbers: dict[str, float]
     _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),
                                 (0.25, 0.1), every, prior)  # fmt: skip
-    return name, numbers if np.isinf(effective_pixels) else {**numbers, "effective_pixels": float(effective_pixels)}
+    return name, numbers
