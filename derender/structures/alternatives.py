@@ -286,17 +286,17 @@ def one_step_away(best: Any, names: Any) -> Iterator[Any]:
 
 
 def from_search(
-    rng: np.random.Generator, best: Refined, pool: list[tuple[State, float]], energy: float, rules: Rules
+    rng: np.random.Generator, best: Refined, pool: list[tuple[State, float]], energy: float, rules: Rules, temper: float
 ) -> list[Any]:
     """Return the Weighed of structures that the search met, more than one step from the best.
 
-    pool : (state, energy) of them. energy : the best one's.
+    pool : (state, energy) of them. energy : the best one's. temper : by which energies are multiples of nats.
     """
     names = names_of(best.state)
     seen = {structure_key(best.state, names), *one_step_away(best, names)}
     near: list = []
     for state, value in sorted(pool, key=lambda pair: pair[1]):
-        if value > energy + WITHIN or len(near) >= FROM_SEARCH:
+        if value > energy + temper * WITHIN or len(near) >= FROM_SEARCH:
             break
         state = state.copy()
         state.parents = final_parents(state)

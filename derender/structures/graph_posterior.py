@@ -144,7 +144,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
                 break
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         former, others = one_solid_each(rng, best, others, rules, shapes)
-        met = [] if number else from_search(rng, former, pool, energy, rules)
+        met = [] if number else from_search(rng, former, pool, energy, rules, settings.temper)
         best, others = leading(former, [*others, *met, *additions(rng, former, settings)])
         if made is not None and best is former:
             others = surest_of_each(others)

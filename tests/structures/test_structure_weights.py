@@ -21,7 +21,7 @@ from derender.sampling.evidence import evidence_of
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures import alternatives
-from derender.structures.alternatives import QUICK, of_one_solid, weighed_whole
+from derender.structures.alternatives import QUICK, from_search, of_one_solid, weighed_whole
 from derender.structures.draws.chart import ROW, log_prior, make_chart, place_rows
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth
@@ -134,3 +134,13 @@ def test_one_solid_more_costs_what_the_prior_s_file_says(cube):
     expected -= math.log(math.pi / 2.0)
     other = (-0.1, 0.0, (0.06, 0.06, 0.06), True)
     assert prior_of(other, (0.1, 0.0, size, cube)) - prior_of(other) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("temper, met", [(1.0, 0), (40.0, 1)])
+def test_what_a_search_met_is_near_by_its_energy_in_nats(temper, met, monkeypatch):
+    """Where forty pixels count for one the search's energies are forty times as great, and 400 of them are ten nats."""
+    best = mode_of(0.01, (-0.08, 0.0, (0.06, 0.06, 0.06), True))
+    other = chart_of((-0.08, 0.0, (0.06, 0.06, 0.06), True), (0.09, 0.03, (0.05, 0.06, 0.03), False))[0]
+    monkeypatch.setattr(alternatives, "weighed_whole", lambda rng, best, states, *_: states)
+    found = from_search(np.random.default_rng(1), best, [(other, 1400.0)], 1000.0, RULES, temper)
+    assert len(found) == met
