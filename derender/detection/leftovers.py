@@ -34,7 +34,8 @@ from derender.detection.things import (
 )
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
-LEFT_LEAST = 15.0  # nats of such a solid at least
+LEFT_LEAST = 15.0  # nats of such a solid at least, unless
+SAME = 0.75  # it shows where the thing does: share of the pixels of either that both have, at least
 LEFT_PIXELS, LEFT_HEIGHT = 25, 0.02  # that it has at least: pixels, metres
 # Of polishing a solid in its place; ways in which a box is turned at first; how many of all are looked at to the end.
 ROUNDS, YAWS, FINISHED = 200, 6, 3
@@ -76,12 +77,18 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         elif exists:
             with_it, gained = with_solid(rng, seen, state, mask, settings)
             cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers[mask].sum())
-            if cheaper > 0.0 and gained > settings.temper * LEFT_LEAST:
+            if cheaper > 0.0 and (gained > settings.temper * LEFT_LEAST or shows_alike(seen, with_it, mask)):
                 state = with_it
                 continue
             found.append((mask, gain))
             image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return state, found
+
+
+def shows_alike(seen: Observation, state: State, mask: np.ndarray) -> bool:
+    """Return whether the last solid of a state shows in the pixels of a mask (H, W) and hardly elsewhere."""
+    shown = held_out(seen.image, state, -1)[1] == len(state) - 1
+    return bool((shown & mask).sum() > SAME * (shown | mask).sum())
 
 
 def interior(mask: np.ndarray) -> np.ndarray:

@@ -313,9 +313,9 @@ def test_a_small_thing_on_a_box_is_no_part_of_it_where_its_outline_is_smeared():
     """Its silhouette goes over into the top behind it as a convex edge would."""
     scene = make(np.random.default_rng([302, list(KINDS).index("phone")]), "phone")
     state, seen = point_estimate(np.random.default_rng(0), scene.depth, scene.camera)
-    (thing,) = seen.things
-    assert len(state) == 2 and thing.parent >= 0
-    assert np.sort(thing.row[13:16]) == pytest.approx(np.sort(scene.objects[2]["size"]), rel=0.25)
+    (k,) = (k for k in range(len(state)) if state.parents[k] >= 0)
+    assert len(state) == 3 and not seen.things
+    assert np.sort(state.rows[k][13:16]) == pytest.approx(np.sort(scene.objects[2]["size"]), rel=0.25)
 
 
 @pytest.mark.parametrize("number", [105, 108])
@@ -354,3 +354,11 @@ def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
     assert row[11] - 0.5 * (turn @ size)[1] == pytest.approx(0.5, abs=0.003)  # and all of that is behind
     points[..., 1] += 0.8 * up  # a slope shows how deep it is
     assert made_thing(seen, State(), mask, 50.0).row[13:16].max() < 0.12
+
+
+def test_a_small_box_on_another_is_a_box_where_pixels_count_for_fewer():
+    """180 pixels of a phone are worth four: that something is there is sure, and that a box shows as it does."""
+    seen = make(np.random.default_rng([1201, list(KINDS).index("phone")]), "phone")
+    state, observed = point_estimate(np.random.default_rng(0), seen.depth, seen.camera)
+    assert not observed.things
+    assert sorted(int(row[0]) for row in state.rows) == [BOX, BOX, SPHERE]
