@@ -12,7 +12,7 @@ from test_jump_posterior import CAMERA, VALUES, observed
 from derender.errors import DerenderError
 from derender.sampling import workers
 from derender.sampling.chains import Plan, run_chain
-from derender.structures.jumps.sampler import JumpSampler
+from derender.structures.jumps.chain import JumpSampler
 
 
 def plan(**settings):

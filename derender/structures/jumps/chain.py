@@ -1,18 +1,23 @@
 """A Markov chain over scene graphs by reversible jumps, and the posterior that its draws make up."""
 
+import json
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.results.posterior import Posterior, StructurePosterior
+from derender.posterior.target import ObservedImage
+from derender.results.posterior import Posterior, StructurePosterior, graph_from_tree, graph_to_tree
 from derender.sampling import diagnostics
+from derender.sampling.chains import Record, Segment
 from derender.scene.graph import SceneGraph
 from derender.structures.given import part_at
 from derender.structures.jumps.base import State, Target, Vocabulary, evaluate, mixture, step
+from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
 
 SAME_PLACE = 0.05  # metres between the centres of what is taken for the same object in two draws
 CHUNK = 256  # moves chosen at a time
@@ -71,6 +76,91 @@ def acceptance_of(counts: Counter) -> dict[str, float]:
     """Return the share of accepted steps by move."""
     names = {name for name, _ in counts}
     return {name: counts[name, True] / (counts[name, True] + counts[name, False]) for name in sorted(names)}
+
+
+@dataclass
+class JumpSampler:
+    """Walks one chain, in the form that checkpoints, resuming and several processes ask for.
+
+    Scenes that come and go have no fixed row of numbers, so what has been drawn stands in the state, as text: a line
+    for each scene, to which a segment adds its own. Each segment begins with an image and a vocabulary of its own: what
+    follows depends on the scene and the generator alone, so that a resumed chain equals an uninterrupted one to the
+    last bit.
+
+    prior : Algorithm1Prior or GrammarPrior. start_graph : a scene of positive prior density.
+    camera, image (H, W), likelihood, values : as of `ObservedImage`.
+    hypotheses : what births are drawn from besides the prior.
+    thin : steps between two draws, and to a round of warm-up.
+    segment : draws between two moments at which a chain can be stopped.
+    """
+
+    prior: Any
+    start_graph: SceneGraph
+    camera: Any
+    image: np.ndarray
+    likelihood: str
+    values: Mapping[str, float] | None
+    hypotheses: Sequence[Hypothesis]
+    thin: int
+    segment: int
+
+    def vocabulary(self) -> Vocabulary:
+        """Return the words that jumps are made of, with births about the hypotheses."""
+        return Vocabulary(self.prior, HypothesisProposal(self.hypotheses) if self.hypotheses else None)
+
+    def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return the state of a chain that has drawn nothing."""
+        counts = np.zeros((len(mixture()), 2), np.int64)
+        return {"now": _packed([self.start_graph]), "drawn": _packed([]), "counts": counts}
+
+    def _begin(self, state: dict[str, np.ndarray]) -> tuple[Target, Vocabulary, State]:
+        image = ObservedImage(self.camera, self.image, self.likelihood, self.values)
+        target = Target(self.prior, partial(image.log_likelihood, parameters={}))
+        return target, self.vocabulary(), evaluate(target, _unpacked(state["now"])[0])
+
+    def warm_up(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
+    ) -> dict[str, np.ndarray]:
+        """Return the state after `rounds` times `thin` steps."""
+        target, words, place = self._begin(state)
+        place = walk(rng, target, words, place, rounds * self.thin)
+        return {**state, "now": _packed([place.graph])}
+
+    def advance(
+        self, rng: np.random.Generator, state: dict[str, np.ndarray], draws: int
+    ) -> tuple[dict[str, np.ndarray], Segment]:
+        """Return the state and the densities of `draws` more scenes; the scenes are in the state."""
+        target, words, place = self._begin(state)
+        counts: Counter = Counter()
+        found = jump_chain(rng, target, words, place.graph, draws, 0, self.thin, counts)
+        graphs = [drawn.graph for drawn in found.states]
+        steps = [[counts[move.name, True] + counts[move.name, False], counts[move.name, True]]
+                 for move, _ in mixture()]  # fmt: skip
+        state = {"now": _packed(graphs[-1:]), "drawn": np.concatenate([state["drawn"], _packed(graphs)]),
+                 "counts": state["counts"] + steps}  # fmt: skip
+        densities = (np.array([getattr(drawn, kind) for drawn in found.states]) for kind in State._fields[1:])
+        return state, Segment(np.empty((draws, 0)), *densities)
+
+    def draws(self, record: Record) -> Draws:
+        """Return what a chain has drawn."""
+        graphs = _unpacked(record.state["drawn"])
+        states = [State(*row) for row in zip(graphs, map(float, record.log_prior), map(float, record.log_likelihood),
+                                             strict=True)]  # fmt: skip
+        steps, accepted = record.state["counts"].T
+        acceptance = {move.name: float(took / of) for (move, _), of, took in
+                      zip(mixture(), steps, accepted, strict=True) if of}  # fmt: skip
+        return Draws(states, acceptance)
+
+
+def _packed(graphs: Sequence[SceneGraph]) -> np.ndarray:
+    """Return scenes as the bytes of a text, a line each, exact to the last bit of each number."""
+    text = "".join(json.dumps(graph_to_tree(graph)) + "\n" for graph in graphs)
+    return np.frombuffer(text.encode(), np.uint8)
+
+
+def _unpacked(packed: np.ndarray) -> list[SceneGraph]:
+    """Return the scenes that `_packed` made bytes of."""
+    return [graph_from_tree(json.loads(line)) for line in bytes(packed).splitlines()]
 
 
 def matched(graph: SceneGraph, reference: SceneGraph, base: frozenset[str]) -> SceneGraph:

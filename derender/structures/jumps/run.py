@@ -24,9 +24,8 @@ from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, written
 from derender.scene.shapes.box import ROTATIONS
 from derender.structures.jumps.base import Target, Vocabulary
-from derender.structures.jumps.chain import posterior_of
+from derender.structures.jumps.chain import JumpSampler, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
-from derender.structures.jumps.sampler import JumpSampler
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
