@@ -13,6 +13,7 @@ from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.layout import Stretch
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
+from derender.posterior.smc import systematic
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
 
@@ -194,9 +195,7 @@ def importance_resampling(rng: np.random.Generator, space: Space, backend: Backe
     """Return one of `particles` draws from the prior, chosen in proportion to its likelihood (section 3)."""
     drawn = [space.sample(rng) for _ in range(particles)]
     logs = np.array([backend.evaluate(values)[1] for values in drawn])
-    weights = np.exp(logs - np.max(logs))
-    chosen = np.searchsorted(np.cumsum(weights), rng.random() * np.sum(weights), side="right")
-    return drawn[min(int(chosen), particles - 1)]
+    return drawn[systematic(rng, np.exp(logs - np.max(logs)), 1)[0]]
 
 
 def _pack(
