@@ -100,6 +100,7 @@ SHARES_APART = 0.5  # between chains' shares of the likeliest structure, where t
 MARGIN = 2.5  # times the draws that seem enough
 LEAST_OF_VIEW = 0.95  # share of each of several views' depths that the scene explains
 LIKELY_FLOOR = 0.05  # probability of another plane to be the floor from which on the result is not to be trusted
+APART = 5.0  # nats between the evidences of populations that a few lucky particles may explain
 LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answer is an object
 
 
@@ -173,6 +174,9 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     for view in posterior.meta.get("views", ()):
         if view["explained"] < LEAST_OF_VIEW:
             doubts.append(f"{1.0 - view['explained']:.0%} of {view['image']} is not explained by what all images show")
+    evidence = posterior.best_part.extras.get("log_evidence", [0.0])
+    if max(evidence) - min(evidence) > APART:
+        doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     structures = posterior.meta.get("structure_chains", {})
     chains, draws, _ = posterior.best_part.values.shape
     if draws < 4:

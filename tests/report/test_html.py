@@ -235,14 +235,14 @@ def test_of_a_single_draw_there_is_its_value_alone(report):
 
 def test_populations_that_disagree_are_told():
     """However few draws the likeliest structure has."""
-    meta = {"log_evidence": [1.0, 9.0]}
-    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((1, 2, 1))))
+    part = SimpleNamespace(values=np.zeros((1, 2, 1)), extras={"log_evidence": [1.0, 9.0]})
+    posterior = SimpleNamespace(meta={}, best_part=part)
     assert trust.chain_doubts(posterior, []) == (trust.Doubt("the populations' log evidences are 8.0 apart"),)
 
 
 def test_chains_that_stay_with_different_structures_are_told():
     meta = {"structure_chains": {"shares": [1.0, 0.0], "r_hat": None}}
-    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((2, 50, 1))))
+    posterior = SimpleNamespace(meta=meta, best_part=SimpleNamespace(values=np.zeros((2, 50, 1)), extras={}))
     (doubt,) = trust.chain_doubts(posterior, [])
     assert "the likeliest has 0.00 in one, 1.00 in another" in str(doubt)
 

@@ -55,7 +55,13 @@ def bridge(second_height=0.08, plank_shift=0.0, length=0.24):
     from derender.scene.contacts import contacts
 
     graph = graph.replace("plank", contact=Contact("6dof", values=contacts["6dof"].invert(local).phi))
-    return graph.reparent("plank", "left", "face-to-face", "+z", "-z")
+    return hung(graph, "left")
+
+
+def hung(graph, parent):
+    """Return the graph with the plank on another parent, where it was."""
+    contact, _ = graph.nearest_contact("plank", parent, "face-to-face", "+z", "-z")
+    return graph.replace("plank", parent=parent, contact=contact)
 
 
 def posterior_of(graph, spread, rng):
@@ -118,7 +124,7 @@ def test_a_plank_that_ends_before_the_other_tower_does_not_rest_on_it():
 def test_weights_stay_and_which_carrier_is_the_parent_does_not_matter():
     rng = np.random.default_rng(0)
     first = replace(posterior_of(bridge(), 0.0005, rng), weight=0.6)
-    other = first.graph.reparent("plank", "right", "face-to-face", "+z", "-z")
+    other = hung(first.graph, "right")
     second = replace(first, graph=other, weight=0.4)
     parts = with_bridges([first, second], RULES)
     assert sum(part.weight for part in parts) == pytest.approx(1.0, abs=1e-12)
