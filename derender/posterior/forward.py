@@ -64,12 +64,8 @@ def draw_documents(document: Document, count: int, seed: int, made: Mapping[str,
 
 
 def observe(rng: np.random.Generator, depth: np.ndarray, likelihood: LikelihoodPrior | None) -> np.ndarray:
-    """Return an observation (H, W) of a clean depth image, drawn from the likelihood; NaN stays without a return.
-
-    What an image is worth in independent pixels is left out: it is no property of the pixels that a camera makes.
-    """
+    """Return an observation (H, W) of a clean depth image, drawn from the likelihood; NaN stays without a return."""
     from derender.render.likelihoods import likelihoods
 
     likelihood = likelihood or LikelihoodPrior()
-    values = {name: value for name, value in likelihood.sample(rng).items() if name != "effective_pixels"}
-    return likelihoods[likelihood.type].sample(rng, depth, values)
+    return likelihoods[likelihood.type].sample(rng, depth, likelihood.sample(rng))

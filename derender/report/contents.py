@@ -153,6 +153,4 @@ def sensor_words(numbers: Mapping[str, Any]) -> dict[str, str]:
         words["blur"] = f"{numbers['blur']:.2g} pixels"
     if "outlier" in numbers:
         words["outliers"] = f"{numbers['outlier']:.2g} of the pixels"
-    if np.isfinite(numbers.get("effective_pixels", np.inf)):
-        words["independent pixels"] = f"{numbers['effective_pixels']:.0f}"
     return words

@@ -95,8 +95,6 @@ def image_at(
 ) -> np.ndarray:
     """Return (H, W), an image drawn from the likelihood of one draw, at a camera's pixels."""
     kind, values = likelihood_at(posterior, part, chain, draw)
-    # How many independent pixels an image is worth is no property of the pixels that a camera makes.
-    values = {name: value for name, value in values.items() if name != "effective_pixels"}
     clean, _ = render_depth(part.graph_at(chain, draw).solids(), camera)
     return likelihoods[kind].sample(rng, clean, values)
 

@@ -132,7 +132,6 @@ def _laws(prior: TreePrior, graph: SceneGraph, name: str) -> dict[str, tuple] | 
 
 
 MOST_STRUCTURES = 64
-NOISE = ("sigma", "sigma_growth", "outlier", "missing", "missing_edge")
 LEAST_WEIGHT = 1e-3  # of a structure that is given chains
 SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
 SMC_PARTICLES, SMC_STEPS = 400, 100
@@ -149,15 +148,7 @@ class Result(NamedTuple):
 
 
 def observed_image(image: np.ndarray, camera: Camera, likelihood: LikelihoodPrior) -> ObservedImage:
-    """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means.
-
-    Raises DerenderError where the noise is unknown too of an image that is said to be worth fewer pixels.
-    """
-    worth_less = likelihood.values.get("effective_pixels", math.inf) != math.inf
-    noise = [address for address in likelihood.free_addresses() if address.removeprefix("likelihood.") in NOISE]
-    if worth_less and noise:
-        what = "of an image that counts as so many effective_pixels the noise cannot be found: less noise undoes that"
-        raise DerenderError(what, noise[0], "give it as a number, or leave effective_pixels out")
+    """Return the image bound to the likelihood's fixed numbers; its unknowns start at their prior means."""
     fixed = likelihood.fixed
     free = {a.removeprefix("likelihood."): law.mean() for a, law in likelihood.free_addresses().items()}
     likelihoods[likelihood.type].complete({**fixed, **free})

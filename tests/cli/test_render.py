@@ -89,7 +89,7 @@ def test_noise_comes_from_the_files_likelihood_and_the_seed(folder):
 
 
 def test_a_sensor_may_be_a_scene_s_likelihood(folder):
-    other = SCENE.replace("sigma: 5 mm", "sigma: 1 mm, effective_pixels: 10")
+    other = SCENE.replace("sigma: 5 mm", "sigma: 1 mm")
     (folder / "other.yaml").write_text(other)
     (folder / "bare.yaml").write_text(SCENE.split("likelihood")[0])
     assert run("bare.yaml", "-o", "clean.npz") == 0

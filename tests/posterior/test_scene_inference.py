@@ -8,7 +8,6 @@ from small_scenes import LOOKED_AT, OPENING, TOWER, SceneWorld, read
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.posterior.compiled.backend import backend_of
-from derender.posterior.forward import observe
 from derender.posterior.kernels import mixture
 from derender.posterior.sampler import Settings, read_settings
 from derender.sampling import diagnostics
@@ -180,21 +179,6 @@ def test_settings_are_data():
 def test_faults_in_settings_are_told(section, what):
     with pytest.raises(DerenderError, match=what):
         read_settings(read(TOWER + f"inference: {section}\n").inference)
-
-
-def test_noise_that_fewer_pixels_would_hide_is_not_looked_for():
-    """Where an image counts as fewer pixels, noise and lost pixels come out too few: that is told, not answered."""
-    document = read(TWO_NUMBERS.replace("sigma: 0.4", "sigma: {log-uniform: [0.1, 1]}, effective_pixels: 100"))
-    with pytest.raises(DerenderError, match="likelihood.sigma: .*effective_pixels.*give it as a number"):
-        infer_scene(document, np.ones(document.camera.shape), document.camera, FEW)
-
-
-def test_an_image_of_so_many_pixels_has_the_noise_that_is_said():
-    """What it is worth is no property of its pixels: 5 mm of noise are not 50 in an image that counts as 100."""
-    document = read(TWO_NUMBERS.replace("sigma: 0.4", "sigma: 0.005, effective_pixels: 10"))
-    clean = np.full((64, 64), 1.0)
-    noisy = observe(np.random.default_rng(0), clean, document.likelihood)  # blurred, which an even image does not show
-    assert np.std(noisy - clean) == pytest.approx(0.005, rel=4 / np.sqrt(2 * clean.size))
 
 
 def test_nothing_unknown_is_told():

@@ -17,11 +17,9 @@ CASES = [
     ("gaussian", {"blur": 1.0}),
     ("gaussian", {"blur": 0.0}),
     ("gaussian", {"blur": 3.0}),
-    ("gaussian", {"blur": 1.3, "effective_pixels": 400.0}),
     ("robust", {"blur": 0.6}),
     ("robust", {"blur": 2.0, "sigma_growth": 0.002}),
-    ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0}),
-    ("robust", {"blur": 0.3, "sigma_growth": 0.002, "effective_pixels": 200.0, "missing": 0.1, "missing_edge": 0.1}),
+    ("robust", {"blur": 0.3, "sigma_growth": 0.002, "missing": 0.1, "missing_edge": 0.1}),
     ("correlated", {"blur": 0.6, "sigma_growth": 0.002, "outlier": 0.05}),
     ("correlated", {"blur": 0.0, "reach": 2.0, "shared": 0.6, "clump": 0.2}),
 ]

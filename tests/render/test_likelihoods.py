@@ -1,4 +1,4 @@
-"""Likelihoods: normalised, matched by their samplers, and no surer on a finer image than they say."""
+"""Likelihoods: normalised, and matched by their samplers."""
 
 import numpy as np
 import pytest
@@ -9,19 +9,9 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.blur import blur, blur_radius, blur_taps
 from derender.render.likelihoods import likelihoods
-from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.scene.pose import rotation_x, translation
-from derender.scene.solids import BOX, PLANE, Solids
 
-CASES = [
-    ("gaussian", {}),
-    ("gaussian", {"effective_pixels": 4.0}),
-    ("robust", {}),
-    ("robust", {"effective_pixels": 4.0}),
-    ("robust", {"sigma_growth": 0.004, "outlier": 0.1}),
-    pytest.param("robust", {"sigma_growth": 0.004, "effective_pixels": 9.0, "sigma": 0.02}, marks=pytest.mark.slow),
-]
+CASES = [("gaussian", {}), ("robust", {}), ("robust", {"sigma_growth": 0.004, "outlier": 0.1})]
 # A step of 0.5 m: pixels at an edge and away from one; 3 x 6 pixels.
 CLEAN = np.array([[1.0, 1.0, 1.0, 1.5, 1.5, 1.5]] * 3)
 
@@ -50,18 +40,7 @@ def integral(name, values):
 
 @pytest.mark.parametrize("name, values", CASES)
 def test_each_pixel_integrates_to_one(name, values):
-    if name == "gaussian" and values:  # the gaussian counts only pixels with a return; here all of them have one
-        assert likelihoods[name].counted_pixels(CLEAN) == CLEAN.size
-    # Where sigma grows, the log normaliser of a tempered pixel is a polynomial fitted in depth, good to 3e-4.
-    tolerance = 5e-4 if values.get("sigma_growth") and values.get("effective_pixels") else 1e-6
-    np.testing.assert_allclose(integral(name, values), 1.0, rtol=tolerance)
-
-
-def test_the_quadrature_notices_a_wrong_normaliser(monkeypatch):
-    """The broken twin: a power without its normaliser does not integrate to one."""
-    robust = likelihoods["robust"]
-    monkeypatch.setattr(type(robust), "normaliser", lambda *_: np.zeros(8))
-    assert np.abs(integral("robust", {"effective_pixels": 4.0}) - 1.0).min() > 0.1
+    np.testing.assert_allclose(integral(name, values), 1.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name, values", CASES)
@@ -88,51 +67,6 @@ def test_eq_6_by_hand():
     expected = stats.norm.logpdf([1.0, 1.02, 2.0], [1.01, 1.01, 3.0], sigma).sum()
     value = likelihoods["gaussian"].log_density(observed, depth, {"sigma": sigma, "background": 3.0})
     assert value == pytest.approx(expected, rel=1e-12)
-
-
-def cube_on_a_table(shift=0.0):
-    root = translation(0.0, 0.05, 0.8) @ rotation_x(np.radians(130.0))
-    cube = root @ translation(0.02 + shift, 0.01, 0.05)
-    return Solids(
-        np.array([PLANE, BOX], np.int32),
-        np.array([root, cube]),
-        np.array([np.zeros(3), np.full(3, 0.1)]),
-        np.array([-1, -1], np.int32),
-    )
-
-
-def posterior_width(name, values, camera, seed):
-    """Return the posterior standard deviation of a cube's sideways shift under a flat prior, on a grid."""
-    rng = np.random.default_rng(seed)
-    clean, _ = render_depth(cube_on_a_table(), camera, antialias=4)
-    plain = {key: value for key, value in values.items() if key != "effective_pixels"}
-    observed = likelihoods[name].sample(rng, clean, plain)
-    evaluator = DepthEvaluator(camera, observed, name, values)
-    shifts = np.linspace(-0.03, 0.03, 601)
-    log = np.array([evaluator.log_likelihood(cube_on_a_table(shift)) for shift in shifts])
-    weight = np.exp(log - log.max())
-    weight /= weight.sum()
-    mean = weight @ shifts
-    return np.sqrt(weight @ (shifts - mean) ** 2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["gaussian", "robust"])
-def test_the_posterior_is_as_wide_on_a_finer_image_when_effective_pixels_say_so(name):
-    coarse, fine = Camera(75, 75, 39.5, 29.5, 80, 60), Camera(150, 150, 79.5, 59.5, 160, 120)
-
-    # The blur is the same in the world: half a coarse pixel, one fine one.
-    def widths(**more):
-        return [
-            np.mean([posterior_width(name, {"sigma": 0.02, "blur": b, **more}, camera, seed) for seed in range(8)])
-            for camera, b in ((coarse, 0.7), (fine, 1.4))
-        ]
-
-    tempered = widths(effective_pixels=200.0)
-    plain = widths()
-    assert tempered[1] == pytest.approx(tempered[0], rel=0.25)
-    assert plain[1] < 0.75 * plain[0]  # what effective_pixels is there to prevent: half as wide
-    assert tempered[0] > 2.0 * plain[0]
 
 
 def test_blur_is_scipys_gaussian_with_replicated_edges():

@@ -62,16 +62,6 @@ def fits(kind, given):
     return first, final, same_sensor_refitted(final, chart, values), chart, values
 
 
-def test_where_pixels_count_for_fewer_no_structure_wins_by_its_rate_of_outliers():
-    """Of a tempered density the norm hangs on that rate: refitted to each it gave odds of thousands of nats."""
-    cube = State().add(row(BOX, 0.5, 0.0, 0.0, 0.0, (0.08,) * 3), UPRIGHT, True, FLOOR, 0.0)
-    seen, chart, values = observe(np.random.default_rng(1), cube, TRUE, camera(32, 24), "robust")
-    sensor = seen.changed(outlier=0.05)
-    assert same_sensor_refitted(sensor, chart, values).values["outlier"] < 0.05
-    tempered = sensor.changed(effective_pixels=20.0)
-    assert same_sensor_refitted(tempered, chart, values).values["outlier"] == 0.05
-
-
 @pytest.mark.parametrize("kind", ["robust", "gaussian"])
 def test_numbers_of_the_sensor_that_a_file_gives_hold(kind):
     given = {"sigma": 0.006, "blur": 0.75}

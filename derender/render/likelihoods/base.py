@@ -14,7 +14,6 @@ likelihoods: Registry["Likelihood"] = Registry("likelihood", "derender.likelihoo
 SIGMA = Parameter("sigma", "m", 1e-6, 10.0, 0.005)
 BLUR = Parameter("blur", "", 0.0, 5.0, 0.0)
 BACKGROUND = Parameter("background", "m", 0.01, 1000.0, 10.0)
-EFFECTIVE_PIXELS = Parameter("effective_pixels", "", 1e-3, math.inf, math.inf)
 
 
 class Likelihood:
@@ -25,13 +24,6 @@ class Likelihood:
 
     The clean image ends at a wall at depth `background`: what lies beyond it, or hits nothing, has that depth. So the
     model image is finite everywhere, and Eq. 6 a density over whole images.
-
-    `effective_pixels` is the number of independent pixels that an image is worth. Real errors are shared by neighbours,
-    and taking every pixel as independent gives intervals that are too narrow, the more the finer the image. With n
-    pixels, each pixel's density p is replaced by its power p^t, t = min(1, effective_pixels / n), divided by the
-    integral of p^t over the pixel's values: a proper density, with a sampler, whose information no longer grows with
-    the resolution. (For the normal it is a normal with standard deviation sigma / sqrt(t). If sigma is itself unknown,
-    it adapts to undo this; give `effective_pixels` with a known sigma.)
 
     Attributes
     ----------
@@ -74,20 +66,13 @@ class Likelihood:
     def check(self, values: Mapping[str, float]) -> None:
         """Raise a DerenderError where complete values do not fit together."""
 
-    def row(self, values: Mapping[str, float], pixels: int) -> np.ndarray:
-        """Return the engine's numbers: sigma, background, temper exponent, a place to fill, then the type's own.
-
-        pixels : how many pixels count in the exponent (`counted_pixels`).
-        """
+    def row(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the engine's numbers: sigma, background, a place to fill, then the type's own."""
         raise NotImplementedError
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray | None:
         """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""
         return None
-
-    def counted_pixels(self, observed: np.ndarray) -> int:
-        """Return how many pixels of an image have a density."""
-        raise NotImplementedError
 
     def per_pixel(
         self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
@@ -119,8 +104,3 @@ def blurred_depth(depth: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
 def has_return(observed: np.ndarray) -> np.ndarray:
     """Return where a pixel holds a depth: positive and finite."""
     return np.isfinite(observed) & (observed > 0)
-
-
-def temper(values: Mapping[str, float], pixels: int) -> float:
-    """Return the exponent t of each pixel's density."""
-    return min(1.0, values["effective_pixels"] / max(pixels, 1))

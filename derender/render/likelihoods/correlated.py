@@ -83,12 +83,9 @@ class Correlated(Likelihood):
         if not values["near"] < values["far"]:
             raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
-    def counted_pixels(self, observed: np.ndarray) -> int:
-        return int((np.isfinite(observed) & (observed != 0.0)).sum())
-
-    def row(self, values: Mapping[str, float], pixels: int) -> np.ndarray:
+    def row(self, values: Mapping[str, float]) -> np.ndarray:
         numbers = [values[name] for name in ("sigma_growth", "outlier", "near", "far", "shared", "clump")]
-        return np.array([values["sigma"], values["background"], 1.0, 0.0, *numbers])
+        return np.array([values["sigma"], values["background"], 0.0, *numbers])
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""

@@ -53,7 +53,6 @@ from derender.render.raycast.state import (
     SHOWS,
     SIGMA,
     STALE,
-    TEMPER,
     WIDTH,
     EngineState,
     new_state,
@@ -73,14 +72,14 @@ REFRESH = 4096  # accepted proposals between fresh sums of the scores: rounding 
 def _log_likelihood(settings, parameters, total):
     if settings[LIKELIHOOD] != GAUSSIAN:
         return total
-    sigma, temper, observed = parameters[SIGMA], parameters[TEMPER], parameters[OBSERVED]
-    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi) - 0.5 * math.log(temper)
-    return -0.5 * temper * total / (sigma * sigma) - observed * constant
+    sigma, observed = parameters[SIGMA], parameters[OBSERVED]
+    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi)
+    return -0.5 * total / (sigma * sigma) - observed * constant
 
 
 @njit(cache=True, nogil=True, borrows=True)
 def log_likelihood_of(state, total):
-    """The log likelihood whose scores sum to `total` (Eq. 6; under a temper exponent, of the normalised power)."""
+    """The log likelihood whose scores sum to `total` (Eq. 6)."""
     return _log_likelihood(state.settings, state.parameters, total)
 
 

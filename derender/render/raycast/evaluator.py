@@ -60,7 +60,6 @@ class DepthEvaluator:
         self.observed = observed
         self.likelihood = likelihoods[likelihood]
         self.values = self.likelihood.complete(values)
-        self._counted = self.likelihood.counted_pixels(observed)
         self.state: EngineState | None = None
         self._meshes: tuple = ()
 
@@ -104,7 +103,7 @@ class DepthEvaluator:
                 self.observed,
                 solids,
                 self.likelihood.code,
-                self._row(),
+                self.likelihood.row(self.values),
                 self.values["blur"],
                 self.likelihood.beside(self.observed, self.values),
             )
@@ -113,9 +112,6 @@ class DepthEvaluator:
         return load_state(
             state, np.ascontiguousarray(solids.pose, np.float64), np.ascontiguousarray(solids.size, np.float64)
         )
-
-    def _row(self) -> np.ndarray:
-        return self.likelihood.row(self.values, self._counted)
 
     def _fits(self, state: EngineState, solids: Solids) -> bool:
         same_meshes = len(self._meshes) == len(solids.meshes) and all(
@@ -133,7 +129,7 @@ class DepthEvaluator:
             return None
         if self.values["blur"] != former["blur"]:
             self.state = with_blur(self.state, self.values["blur"])
-        state, row = self.state, self._row()
+        state, row = self.state, self.likelihood.row(self.values)
         observed = state.parameters[OBSERVED]
         state.parameters[SIGMA : SIGMA + len(row)] = row
         state.parameters[OBSERVED] = observed

@@ -36,13 +36,11 @@ from derender.render.raycast.state import (
     PAD,
     SCORE,
     SIGMA,
-    TEMPER,
     WIDTH,
 )
 
 # entries of `parameters` for the robust likelihood, as `Robust.row` lays them out
 GROWTH, OUTLIER, NEAR, FAR, MISSING, MISSING_EDGE, EDGE_STEP = range(LIKELIHOOD_PARAMETERS, LIKELIHOOD_PARAMETERS + 7)
-NORMALISER = LIKELIHOOD_PARAMETERS + 7  # two polynomials of eight coefficients: away from edges, at edges
 
 
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
@@ -70,16 +68,16 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     depth = images[DEPTH + half]
-    temper, outlier = parameters[TEMPER], parameters[OUTLIER]
+    outlier = parameters[OUTLIER]
     sigma, growth = splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH]))
     near, far = splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR]))
     peak = splat(np.float32((1.0 - outlier) / math.sqrt(2.0 * math.pi)))
     floor = splat(np.float32(outlier / (parameters[FAR] - parameters[NEAR])))
     lost, lost_edge = parameters[MISSING], parameters[MISSING_EDGE]
     edges = lost != lost_edge  # else it makes no difference where they are
-    found_score, found_score_edge = np.float32(temper * math.log1p(-lost)), np.float32(temper * math.log1p(-lost_edge))
-    lost_score, lost_score_edge = np.float32(temper * math.log(lost)), np.float32(temper * math.log(lost_edge))
-    step, exponent = splat(np.float32(parameters[EDGE_STEP])), splat(np.float32(temper))
+    found_score, found_score_edge = np.float32(math.log1p(-lost)), np.float32(math.log1p(-lost_edge))
+    lost_score, lost_score_edge = np.float32(math.log(lost)), np.float32(math.log(lost_edge))
+    step = splat(np.float32(parameters[EDGE_STEP]))
     zero, one, half_less, nothing = (
         splat(np.float32(0)),
         splat(np.float32(1)),
@@ -96,10 +94,8 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
             z = multiply(subtract(value, model), inverse)
             surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
             inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
-            density = multiply(exponent, logarithm(add(surface, inside)))
-            found, missed, normaliser = splat(found_score), splat(lost_score), zero
-            if temper < 1.0:
-                normaliser = _polynomial(parameters, NORMALISER, model)
+            density = logarithm(add(surface, inside))
+            found, missed = splat(found_score), splat(lost_score)
             if edges:
                 here = load(depth, row, column)
                 twice = add(here, here)
@@ -108,10 +104,7 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
                 bend = subtract(maximum(absolute(along), absolute(down)), step)  # positive at an edge
                 found = where_at_least(zero, bend, found, splat(found_score_edge))
                 missed = where_at_least(zero, bend, missed, splat(lost_score_edge))
-                if temper < 1.0:
-                    normaliser = where_at_least(zero, bend, normaliser, _polynomial(parameters, NORMALISER + 8, model))
             result = where_at_least(zero, value, missed, add(density, found))  # a missing pixel's value is 0
-            result = subtract(result, normaliser)
             result = where_at_least(value, zero, result, zero)  # NaN: the padding
             old = accumulate(old, load(current, row, column))
             store(score, row, column, result)
@@ -119,19 +112,11 @@ def score_robust(parameters, images, half, left, right, top, bottom, height):
     return sum_lanes(new), sum_lanes(old)
 
 
-@njit(cache=True, nogil=True, no_cpython_wrapper=True, inline="always", borrows=True)
-def _polynomial(parameters, first, x):
-    result = splat(np.float32(parameters[first + 7]))
-    for k in range(6, -1, -1):
-        result = multiply_add(result, x, splat(np.float32(parameters[first + k])))
-    return result
-
-
 @njit(cache=True, nogil=True, borrows=True)
 def pixel_log_densities(settings, parameters, images, result):
     """Write each pixel's log density under the current scene into `result` (H, W) float64; 0 where there is none."""
-    sigma, temper = parameters[SIGMA], parameters[TEMPER]
-    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi) - 0.5 * math.log(temper)
+    sigma = parameters[SIGMA]
+    constant = math.log(sigma) + 0.5 * math.log(2.0 * math.pi)
     for row in range(settings[HEIGHT]):
         for column in range(settings[WIDTH]):
             score = images[SCORE + CURRENT, row, column + PAD]
@@ -140,4 +125,4 @@ def pixel_log_densities(settings, parameters, images, result):
             elif math.isnan(images[OBSERVED_IMAGE, row, column + PAD]):
                 result[row, column] = 0.0
             else:
-                result[row, column] = -0.5 * temper * score / (sigma * sigma) - constant
+                result[row, column] = -0.5 * score / (sigma * sigma) - constant

@@ -25,8 +25,8 @@ WIDTH, HEIGHT, RADIUS, MARGIN, LIKELIHOOD, PENDING, REGIONS, ACCEPTED, STALE = r
 PROPOSE, SETTLE, BOUND, DRAW, BLUR, RATE, RASTERISE = range(9, 16)
 GAUSSIAN, ROBUST, CORRELATED = range(3)  # values of settings[LIKELIHOOD]
 # entries of `parameters` (float64): camera, likelihood; those of the others follow, see their scores
-FX, FY, CX, CY, SIGMA, BACKGROUND, TEMPER, OBSERVED = range(8)
-LIKELIHOOD_PARAMETERS, PARAMETERS = 8, 80
+FX, FY, CX, CY, SIGMA, BACKGROUND, OBSERVED = range(7)
+LIKELIHOOD_PARAMETERS, PARAMETERS = 7, 14
 # images: observed, then clean depth and score of the current and the candidate scene, then inverse depths of meshes,
 # and under CORRELATED what its scores need
 OBSERVED_IMAGE, DEPTH, SCORE, MESHES = np.int64(0), np.int64(1), np.int64(3), np.int64(5)
@@ -38,8 +38,8 @@ class EngineState(NamedTuple):
     """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
 
     settings : (16,) int64, see WIDTH ... RASTERISE.
-    parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. TEMPER is the exponent of a
-        pixel's density, OBSERVED the number of pixels with a return. SIGMA may be written at any time: with the
+    parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. OBSERVED is the
+        number of pixels with a return. SIGMA may be written at any time: with the
         gaussian likelihood `log_likelihood_of` is right at once, with others after `rescore_state`.
     total : (2,) float64, sums of the scores.
     taps : (R + 1,) float32, blur weights from the centre outwards.

@@ -219,7 +219,7 @@ def engine_of(chart: Chart, sensor: Sensor) -> Views:
     states = []
     for view in sensor.views:
         likelihood, camera = view.likelihood, view.camera
-        row = likelihood.row(view.values, likelihood.counted_pixels(view.observed))
+        row = likelihood.row(view.values)
         state = new_engine(
             camera,
             view.observed,

@@ -14,7 +14,6 @@ from derender.detection.solids.image import ROW
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.base import temper
 from derender.render.likelihoods.correlated import independent_share, innovations
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
@@ -73,9 +72,7 @@ class Sensor(NamedTuple):
     @property
     def worth(self) -> float:
         """How many independent pixels one of the first view tells as much as: at most 1."""
-        if self.likelihood.name == "correlated":
-            return independent_share(self.values)
-        return temper(self.values, self.likelihood.counted_pixels(self.observed))
+        return independent_share(self.values) if self.likelihood.name == "correlated" else 1.0
 
     @property
     def views(self) -> "tuple[Sensor, ...]":
@@ -356,7 +353,7 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
             if density_of(new) <= density_of(best):
                 break
             best = new
-    if sensor.likelihood.name != "gaussian" and sensor.worth == 1.0:  # a tempered density's norm hangs on the rate
+    if sensor.likelihood.name != "gaussian":
         best = max([best, *(fitted(best[2]["blur"], other) for other in RATES)], key=density_of)
     return sensor.changed(best[1], **best[2])
 

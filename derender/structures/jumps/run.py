@@ -15,6 +15,8 @@ import numpy as np
 
 from derender import __version__
 from derender.detection.floor import read_floor
+from derender.detection.search.observation import CORRELATED
+from derender.detection.solids.beliefs import any_sensor
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import Posterior
@@ -28,7 +30,6 @@ from derender.structures.jumps.chain import JumpSampler, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
 
 if TYPE_CHECKING:
-    from derender.detection.search.greedy import Settings
     from derender.detection.search.observation import Observation
 
 OTHER_KIND = 0.2  # weight of a solid as another kind than it was found to be, beside that kind's
@@ -199,7 +200,7 @@ def infer_by_jumps(
     words = Vocabulary(prior)
     base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
     start = start_graph(words, base, graph)
-    likelihood, values = _likelihood_of(document, seen, settings, depth)
+    likelihood, values = _likelihood_of(document, seen, depth)
     draws, chains = options.draws or DRAWS, options.chains or CHAINS
     hypotheses = hypotheses_of(words, graph)
     sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses, THIN, SEGMENT)
@@ -244,18 +245,20 @@ def bare_document(floor_pose: np.ndarray) -> Document:
     return replace(document, prior=replace(prior, root=FixedRoot(root_seen(floor_pose))), likelihood=None)
 
 
-def _likelihood_of(
-    document: Document, seen: "Observation", settings: "Settings", depth: np.ndarray
-) -> tuple[str, dict[str, float]]:
-    """Return the likelihood's name and numbers: the document's, else a robust one with the noise seen on the floor."""
+def _likelihood_of(document: Document, seen: "Observation", depth: np.ndarray) -> tuple[str, dict[str, float]]:
+    """Return the likelihood's name and numbers: the document's, else one with the noise seen on the floor, which
+    neighbouring pixels share where the image shows that they do."""
     if document.likelihood is not None:
         given = document.likelihood.values
         return document.likelihood.type, {k: v if isinstance(v, float) else float(v.mean()) for k, v in given.items()}
     sigma = float(np.median(seen.sigma[seen.mask])) if seen.mask.any() else 0.002
-    temper = settings.for_correlation(seen.correlation).temper
-    pixels = float(np.isfinite(depth).sum())
+    seen_on_floor = {"sigma": max(sigma, 0.0005), "blur": 0.5, "outlier": 0.05}
+    if seen.correlation > CORRELATED:
+        believed = any_sensor().values
+        usual = {k: v if isinstance(v, float) else float(v.quantile(0.5)) for k, v in believed.items()}
+        return "correlated", {**usual, "sigma_growth": 0.0, **seen_on_floor}
     missing = float(np.mean(~np.isfinite(depth)))
     return "robust", {
-        "sigma": max(sigma, 0.0005), "blur": 0.5, "outlier": 0.05, "effective_pixels": pixels / temper,
+        **seen_on_floor,
         "missing": min(max(missing, 0.01), 0.9), "missing_edge": min(max(2.0 * missing, 0.05), 0.95),
     }  # fmt: skip
