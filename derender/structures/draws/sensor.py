@@ -191,20 +191,21 @@ def shares_noise(prior: Any) -> bool:
     return prior is not None and prior.type == "correlated"
 
 
-def under_shared_noise(sensor: Any, clean: Any, rounds: Any) -> Any:
+def under_shared_noise(sensor: Any, clean: Any, rounds: int | None) -> Any:
     """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
 
     What its prior gives as a number holds. The noise and its growth are those by which residuals scatter; the blur, the
-    share of outliers and, by a simplex search of so many `rounds` (0: as they are), what neighbours share are the
-    likeliest. To seek the noise with these leaves it open: what tells firmly is by how much neighbours differ, and more
-    noise that reaches farther differs by as much.
+    share of outliers and, by a simplex search of so many `rounds`, what neighbours share are the likeliest; with 0
+    surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is. To seek the noise with
+    these leaves it open: what tells firmly is by how much neighbours differ, and more noise that reaches farther
+    differs by as much.
     """
     given, held = sensor.prior.values, held_by(sensor.prior)
     begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
     begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
     sigma, growth = noise_of(sensor.returned - blur(clean, begin["blur"]), clean)
     begin = {**begin, "sigma": sigma, "sigma_growth": growth, **held}
-    if rounds:
+    if rounds is not None:
         step, growth = noise_of(innovations(sensor.returned, begin), clean)
         begin = {**begin, "step": step, "step_growth": growth, **held}
     image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", begin)
@@ -317,7 +318,7 @@ def final_sensor(sensor: Sensor, chart: Chart, values: np.ndarray) -> Sensor:
     def refitted(view):
         clean = model_depth(chart, values, view.camera, view.into)
         if shares_noise(view.prior):
-            return under_shared_noise(view, clean, 0)
+            return under_shared_noise(view, clean, None)
         about = np.clip(view.values["blur"] + np.array([-0.2, -0.1, 0.0, 0.1, 0.2]), 0.0, 3.0)
         _, name, numbers = best_fit(view.observed, clean, {0.0, *about}, RATES, (0.05, 0.025, 0.0125),
                                     prior=view.prior)  # fmt: skip
@@ -334,7 +335,7 @@ def same_sensor_refitted(sensor: Sensor, chart: Chart, values: np.ndarray) -> Se
 def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
     """Return the Sensor of one view with the numbers that explain a clean depth (H, W) best."""
     if shares_noise(sensor.prior):
-        return under_shared_noise(sensor, clean, 0)
+        return under_shared_noise(sensor, clean, None)
     held = held_by(sensor.prior)
 
     def fitted(blurred, outliers):
@@ -366,8 +367,6 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
     at, known = sensor.values["blur"], held_by(sensor.prior)
     if "blur" in known:
         return np.array([at])
-    every = max(1, sensor.camera.width // LOOKED_AT) if sensor.worth < 1.0 else 1  # of rows and of columns
-
     shared = sensor.likelihood.name == "correlated"
     image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", sensor.values) if shared else None
 
@@ -375,7 +374,7 @@ def blurs_about(sensor: Sensor, clean: np.ndarray) -> np.ndarray:
         if image is not None:
             return image.set_values({"blur": blurred})
         fit = gaussian_fit if sensor.likelihood.name == "gaussian" else partial(robust_fit, outliers=RATES[0])
-        return every**2 * fit(sensor.observed, clean, blurred, every=every, held=known)[0]
+        return fit(sensor.observed, clean, blurred, held=known)[0]
 
     ends = []
     for way in (-1.0, 1.0):  # outwards, ever farther, to where the image rules a blur out
@@ -400,7 +399,7 @@ def image_likelihood(
         clean = np.minimum(clean, BACKGROUND)
         found = robust_fit(observed, clean, 0.0, FIRST_OUTLIERS)[2]
         sensor = Sensor(camera, observed, likelihoods["robust"], {}, prior).changed("robust", **found)
-        found = under_shared_noise(sensor, clean, ROUNDS // every)
+        found = under_shared_noise(sensor, clean, 0)
         return found.likelihood.name, found.values
     numbers: dict[str, float]
     _, name, numbers = best_fit(observed, np.minimum(clean, BACKGROUND), (*BLURS, 2.5, 4.0), (*RATES, 0.2, 0.4),
