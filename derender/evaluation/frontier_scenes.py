@@ -28,7 +28,7 @@ SUPPORT, BEHIND = -1, -2  # labels
 
 class Kind(NamedTuple):
     """How the scenes of a kind are seen. down : degrees by which the camera looks down; away : metres, (low, high);
-    known : whether the first thing's size is told."""
+    known : whether the first thing's size is told; scale : times as long are all lengths, noise's too."""
 
     says: str
     sensor: str = "white"
@@ -36,6 +36,7 @@ class Kind(NamedTuple):
     away: tuple[float, float] = (0.7, 1.0)
     size: tuple[int, int] = (320, 240)
     known: bool = False
+    scale: float = 1.0
 
 
 KINDS = {
@@ -57,6 +58,8 @@ KINDS = {
     "pallets": Kind("2 x 3 x 2 to 3 x 3 x 3 equal cartons with gaps of 0 to 5 mm", away=(2.0, 2.5)),
     "cartons": Kind("such pallets where the carton's size is known", away=(2.0, 2.5), known=True),
     "heights": Kind("two tables at different heights, things on both, the room's floor below them", "shared"),
+    "dice": Kind("dice of 1 cm", scale=0.12),
+    "hall": Kind("boxes, cylinders and spheres of half a metre to two metres", scale=15.0),
 }  # fmt: skip
 
 
@@ -253,7 +256,9 @@ def arranged(rng, name):
         types, sizes, poses = ["box"], [size], [at(0, 0, 0.5 * size[2], rng.uniform(0, 1.5))]
     elif name == "empty":
         types, sizes, poses = [], [], []
-    elif name in ("edge", "free", "overhead", "stereo", "phone"):
+    elif name == "dice":
+        types, sizes, poses, meshes = apart(rng, rng.integers(3, 9), (0.3, 0.2), lambda r: ("cube", np.full(3, 0.083)))
+    elif name in ("edge", "free", "overhead", "stereo", "phone", "hall"):
         types, sizes, poses, meshes = apart(rng, rng.integers(2, 6), (0.27, 0.17), some_solid, name == "free")
         if name in ("stereo", "phone", "overhead"):  # something stands on the first flat top
             below = next((k for k, kind in enumerate(types) if kind in ("box", "cube")), None)
@@ -314,10 +319,20 @@ def make(rng: Any, name: str) -> Any:
     if name == "empty" and rng.random() < 0.5:
         depth[: camera.height // 4] = np.nan
     depth = np.where(np.isfinite(depth) & (depth < FARTHEST), depth, np.nan)
-    objects = [{"type": t, "size": s, "pose": table @ p, "parent": on, "supports": others}
+    depth = SENSORS[kind.sensor](rng, depth)
+    objects = [{"type": t, "size": kind.scale * s, "pose": enlarged(table @ p, kind.scale), "parent": on,
+                "supports": others}
                for t, s, p, on, others in zip(types, sizes, poses, parents, supports, strict=True)]  # fmt: skip
     free = [k for k, mesh in enumerate(meshes) if mesh is not None]
-    return Scene(SENSORS[kind.sensor](rng, depth), camera, label, objects, tables, free)
+    tables = {name: enlarged(pose, kind.scale) for name, pose in tables.items()}
+    return Scene(kind.scale * depth, camera, label, objects, tables, free)
+
+
+def enlarged(pose: np.ndarray, scale: float) -> np.ndarray:
+    """Return a pose (4, 4) so many times as far away."""
+    pose = pose.copy()
+    pose[:3, 3] *= scale
+    return pose
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], reach: float) -> np.ndarray:
