@@ -60,7 +60,7 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
     while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state, jump):
         state, found = joined(seen, state, parts)
         masks += found
-    if not masks or not len(state):
+    if not masks and not len(state):
         return state, masks
     normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
     for k in range(len(masks)):
@@ -71,7 +71,62 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
         ):
             state, found = joined(seen, state, (part,), *masks[k])
             masks[k] = found[0]
+    while (pair := adrift(seen, state, masks, normal, jump)) is not None:
+        parts = tuple(k for k in pair if k < len(state))
+        pieces = [masks[k - len(state)] for k in pair if k >= len(state)]
+        masks = [each for k, each in enumerate(masks, start=len(state)) if k not in pair]
+        whole = np.any([mask for mask, _ in pieces], axis=0) if pieces else None
+        state, found = joined(seen, state, parts, whole, sum(gain for _, gain in pieces))
+        masks += found
     return state, masks
+
+
+def adrift(seen: Observation, state: State, masks: Any, normal: np.ndarray, jump: np.ndarray) -> tuple[int, int] | None:
+    """Return what hangs in the air and what its surface goes on into without an edge; None where nothing does.
+
+    A torso goes on into legs. Solids are told by their index, things by that of their masks after all solids.
+    """
+    _, label, misfit, _ = held_out(seen.image, state, -1)
+    piece = np.where((seen.image.weight > 0) & (misfit < LIMIT), label, -1)
+    for k, (mask, _) in enumerate(masks, start=len(state)):
+        piece[mask] = k
+    count = len(state) + len(masks)
+    for k in range(count):
+        mask = piece == k
+        if mask.sum() < FEWEST:
+            continue
+        if k < len(state) and (k in state.parents or shares_of_load(state.rows, k, HELD)):
+            continue
+        if not hangs(seen, state.without(k) if k < len(state) else state, mask):
+            continue
+        touched, turned = meets(seen.points, piece, k, count, normal, jump)
+        touched[[j for j in state.parents if j != FLOOR]] = 0.0
+        outline = sum((mask & ~np.roll(mask, way, axis)).sum() for axis in (0, 1) for way in (1, -1))
+        other = int(np.argmax(touched))
+        if touched[other] > JOINT * outline and turned[other] > -TURN * touched[other]:
+            return k, other
+    return None
+
+
+def meets(
+    points: np.ndarray, piece: np.ndarray, k: int, count: int, normal: np.ndarray, jump: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N,) how many pixels of a piece's outline have each other piece NEXT to them without a jump between, and
+    the sum of how the surface turns there: positive where convex, see TURN.
+
+    piece : (H, W) int, -1 for none. k : the piece's number; count : of all. The rest as of `goes_on`.
+    """
+    touched, turned = np.zeros((2, count))
+    mask = piece == k
+    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        apart = np.roll(points, NEXT * way, axis) - points
+        distance = np.linalg.norm(apart, axis=2)
+        other = np.roll(piece, NEXT * way, axis)
+        at = mask & ~np.roll(mask, way, axis) & (distance < NEXT * jump) & (other >= 0) & (other != k)
+        turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)[at] / distance[at]
+        touched += np.bincount(other[at], minlength=count)
+        turned += np.bincount(other[at], turn, count)
+    return touched, turned
 
 
 def joined(seen: Observation, state: State, parts: Any, piece: Any = None, gain: Any = 0.0) -> Any:
@@ -214,18 +269,24 @@ def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> Any:
 
     mask : (H, W) bool, the thing's pixels.
     """
+    if not hangs(seen, state, mask):
+        return None
     points = seen.points[mask]
     ends = ends_of(points @ rotation_z(smallest_rectangle(points[:, :2]))[:3, :3], ENDS)
     low, size = ends[0, 2], np.ptp(ends, axis=0)
-    bottom, slack = support_of(points, state)[1], HANGS * size[2]
-    if low - bottom < slack or hidden_share(seen, mask) > HIDDEN:
-        return None
-    rod = size[:2].min() < SLENDER * size[2]
+    slack, rod = HANGS * size[2], size[:2].min() < SLENDER * size[2]
     below = [k for k, row in enumerate(state.rows) if rod and abs(highest(row) - low) < slack]
     part = goes_on_from(seen, state, mask, below)
     if part is None or part in below:
         return part
     return part if mask.sum() < HANDLE * (held_out(seen.image, state, -1)[1] == part).sum() else None
+
+
+def hangs(seen: Observation, state: State, mask: np.ndarray) -> bool:
+    """Return whether what a mask (H, W) shows is seen to end over what it could stand on, with nothing before it."""
+    points = seen.points[mask]
+    low, high = ends_of(points[:, 2:], ENDS)[:, 0]
+    return low - support_of(points, state)[1] >= HANGS * (high - low) and hidden_share(seen, mask) <= HIDDEN
 
 
 def hidden_share(seen: Observation, mask: np.ndarray) -> Any:

@@ -76,7 +76,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
             found += more
         elif exists:
             with_it, gained = with_solid(rng, seen, state, mask, settings)
-            cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers[mask].sum())
+            cheaper = gained - gain + settings.temper * (LEFT_PRICE + cost.numbers(mask))
             if cheaper > 0.0 and (gained > settings.temper * LEFT_LEAST or shows_alike(seen, with_it, mask)):
                 state = with_it
                 continue

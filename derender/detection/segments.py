@@ -5,6 +5,8 @@ local convexity, CVPR 2014). So a surface is cut there, and two pieces are one t
 that it costs less than another thing.
 """
 
+from typing import Any
+
 import numpy as np
 
 from derender.compilation.cache import njit
@@ -25,6 +27,7 @@ BEHIND = 0.7  # cosine between the way from the camera and that from one piece t
 # Most times the pieces' outlines, seen from above, that their common outline may hold, and most times as deep as wide
 # that it may be as the camera sees it: two mugs, one behind the other, are twice as deep.
 FILLED, DEEPER = 1.5, 1.4
+WIDE = 0.2  # metres: a usual thing's front; edges and bends of what is larger are as much longer
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -117,6 +120,11 @@ def segments(
     return label, count, common_edges(points, label, count, jump, footprint)
 
 
+def larger(area: Any) -> Any:
+    """Return how many times larger than usual a thing is that shows so many square metres; at least 1."""
+    return np.maximum(1.0, np.sqrt(area) / WIDE)
+
+
 def joined(
     points: np.ndarray,
     label: np.ndarray,
@@ -129,7 +137,8 @@ def joined(
 ) -> np.ndarray:
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
-    price : nats of one more thing. nats : of each metre of edge within a thing. origin : (3,) the camera's centre.
+    price : nats of one more thing. nats : of each metre of edge within a thing as large as usual. origin : (3,) the
+        camera's centre.
     area : (N,) square metres of each piece. A handle or a cap is joined along much of its width: two pieces whose
         common edge is short beside the smaller one are two objects that touch.
     """
@@ -137,7 +146,7 @@ def joined(
     edges, area = edges.copy(), np.array(area, float)
     while count > 1:
         neck = NECK * np.sqrt(np.minimum(area[:, None], area))
-        gains = np.where(edges > neck, price - nats * edges, -np.inf)
+        gains = np.where(edges > neck, price - nats * edges / larger(area[:, None] + area), -np.inf)
         a, b = np.unravel_index(np.argmax(gains), gains.shape)
         if gains[a, b] <= 0.0:
             break

@@ -20,7 +20,7 @@ from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.segments import joined, segments
+from derender.detection.segments import joined, larger, segments
 from derender.detection.solids.image import Image, make_row
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
@@ -32,7 +32,8 @@ from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX
 
-PATCH = 0.03  # metres over which household surfaces bend little
+# Metres over which household surfaces bend little; what is `larger` bends over ways that are as much longer.
+PATCH = 0.03
 NUMBER = 2.3  # nats: log 10
 # Nats against PATCH metres of a concave edge within one thing that is seen from USUAL metres, less of one that is seen
 # from nearer: handles and necks have less than twice that.
@@ -77,11 +78,19 @@ class Thing(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What free-form surfaces cost: maps (H, W) of numbers, in nats, and of misfit that noise leaves; normals."""
+    """What free-form surfaces cost: maps (H, W) of square metres, of metres of edges, and of misfit that noise leaves;
+    normals."""
 
-    numbers: np.ndarray
+    area: np.ndarray
+    crease: np.ndarray
     misfit: np.ndarray
     normal: np.ndarray
+
+    def numbers(self, mask: np.ndarray) -> float:
+        """Return the nats that the numbers of the surface cost that a mask (H, W) shows."""
+        area, crease = float(self.area[mask].sum()), float(self.crease[mask].sum())
+        patch = PATCH * larger(area)
+        return NUMBER * (area / patch**2 + crease / patch)
 
 
 def take_things(
@@ -138,7 +147,7 @@ def cost_of(seen: Observation, jump: np.ndarray) -> Cost:
     area, crease = surface_lengths(seen.points, mask, normal, jump, seen.footprint)
     smooth = smooth_surface(seen.image.depth, mask)
     misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
-    return Cost(NUMBER * (area / PATCH**2 + crease / PATCH), misfit, normal)
+    return Cost(area, crease, misfit, normal)
 
 
 @njit(cache=True, nogil=True)
@@ -247,7 +256,8 @@ def pieces_of(
     pixels = np.bincount(place, minlength=count)
     inner = np.bincount(thing[inside], minlength=count)
     won = np.bincount(place, (misfit - cost.misfit)[thing >= 0], count)
-    numbers = np.bincount(place, cost.numbers[thing >= 0], count)
+    numbers = np.array([cost.numbers(thing == k) if pixels[k] >= FEWEST else np.inf for k in range(count)])
+    within /= [larger(area[owner == k].sum()) for k in range(count)]
     gain = won - price - settings.temper * numbers - nats * within
     found, total = [], 0.0
     for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > 0.0)):

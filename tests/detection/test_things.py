@@ -7,20 +7,20 @@ import pytest
 import trimesh
 from table_scenes import CAMERA, TABLE, seen_on_the_table
 
-from derender.detection.compounds import falling, goes_on, hangs_on, held_by_another, neck, slope_of
+from derender.detection.compounds import adrift, falling, goes_on, hangs_on, held_by_another, neck, slope_of
 from derender.detection.estimate import point_estimate
 from derender.detection.existence import outstanding
 from derender.detection.leftovers import interior
 from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART
 from derender.detection.search.observation import observe
-from derender.detection.segments import joined, one_rim
+from derender.detection.segments import WIDE, joined, one_rim
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.symmetry import foot_radius, vertical_axis
-from derender.detection.things import clear_of_edges, made_thing
+from derender.detection.things import Cost, clear_of_edges, made_thing
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
@@ -99,6 +99,36 @@ def test_pieces_are_joined_where_their_edge_is_short():
         assert (
             len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.full(2, 0.01)))) == things
         )
+
+
+def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
+    points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
+    points[:, 2:, 2] = 0.5
+    mask, even = np.ones((2, 2), bool), np.full((2, 2), 0.25)
+    prices = []
+    for times in (1.0, 5.0):
+        edges, area = 0.05 * times * np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, 0.5 * (WIDE * times) ** 2)
+        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), area)
+        assert len(np.unique(owner)) == 1
+        prices.append(Cost(even * (WIDE * times) ** 2, even * 0.3 * times, even, points).numbers(mask))
+    assert prices[0] == pytest.approx(prices[1])
+
+
+def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_does_not():
+    column, wide, tall = trimesh.creation.box([0.1, 0.1, 0.2]), trimesh.creation.box([0.2, 0.2, 0.1]), 0.1
+    wide.apply_translation([0.0, 0.0, -0.05])
+    column.apply_translation([0.0, 0.0, 0.0])
+    narrow = trimesh.creation.box([0.1, 0.1, 0.1])
+    narrow.apply_translation([0.0, 0.0, 0.05])
+    for whole, expected in ((column, (0, 1)), (trimesh.util.concatenate([narrow, wide]), None)):
+        mesh = whole.vertices, np.ascontiguousarray(whole.faces, np.int32)
+        seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, tuple(whole.extents), mesh)]), CAMERA)
+        jump = np.ascontiguousarray(APART * seen.footprint)
+        normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
+        over = seen.points[..., 2] > tall + 0.002
+        masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
+        assert min(mask.sum() for mask, _ in masks) > 50
+        assert adrift(seen, State(), masks, normal, jump) == expected
 
 
 def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
