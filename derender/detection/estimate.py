@@ -19,7 +19,6 @@ from derender.detection.search.observation import CORRELATED, Observation, Suppo
 from derender.detection.search.proposals import all_hypotheses
 from derender.detection.search.searches import Interrupted, first_search, search
 from derender.detection.search.surface import make_surface
-from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.state import State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import BAD, likely_things, take_things, without_background
@@ -92,7 +91,7 @@ def on_one_floor(
         the view; None: it tells.
     """
     fills = correlation is not None
-    floor = (bare_image() if settings.beliefs is None else settings.beliefs).loose.floor
+    floor = settings.believed.loose.floor
     seen = observe(depth, camera, widest, plane, settings.may_float, fills, floor)
     if seen.no_floor and settings.free_forms:
         if returns_about(seen) < SPECKLED:
@@ -152,11 +151,10 @@ def with_freestanding(seen: Observation, settings: Settings) -> Observation:
     """
     good = seen.image.weight > 0
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * sensor_deviation(seen.image.depth))
-    masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin)
+    masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin, settings.believed.loose.things)
     if masks:
         seen = seen._replace(behind=good & ~np.any(masks, axis=0))
-    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
-    even = beliefs.loose.existence.even * settings.temper
+    even = settings.believed.loose.existence.even * settings.temper
     seen, things = likely_things(seen, State(), [(mask, even) for mask in masks], settings)
     return seen._replace(things=tuple(things))
 
@@ -180,7 +178,7 @@ def searched_well(
 def settings_for(settings: Settings, seen: Observation) -> Settings:
     """Return the Settings for an Observation: a sensor's neighbouring pixels tell the less the more there are."""
     settings = settings.for_correlation(seen.correlation)
-    columns = (bare_image() if settings.beliefs is None else settings.beliefs).loose.shared.columns
+    columns = settings.believed.loose.shared.columns
     if seen.correlation > CORRELATED and seen.camera["width"] > columns:
         settings = settings.for_pixels((seen.camera["width"] / columns) ** 2)
     return settings

@@ -7,7 +7,6 @@ import numpy as np
 from derender.detection.freestanding import FARTHER, JOINED, outline_shares
 from derender.detection.search.bodies import APART
 from derender.detection.segments import outline_area
-from derender.detection.solids.beliefs import bare_image
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
@@ -23,8 +22,7 @@ def existence_of(
 
     below : (H, W) bool, pixels of the solid that it stands on.
     """
-    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
-    return beliefs.loose.existence.of(gain / settings.temper, outstanding(seen, mask, below))
+    return settings.believed.loose.existence.of(gain / settings.temper, outstanding(seen, mask, below))
 
 
 def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> float:

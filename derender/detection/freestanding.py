@@ -12,6 +12,7 @@ from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import SLANTED, TIGHT
 from derender.detection.segments import joined, segments
+from derender.scene.priors.bare_image import Things
 
 REACH = 6  # pixels within which what lies beyond an outline is looked for: what a silhouette leaves without returns
 JOINED, FARTHER, NEARER, NOTHING, BORDER = range(5)  # what lies beyond a pixel of the outline
@@ -21,11 +22,11 @@ FREE, CUT = 0.4, 0.1
 FEWEST = 40  # pixels of a piece
 LARGEST, SMALLEST = 0.6, 0.02  # metres of a piece's longest and second extent
 ENDS = 0.02  # share of a piece's points beyond the ends of its extents: flying pixels
-EDGE, THING = 770.0, 47.0  # nats of each metre of concave edge within one piece, and of one more: as in `things.py`
+THING = 47.0  # nats of one more piece: as in `things.py`
 
 
 def freestanding(
-    points: np.ndarray, good: np.ndarray, jump: np.ndarray, footprint: np.ndarray, origin: np.ndarray
+    points: np.ndarray, good: np.ndarray, jump: np.ndarray, footprint: np.ndarray, origin: np.ndarray, believed: Things
 ) -> list[np.ndarray]:
     """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first.
 
@@ -34,13 +35,14 @@ def freestanding(
     points : (H, W, 3) float64, an upright frame. good : (H, W) bool, pixels with a depth that may be a piece's.
     jump : (H, W) metres between neighbours of one piece, at most. footprint : (H, W) metres across a pixel.
     origin : (3,) the camera's centre.
+    believed : of their surfaces.
     """
     normal, _, _ = local_planes(points, good, origin, jump, 2)
     label, count, edges = segments(points, good, normal, jump, footprint)
     if count == 0:
         return []
     area = np.bincount(label[label >= 0], footprint[label >= 0] ** 2, count)
-    owner = joined(points, label, count, edges, THING, EDGE, origin, area)
+    owner = joined(points, label, count, edges, THING, believed.edge / believed.patch, origin, area, believed)
     piece = np.where(label >= 0, owner[label], -1)
     free = stand_free(outline_shares(piece, count, points, good, jump, footprint, origin))
     pixels = np.bincount(piece[piece >= 0], minlength=count)

@@ -20,18 +20,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import State, held_out, run_polish
 from derender.detection.solids.support import assign_supports, share_over
-from derender.detection.things import (
-    BAD,
-    BENEATH,
-    ENDS,
-    INNER,
-    LARGEST,
-    PATCH,
-    clear_of_edges,
-    cost_of,
-    shows_below,
-    standing,
-)
+from derender.detection.things import BAD, BENEATH, ENDS, INNER, LARGEST, clear_of_edges, cost_of, shows_below, standing
 
 LEFT_PRICE = 10.0  # nats of a thing where something is there beyond doubt
 LEFT_LEAST = 15.0  # nats of such a solid at least, unless
@@ -52,8 +41,10 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
-    cost = cost_of(seen, jump)
-    piece, count = label_bodies(*bridged(seen.points, left, jump, seen.footprint, image.weight == 0, PATCH))
+    cost = cost_of(seen, jump, settings.believed.loose.things)
+    piece, count = label_bodies(
+        *bridged(seen.points, left, jump, seen.footprint, image.weight == 0, cost.believed.patch)
+    )
     shows = seen.mask & ~left & (image.floor > depth)
     for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
         whole, mask = piece == k, (piece == k) & left

@@ -5,14 +5,13 @@ local convexity, CVPR 2014). So a surface is cut there, and two pieces are one t
 that it costs less than another thing.
 """
 
-from typing import Any
-
 import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.local_planes import separation
 from derender.detection.outline import convex_outline
 from derender.detection.search.bodies import TIGHT, label_bodies
+from derender.scene.priors.bare_image import Things
 
 REACH = 2  # pixels on either side over which the normals are compared
 CONCAVE = np.cos(np.radians(30.0))  # of the normals on both sides of an edge
@@ -27,7 +26,6 @@ BEHIND = 0.7  # cosine between the way from the camera and that from one piece t
 # Most times the pieces' outlines, seen from above, that their common outline may hold, and most times as deep as wide
 # that it may be as the camera sees it: two mugs, one behind the other, are twice as deep.
 FILLED, DEEPER = 1.5, 1.4
-WIDE = 0.2  # metres: a usual thing's front; edges and bends of what is larger are as much longer
 MOST_POINTS = 150  # of a piece, that distances are taken between
 
 
@@ -120,11 +118,6 @@ def segments(
     return label, count, common_edges(points, label, count, jump, footprint)
 
 
-def larger(area: Any) -> Any:
-    """Return how many times larger than usual a thing is that shows so many square metres; at least 1."""
-    return np.maximum(1.0, np.sqrt(area) / WIDE)
-
-
 def joined(
     points: np.ndarray,
     label: np.ndarray,
@@ -134,19 +127,20 @@ def joined(
     nats: float,
     origin: np.ndarray,
     area: np.ndarray,
+    believed: Things,
 ) -> np.ndarray:
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
     price : nats of one more thing. nats : of each metre of edge within a thing as large as usual. origin : (3,) the
         camera's centre.
     area : (N,) square metres of each piece. A handle or a cap is joined along much of its width: two pieces whose
-        common edge is short beside the smaller one are two objects that touch.
+        common edge is short beside the smaller one are two objects that touch. believed : of what is large.
     """
     owner = np.arange(count)
     edges, area = edges.copy(), np.array(area, float)
     while count > 1:
         neck = NECK * np.sqrt(np.minimum(area[:, None], area))
-        gains = np.where(edges > neck, price - nats * edges / larger(area[:, None] + area), -np.inf)
+        gains = np.where(edges > neck, price - nats * edges / believed.larger(area[:, None] + area), -np.inf)
         a, b = np.unravel_index(np.argmax(gains), gains.shape)
         if gains[a, b] <= 0.0:
             break

@@ -1,8 +1,8 @@
 """Free-form things: bodies of pixels over the support that primitives do not explain become one thing each.
 
 Whether some primitives or a free-form surface explain a body is a matter of description length. A surface that is
-anyhow smooth needs a number for each patch of PATCH by PATCH metres beyond what its neighbours tell, and as many again
-for each PATCH of an edge or a jump within it; a number known to a tenth of what it might have been costs NUMBER nats. A
+anyhow smooth needs a number for each patch beyond what its neighbours tell, and as many again for each patch's length
+of an edge or a jump within it; what they cost the prior's file says (`Things`). A
 primitive costs what the search asks for it, and its misfit. So a box that fits stays a box, whatever its size, and a
 bowl is not eight of them.
 """
@@ -20,7 +20,7 @@ from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
-from derender.detection.segments import joined, larger, segments
+from derender.detection.segments import joined, segments
 from derender.detection.solids.image import Image, make_row
 from derender.detection.solids.interpenetration import highest
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
@@ -30,14 +30,9 @@ from derender.detection.solids.support import flat_top, share_over
 from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
+from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX
 
-# Metres over which household surfaces bend little; what is `larger` bends over ways that are as much longer.
-PATCH = 0.03
-NUMBER = 2.3  # nats: log 10
-# Nats against PATCH metres of a concave edge within one thing that is seen from USUAL metres, less of one that is seen
-# from nearer: handles and necks have less than twice that.
-EDGE = 23.0
 CREASE = np.cos(np.radians(35.0))  # of the normals two pixels before and after an edge
 BAD = 4.5  # misfit of a pixel that is not explained
 FEWEST = 12  # pixels of a thing
@@ -79,18 +74,19 @@ class Thing(NamedTuple):
 
 class Cost(NamedTuple):
     """What free-form surfaces cost: maps (H, W) of square metres, of metres of edges, and of misfit that noise leaves;
-    normals."""
+    normals; what is believed of them."""
 
     area: np.ndarray
     crease: np.ndarray
     misfit: np.ndarray
     normal: np.ndarray
+    believed: Things
 
     def numbers(self, mask: np.ndarray) -> float:
         """Return the nats that the numbers of the surface cost that a mask (H, W) shows."""
         area, crease = float(self.area[mask].sum()), float(self.crease[mask].sum())
-        patch = PATCH * larger(area)
-        return NUMBER * (area / patch**2 + crease / patch)
+        patch = self.believed.patch * self.believed.larger(area)
+        return self.believed.number * (area / patch**2 + crease / patch)
 
 
 def take_things(
@@ -112,7 +108,7 @@ def take_things(
     body, count = label_bodies(seen.points, seen.mask, jump)
     if count == 0:
         return state, []
-    cost = cost_of(seen, jump)
+    cost = cost_of(seen, jump, settings.believed.loose.things)
     keep = set(range(len(state)))
     for members in groups_of(image, state, body, count):
         keep = best_subset(seen, state, keep, members, cost, jump, settings, reluctance)
@@ -140,14 +136,14 @@ def likely_things(
     return seen._replace(behind=behind), found
 
 
-def cost_of(seen: Observation, jump: np.ndarray) -> Cost:
+def cost_of(seen: Observation, jump: np.ndarray, believed: Things) -> Cost:
     """Return the Cost of free-form surfaces for every pixel of an Observation."""
     mask = seen.mask
     normal, _, _ = local_planes(seen.points, mask, seen.image.origin, np.ascontiguousarray(jump), 2)
     area, crease = surface_lengths(seen.points, mask, normal, jump, seen.footprint)
     smooth = smooth_surface(seen.image.depth, mask)
     misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
-    return Cost(area, crease, misfit, normal)
+    return Cost(area, crease, misfit, normal, believed)
 
 
 @njit(cache=True, nogil=True)
@@ -244,9 +240,9 @@ def pieces_of(
     if count == 0:
         return [], 0.0
     price = complexity(BOX, UPRIGHT, False, settings)
-    nats = settings.temper * EDGE / (PATCH * seen.scale)
+    nats = settings.temper * cost.believed.edge / (cost.believed.patch * seen.scale)  # nearer things have smaller edges
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
-    owner = joined(seen.points, label, count, edges, price, nats, image.origin, area)
+    owner = joined(seen.points, label, count, edges, price, nats, image.origin, area, cost.believed)
     thing = np.append(owner, -1)[label]  # of each pixel
     within = 0.5 * np.array([edges[np.ix_(owner == k, owner == k)].sum() for k in range(count)])
     inside = thing >= 0
@@ -257,7 +253,7 @@ def pieces_of(
     inner = np.bincount(thing[inside], minlength=count)
     won = np.bincount(place, (misfit - cost.misfit)[thing >= 0], count)
     numbers = np.array([cost.numbers(thing == k) if pixels[k] >= FEWEST else np.inf for k in range(count)])
-    within /= [larger(area[owner == k].sum()) for k in range(count)]
+    within /= [cost.believed.larger(area[owner == k].sum()) for k in range(count)]
     gain = won - price - settings.temper * numbers - nats * within
     found, total = [], 0.0
     for k in np.flatnonzero((pixels >= FEWEST) & (inner >= INNER * pixels) & (gain > 0.0)):

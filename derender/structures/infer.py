@@ -13,7 +13,7 @@ from derender.detection.estimate import point_estimate, settings_for
 from derender.detection.floor import read_floor
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Observation, of_whole_image
-from derender.detection.solids.beliefs import Beliefs, bare_image, beliefs_of, sensor_beliefs
+from derender.detection.solids.beliefs import Beliefs, beliefs_of, sensor_beliefs
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.detection.unit import in_metres, unit_of
@@ -53,7 +53,7 @@ class Case(NamedTuple):
     @property
     def beliefs(self) -> Beliefs:
         """What is believed before the image is seen."""
-        return bare_image() if self.settings.beliefs is None else self.settings.beliefs
+        return self.settings.believed
 
     @property
     def many(self) -> tuple[int, int]:
@@ -361,8 +361,7 @@ def likelihood_of(parts: "list[StructurePosterior]", observations: list[Observat
     if "likelihood" in best.extras and seen.factor == 1 and not too_far(depth).any():
         return best.extras["likelihood"]
     camera = whole_camera(camera, depth.shape)
-    beliefs = bare_image() if settings.beliefs is None else settings.beliefs
-    sensor = sensor_beliefs(beliefs, seen.correlation > CORRELATED)
+    sensor = sensor_beliefs(settings.believed, seen.correlation > CORRELATED)
     other = too_far(depth) | np.all([of_whole_image(each.behind, each, depth.shape) for each in observations], axis=0)
     name, numbers = image_likelihood(camera, np.where(other, -depth, depth), best.best()[0].solids(), sensor)
     return {"type": name, **numbers}

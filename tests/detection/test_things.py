@@ -14,7 +14,7 @@ from derender.detection.leftovers import interior
 from derender.detection.local_planes import local_planes
 from derender.detection.search.bodies import APART
 from derender.detection.search.observation import observe
-from derender.detection.segments import WIDE, joined, one_rim
+from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -24,6 +24,7 @@ from derender.detection.things import Cost, clear_of_edges, made_thing
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
+from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure
@@ -97,20 +98,23 @@ def test_pieces_are_joined_where_their_edge_is_short():
     for metres, things in ((0.04, 1), (0.2, 2)):
         edges = np.array([[0.0, metres], [metres, 0.0]])
         assert (
-            len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.full(2, 0.01)))) == things
+            len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.full(2, 0.01), Things())))
+            == things
         )
 
 
 def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
     points, label = np.zeros((4, 4, 3)), np.repeat([[0, 0, 1, 1]], 4, axis=0)
     points[:, 2:, 2] = 0.5
-    mask, even = np.ones((2, 2), bool), np.full((2, 2), 0.25)
+    mask, even, believed = np.ones((2, 2), bool), np.full((2, 2), 0.25), Things()
     prices = []
     for times in (1.0, 5.0):
-        edges, area = 0.05 * times * np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, 0.5 * (WIDE * times) ** 2)
-        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), area)
+        edges, area = 0.05 * times * np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, 0.5 * (believed.wide * times) ** 2)
+        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), area, believed)
         assert len(np.unique(owner)) == 1
-        prices.append(Cost(even * (WIDE * times) ** 2, even * 0.3 * times, even, points).numbers(mask))
+        prices.append(
+            Cost(even * (believed.wide * times) ** 2, even * 0.3 * times, even, points, believed).numbers(mask)
+        )
     assert prices[0] == pytest.approx(prices[1])
 
 
@@ -136,7 +140,7 @@ def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
     points[:, 2:, 2] = 0.5
     edges = np.array([[0.0, 0.012], [0.012, 0.0]])
     for area, things in (([0.007, 0.006], 2), ([0.007, 0.0006], 1)):
-        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.array(area))
+        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.array(area), Things())
         assert len(np.unique(owner)) == things
 
 

@@ -94,7 +94,7 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
         ("slack_seen: 2 mm", "slack_seen: 3 mm"),
         ("stranger: 0.05", "stranger: 0.2"),
         ("shared: {power: 1.5,", "shared: {power: 1.0,"),
-        ("things: {hidden: 0.1", "things: {hidden: 0.3"),
+        ("things: {patch: 30 mm, wide: 20 cm, number: 2.3, edge: 23, hidden: 0.1", "things: {patch: 4 cm, hidden: 0.3"),
         ("explained: 0.95", "explained: 0.9"),
     ):
         assert text.count(old) == 1
@@ -104,7 +104,7 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
     beliefs = beliefs_of(document.prior, document.likelihood)
     loose = beliefs.loose
     assert (loose.slack_seen, loose.stranger, loose.shared) == (0.003, 0.2, replace(Shared(), power=1.0))
-    assert loose.things == Things(hidden=0.3) and loose.missed == replace(Missed(), explained=0.9)
+    assert loose.things == Things(patch=0.04, hidden=0.3) and loose.missed == replace(Missed(), explained=0.9)
     assert loose.tipping == 0.5 and beliefs.sensor is document.likelihood
     rules = Rules(beliefs.loose.slack, beliefs=beliefs)
     off = [

@@ -82,10 +82,15 @@ class Settings(NamedTuple):
     until: float | None = None
 
     @property
+    def believed(self) -> Beliefs:
+        """What is believed of weights and draws."""
+        return bare_image() if self.beliefs is None else self.beliefs
+
+    @property
     def rules(self) -> Rules:
         """What solids may do to each other, see beliefs.Rules."""
         overlap = np.inf if self.may_overlap else None
-        beliefs = bare_image() if self.beliefs is None else self.beliefs
+        beliefs = self.believed
         slack = beliefs.loose.slack_seen if self.faces > 0.0 else beliefs.loose.slack
         return Rules(slack, overlap, self.may_float, beliefs, self.faces)
 

@@ -6,6 +6,7 @@ sinking into each other, touching nothing) is a density about those contacts: in
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -72,17 +73,28 @@ class Missed:
 
 @dataclass(frozen=True)
 class Things:
-    """What is believed of the extents of free-form things.
+    """What is believed of free-form things: of their surfaces, and of their extents.
 
     Attributes
     ----------
+    patch : metres over which a usual thing's surface bends little. wide : metres across the front of a usual thing;
+        what is larger bends over ways that are as much longer. number : nats of what each patch says beyond what its
+        neighbours tell. edge : nats against a concave edge within one thing as long as a patch.
     hidden : standard deviation, as a share of an extent along the line of sight, of how much farther it reaches than is
         seen; what is round reaches as far as its axis tells.
     silhouette : pixels by which an extent is off because silhouettes lie anywhere between two.
     """
 
+    patch: float = 0.03
+    wide: float = 0.2
+    number: float = 2.3
+    edge: float = 23.0
     hidden: float = 0.1
     silhouette: float = 0.4
+
+    def larger(self, area: Any) -> Any:
+        """Return how many times larger than usual a thing is that shows so many square metres; at least 1."""
+        return np.maximum(1.0, np.sqrt(area) / self.wide)
 
 
 @dataclass(frozen=True)
@@ -307,9 +319,12 @@ def read_loose(section: Section) -> Loose:
         numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
         found["existence"] = Existence(**numbers)
     if "things" in section:
-        told = section["things"].section().allow("hidden", "silhouette")
-        names = [each.name for each in fields(Things)]
-        found["things"] = Things(**{name: told[name].number(lower=0.0) for name in names if name in told})
+        told = section["things"].section().allow(*(each.name for each in fields(Things)))
+        lengths = {"patch": 1e-6, "wide": 1e-6}
+        found["things"] = Things(**{
+            each.name: told[each.name].number("m" if each.name in lengths else "", lower=lengths.get(each.name, 0.0))
+            for each in fields(Things) if each.name in told
+        })  # fmt: skip
     if "floor" in section:
         names = [each.name for each in fields(Floors)]
         told = section["floor"].section().allow(*names)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import Image, draw, make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import misfit_map
@@ -313,7 +312,7 @@ class Placement:
         settings, kind = self.settings, int(row[0])
         sizes = 1 if item.cube or kind == SPHERE else 3 if kind == BOX else 2
         tilted = settings.free_price if item.form == FREE and kind != SPHERE else 0.0
-        stranger = (bare_image() if settings.beliefs is None else settings.beliefs).loose.stranger
+        stranger = settings.believed.loose.stranger
         known = np.log((1.0 - stranger) / stranger)  # nats, of the prior odds of being one of the library's objects
         return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + known * settings.temper
 
