@@ -1,25 +1,30 @@
 """Free-form things in a posterior: each part of it gets them as objects, with what is not known of their extents."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.detection.outline import convex_outline
+from derender.detection.rivals import swaps
 from derender.detection.search.bodies import APART
-from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, vertex_of
+from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
-from derender.detection.solids.state import FLOOR, State
+from derender.detection.solids.state import FLOOR, State, subset
+from derender.detection.things import Thing
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.thing import encode_surface
+from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
+from derender.structures.weighing import NEAR_ERROR
 
 if TYPE_CHECKING:
+    from derender.detection.search.greedy import Settings
     from derender.detection.search.observation import Observation
-    from derender.detection.things import Thing
     from derender.results.posterior import StructurePosterior
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 MEDIAN = 0.6745  # of the absolute value of a standard normal
+NORMAL_95 = 1.645  # standard deviations of a normal between which and minus which nine of ten lie
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
@@ -37,14 +42,64 @@ def with_things(
     """
     if not seen.things:
         return parts
-    jump = APART * seen.footprint + 3.0 * seen.sigma
     names = names_of(state)
-    made = []
-    for thing in seen.things:
-        row, hidden = reaching(thing, believed.hidden)
-        made.append((thing, *surface_of(seen.image, thing.mask, row, jump), hidden))
-    noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
-    return [_with_all(rng, part, state, names, made, noise) for part in parts]
+    made = [Made.of(thing_name(k), thing, seen, believed) for k, thing in enumerate(seen.things)]
+    return [_with_all(rng, part, names, made) for part in parts]
+
+
+def with_rivals(
+    rng: np.random.Generator, parts: "list[StructurePosterior]", seen: "Observation", state: State, settings: "Settings"
+) -> "list[StructurePosterior]":
+    """Return StructurePosteriors in which each thing may be a solid, and each solid on which nothing stands a thing.
+
+    What takes another's place has its name. The likeliest MOST_PARTS are told, of which the new ones are modes alone.
+    """
+    names = names_of(state)
+    believed = settings.believed.loose.things
+    for swap in swaps(rng, seen, state, settings):
+        if swap.odds < -NEGLIGIBLE:
+            continue
+        free = isinstance(swap.instead, Thing)
+        name = names[swap.place] if free else thing_name(swap.place)
+        share, low, high = 1.0 / (1.0 + np.exp(-(swap.odds + NEAR_ERROR * np.array([0.0, -NORMAL_95, NORMAL_95]))))
+        both = []
+        for part in parts:
+            if name not in part.graph.names or (part.graph.vertex(name).shape == "thing") == free:
+                both.append(part)
+                continue
+            left = without_object(part.best_only(), name)
+            if isinstance(swap.instead, Thing):
+                other = _with_all(rng, left, names, [Made.of(name, swap.instead, seen, believed)])
+            else:
+                other = with_solid(left, swap.instead, [*names, name])
+            for each, ends in ((part, (1.0 - share, 1.0 - high, 1.0 - low)), (other, (share, low, high))):
+                scaled = each.scaled(float(ends[0]))
+                error = float(np.hypot(scaled.weight_error, part.weight * NEAR_ERROR * share * (1.0 - share)))
+                least, most = part.weight_interval or (part.weight, part.weight)
+                interval = float(least * ends[1]), float(most * ends[2])
+                both.append(replace(scaled, weight_error=error, weight_interval=interval))
+        parts = sorted(both, key=lambda part: -part.weight)[:MOST_PARTS]
+    return parts
+
+
+def without_object(part: "StructurePosterior", name: str) -> "StructurePosterior":
+    """Return a StructurePosterior without an object on which nothing stands, and its numbers."""
+    kept = [k for k, address in enumerate(part.addresses) if address.partition(".")[0] != name]
+    return replace(
+        part,
+        graph=part.graph.remove(name),
+        addresses=tuple(part.addresses[k] for k in kept),
+        values=part.values[..., kept],
+        periods=tuple(part.periods[k] for k in kept) if part.periods else (),
+    )
+
+
+def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "StructurePosterior":
+    """Return a StructurePosterior with the last solid of a State, of these names, as it is."""
+    own = scene_graph(state, part.graph.root_pose, names).vertex(names[-1])
+    if own.parent not in part.graph.names:
+        own = scene_graph(subset(state, {len(state) - 1}), part.graph.root_pose, names[-1:]).vertex(names[-1])
+    return replace(part, graph=part.graph.add(own))
 
 
 def reaching(thing: "Thing", farther: float) -> "tuple[np.ndarray, np.ndarray]":
@@ -59,18 +114,36 @@ def reaching(thing: "Thing", farther: float) -> "tuple[np.ndarray, np.ndarray]":
     return row, hidden
 
 
+class Made(NamedTuple):
+    """A free-form thing of which all is known that a graph's vertex takes.
+
+    name : its own. thing : Thing. surface, size, centre : see `surface_of`. hidden : (3,) metres not known of its
+    extents, besides `noise`.
+    """
+
+    name: str
+    thing: Thing
+    surface: str
+    size: np.ndarray
+    centre: np.ndarray
+    hidden: np.ndarray
+    noise: float
+
+    @classmethod
+    def of(cls, name: str, thing: Thing, seen: "Observation", believed: Things) -> "Made":
+        """Return what a Thing of an Observation is made to."""
+        row, hidden = reaching(thing, believed.hidden)
+        surface = surface_of(seen.image, thing.mask, row, APART * seen.footprint + 3.0 * seen.sigma)
+        noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
+        return cls(name, thing, *surface, hidden, noise)
+
+
 def _with_all(
-    rng: np.random.Generator,
-    part: "StructurePosterior",
-    state: State,
-    names: list[str],
-    made: "list[tuple[Thing, str, np.ndarray, np.ndarray, np.ndarray]]",
-    noise: float,
+    rng: np.random.Generator, part: "StructurePosterior", names: list[str], made: list[Made]
 ) -> "StructurePosterior":
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
-    for number, (thing, surface, size, centre, hidden) in enumerate(made):
-        name = thing_name(number)
+    for name, thing, surface, size, centre, hidden, noise in made:
         row = thing.row.copy()
         row[CENTRE:SIZE], row[SIZE:] = centre, size
         vertex = vertex_of(row, False, name)

@@ -199,12 +199,14 @@ def finished(rng: np.random.Generator, case: Case, parts: "list[StructurePosteri
              settings: Settings) -> "list[StructurePosterior]":  # fmt: skip
     """Return the structures over one plane with the free-form things, bridges and grids that the search leaves out."""
     from derender.structures.bridges import with_bridges
-    from derender.structures.free_forms import with_things
+    from derender.structures.free_forms import with_rivals, with_things
     from derender.structures.grids import with_grids
 
     parts = with_things(rng, with_bridges(parts, settings.rules), seen, state, case.beliefs.loose.things)
     if not settings.free_forms:
         return parts
+    if not case.only_best:
+        parts = with_rivals(rng, parts, seen, state, settings)
     return with_grids(parts, image_of(seen, case, settings.temper), case.beliefs)
 
 

@@ -12,7 +12,9 @@ from derender.detection.estimate import point_estimate
 from derender.detection.existence import outstanding
 from derender.detection.leftovers import interior
 from derender.detection.local_planes import local_planes
+from derender.detection.rivals import swaps
 from derender.detection.search.bodies import APART
+from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
 from derender.detection.solids.beliefs import bare_image
@@ -133,6 +135,20 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
         masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
         assert min(mask.sum() for mask, _ in masks) > 50
         assert adrift(seen, State(), masks, normal, jump) == expected
+
+
+def test_a_box_is_likelier_than_a_free_form_and_a_bowl_is_none():
+    box, rng = (BOX, 0.0, 0.0, (0.09, 0.07, 0.12), None), np.random.default_rng(0)
+    for solid, likely in ((box, True), ((MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl()), False)):
+        seen = observe(seen_on_the_table([solid]), CAMERA)
+        seen = seen._replace(things=(made_thing(seen, State(), seen.mask, (1.0, 0.0)),))
+        (swap,) = swaps(rng, seen, State(), Settings())
+        assert swap.odds == 0.0 if likely else swap.odds < -20.0
+    seen = observe(seen_on_the_table([box]), CAMERA)
+    place = np.linalg.inv(seen.floor.pose) @ TABLE
+    row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.06, 1.0], np.array([0.09, 0.07, 0.12]))
+    (swap,) = swaps(rng, seen, State().add(row, UPRIGHT, False, FLOOR, 0.0), Settings())
+    assert swap.odds < -20.0
 
 
 def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from derender import data_path
+from derender.detection.rivals import Swap
+from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image, beliefs_of
 from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.things import Thing
 from derender.document import read_document, read_prior_document
 from derender.errors import DerenderError
-from derender.results.posterior import StructurePosterior
+from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.priors.bare_image import Cartons, Loose, Missed, Shared, Things, tips
 from derender.scene.solids import BOX
@@ -210,3 +213,25 @@ def test_a_thing_reaches_as_much_farther_along_the_line_of_sight_as_the_file_say
             0.1 * believed.hidden * (1.96 - 0.0627), rel=0.15
         )
         assert height.std() == pytest.approx(0.002 * believed.silhouette, rel=0.1)
+
+
+def test_what_a_thing_may_be_instead_has_its_share(monkeypatch):
+    size, even = np.array([0.1, 0.1, 0.1]), np.full((4, 4), 0.002)
+    monkeypatch.setattr(free_forms, "surface_of", lambda *_: ("", size, np.array([0.0, 0.0, 0.05])))
+    row = make_row(BOX, np.eye(3), [0.0, 0.0, 0.05], size)
+    thing = Thing(np.ones((4, 4), bool), row, FLOOR, (0.9, 0.05), np.zeros(3))
+    seen = SimpleNamespace(things=(thing,), footprint=even, sigma=1e-6 * even, image=None)
+    none, rng, settings = np.zeros((2, 50)), np.random.default_rng(0), Settings()
+    part = StructurePosterior(scene(), (), np.zeros((2, 50, 0)), none, none)
+    parts = free_forms.with_things(rng, [part], seen, State(), Things())
+    box = State().add(row, UPRIGHT, False, FLOOR, 0.0)
+    for odds, count in ((-1.0, 2), (-20.0, 1)):
+        monkeypatch.setattr(free_forms, "swaps", lambda *_, odds=odds: [Swap(0, odds, box)])
+        found = Posterior(tuple(free_forms.with_rivals(rng, parts, seen, State(), settings)))
+        assert len(found.parts) == count and sum(each.weight for each in found.parts) == pytest.approx(1.0)
+        assert found.object_probability("thing_1") == pytest.approx(1.0)
+    monkeypatch.setattr(free_forms, "swaps", lambda *_: [Swap(0, -1.0, box)])
+    found = Posterior(tuple(free_forms.with_rivals(rng, parts, seen, State(), settings)))
+    assert found.shape_probability("thing_1")["box"] == pytest.approx(1.0 / (1.0 + np.exp(1.0)))
+    back = free_forms.with_rivals(rng, [found.parts[1]], seen, State(), settings)
+    assert len(back) == 1  # it is that solid already
