@@ -63,6 +63,7 @@ class Thing(NamedTuple):
     existence : (probability that it is an object and no clutter, standard error of that).
     away : (3,) along its box's axes, the level unit vector away from the camera, on which side what is hidden of it
         reaches farther than its box; zeros of what is round, for whose far side the axis tells.
+    guessed : (3,) metres of its box that nothing shows, but that household things are as deep.
     """
 
     mask: np.ndarray
@@ -70,6 +71,7 @@ class Thing(NamedTuple):
     parent: int
     existence: tuple[float, float]
     away: np.ndarray
+    guessed: np.ndarray = np.zeros(3)
 
 
 class Cost(NamedTuple):
@@ -386,9 +388,10 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     away = (points.mean(axis=0) - seen.image.origin) @ upright
     size = ends[1] - ends[0]
     k = int(size[:2].argmin())
-    usual = np.sqrt(max(size[1 - k] * size[2], 0.0))
+    usual, guessed = np.sqrt(max(size[1 - k] * size[2], 0.0)), np.zeros(3)
     if axis is None and size[k] < SHALLOW * usual:
-        ends[int(away[k] > 0.0), k] += np.sign(away[k]) * (DEPTH * usual - size[k])
+        guessed[k] = DEPTH * usual - size[k]
+        ends[int(away[k] > 0.0), k] += np.sign(away[k]) * guessed[k]
     size = np.maximum(ends[1] - ends[0], THINNEST)
     away = np.zeros(3) if axis is not None else np.append(away[:2] / max(float(np.hypot(*away[:2])), 1e-9), 0.0)
-    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, existence, away)
+    return Thing(mask, make_row(BOX, upright, upright @ (ends[0] + 0.5 * size), size), parent, existence, away, guessed)

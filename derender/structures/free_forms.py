@@ -106,12 +106,14 @@ def reaching(thing: "Thing", farther: float) -> "tuple[np.ndarray, np.ndarray]":
     """Return (row (ROW,) of a thing's box as far as it reaches in the median, metres (3,) not known of that).
 
     farther : share of an extent along the line of sight, the standard deviation of a normal whose absolute value is how
-        much farther it reaches than is seen: what is best said of a thing is the median of its draws.
+        much farther it reaches than is seen: what is best said of a thing is the median of its draws. What is guessed
+        is the median of all that is behind what is seen.
     """
     row, hidden = thing.row.copy(), farther * thing.row[SIZE:] * np.abs(thing.away)
+    hidden[thing.guessed > 0.0] = 0.0
     row[SIZE:] += MEDIAN * hidden
     row[CENTRE:SIZE] += rotation_of(row) @ (0.5 * MEDIAN * hidden * np.sign(thing.away))
-    return row, hidden
+    return row, hidden + thing.guessed / MEDIAN
 
 
 class Made(NamedTuple):
@@ -161,7 +163,9 @@ def _with_all(
         graph = graph.add(vertex)
         for (key, value), behind in zip(numbers.items(), hidden, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))
-            drawn = np.maximum(value + behind * (np.abs(more) - MEDIAN) + noise * off, LEAST * value)
+            drawn = np.maximum(
+                value + behind * (np.abs(more) - MEDIAN) + noise * off, LEAST * (value - MEDIAN * behind)
+            )
             drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)

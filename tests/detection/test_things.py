@@ -28,7 +28,7 @@ from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
-from derender.structures.free_forms import closed_surface, surface_of, visible_surface
+from derender.structures.free_forms import closed_surface, reaching, surface_of, visible_surface
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -398,12 +398,18 @@ def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
                            image=SimpleNamespace(origin=np.array([0.0, -0.4, 0.5]), taps=np.ones(1)),
                            no_floor=False)  # fmt: skip
     mask = np.ones((30, 30), bool)
-    row = made_thing(seen, State(), mask, 50.0).row
+    thing = made_thing(seen, State(), mask, 50.0)
+    row = thing.row
     turn, size = np.abs(row[1:10].reshape(3, 3)), row[13:16]
     assert turn @ size == pytest.approx([0.103, 0.7 * np.sqrt(0.103 * 0.1), 0.1], abs=0.004)
     assert row[11] - 0.5 * (turn @ size)[1] == pytest.approx(0.5, abs=0.003)  # and all of that is behind
+    # Half as deep, or as deep again, is as likely as not: that is a guess, of which only what is seen is sure.
+    assert thing.guessed.max() == pytest.approx(0.7 * np.sqrt(0.103 * 0.1), abs=0.006)
+    whole, hidden = reaching(thing, 0.1)
+    assert whole[13:16] == pytest.approx(row[13:16]) and hidden.max() == pytest.approx(thing.guessed.max() / 0.6745)
     points[..., 1] += 0.8 * up  # a slope shows how deep it is
-    assert made_thing(seen, State(), mask, 50.0).row[13:16].max() < 0.12
+    thing = made_thing(seen, State(), mask, 50.0)
+    assert thing.row[13:16].max() < 0.12 and not thing.guessed.any()
 
 
 def test_a_small_box_on_another_is_a_box_where_pixels_count_for_fewer():
