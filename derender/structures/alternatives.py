@@ -34,8 +34,10 @@ from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import (
     Refined,
     at_mode,
+    climb,
     floor_pose_of,
     height,
+    members_of,
     near_evidence,
     pixels_of,
     refined_at,
@@ -66,7 +68,8 @@ SQUARER = 0.87  # times as wide as a circle is a square of about the same outlin
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
-QUICK = 50  # steps of each temperature for one changed solid
+AGAIN = 2  # climbs of a changed solid that is not pruned
+QUICK, MOST_PATIENT = 50, 4.0  # steps of each temperature for one changed solid, and times as many at most
 # Structures, the likeliest if no change told anything of another, and solids, those most likely other than in the best:
 # with twenty that are open there are more combinations than can be counted.
 MOST_COMBINED = 6
@@ -195,16 +198,22 @@ def of_one_solid(
 
     shapes : names of those that it may be instead, where that hardly shows.
     """
-    floor = floor_pose_of(best)
-    found: list[Refined] = []
-    for state in [*changes(best, i), *other_shapes(best, i, shapes)]:
-        if not still_bears(best, state, i):
-            continue
-        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, [i])
-        if height(trial) > height(best) - PROMISING:
-            trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
-        if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial):
-            found.append(trial)
+    floor, steps = floor_pose_of(best), quick_steps(int(pixels_of(best)[i]))
+
+    def likely(states: list[State]) -> list[Refined]:
+        found: list[Refined] = []
+        for state in states:
+            if not still_bears(best, state, i):
+                continue
+            trial = at_mode(rng, state, floor, best.sensor, rules, steps, [i])
+            if height(trial) > height(best) - PROMISING:
+                trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
+            if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial):
+                found.append(trial)
+        return found
+
+    found = likely([*changes(best, i), *other_shapes(best, i, shapes)])
+    found += likely(as_boxes(best, likeliest_of_each(found), i))
     propped = []
     for state in [] if rules.floating else propped_up(best, i, shapes):
         places = [i, len(state) - 1]
@@ -212,14 +221,44 @@ def of_one_solid(
         if height(trial) > height(best) - PROPPING:
             propped.append(with_own_sensor(rng, trial, places, WORTHWHILE))
     removed = without(best, i, floor, rules)
+    others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:
+        # what stands about it may have given way to what is not there: then it goes back once that is gone
+        others = weighed_whole(rng, best, [removed.state], rules, QUICK)
         removed = refitted(removed)
-    candidates = [(trial, [i]) for trial in likeliest_of_each(found)]
+    candidates = [(climbed_again(rng, trial, i, steps), [i]) for trial in likeliest_of_each(found)]
     if height(removed) > height(best) - PRUNE_THRESHOLD:
         candidates.append((removed, []))
     candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
     own = Block(best, [i])
-    return [of_block(rng, trial, places, own) for trial, places in candidates]
+    return [*others, *(of_block(rng, trial, places, own) for trial, places in candidates)]
+
+
+def as_boxes(best: Refined, trials: list[Refined], i: int) -> list[State]:
+    """Return the states in which solid `i`, a box or a cube in the trials and not in the best, is the other of the two.
+
+    What began with a round solid's place and size may have ended beside its mode, and leads there from the other's.
+    """
+    if int(best.state.rows[i][0]) == BOX:
+        return []
+    return [state for trial in trials for state in changes(trial, i) if state.parents[i] == trial.state.parents[i]]
+
+
+def quick_steps(pixels: int) -> int:
+    """Return the steps of each temperature for a changed solid that shows in so many pixels.
+
+    The fewer they are, the more ways it may lie that explain them about as well, and the less a step costs.
+    """
+    return int(QUICK * np.clip(FEW_PIXELS / max(pixels, 1), 1.0, MOST_PATIENT))
+
+
+def climbed_again(rng: np.random.Generator, trial: Refined, i: int, steps: int) -> Refined:
+    """Return the highest of a Refined and of AGAIN hot climbs of solid `i` from there: one alone may end beside the
+    mode, and what shows in few pixels may lie so or so."""
+    members = members_of(trial.chart, [i])
+    climbs = [climb(rng, trial.state, trial.chart, trial.values.copy(), trial.sensor, steps, members)
+              for _ in range(AGAIN)]  # fmt: skip
+    return max([trial, *climbs], key=height)
 
 
 def still_bears(best: Refined, state: State, i: int) -> bool:

@@ -149,21 +149,42 @@ def made_sure(rng, best, others, drawn, rules):
     tasks = [partial(odds_at, best=best, weighed=others[k], values=values, own=held, rules=rules)
              for k in close for values, held in zip(chosen, own[others[k].places[1]], strict=False)]  # fmt: skip
     found = np.array(in_threads(rng, tasks)).reshape(len(close), len(chosen), 2)
-    open_ = in_threads(rng, [partial(over_blur, refined=others[k].trial, solids=others[k].places[0]) for k in close])
     others = list(others)
-    for k, each, over in zip(close, found, open_, strict=True):
-        told, held = averaged(each[:, 0], each[:, 1]), own[others[k].places[1]][-1]
-        odds = told["odds"] + over.log - held.log
-        odds += others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
-        error = math.hypot(told["error"], over.standard_error, held.standard_error)
-        others[k] = others[k]._replace(odds=odds, error=error)
+    for k, each in zip(close, found, strict=True):
+        told = averaged(each[:, 0], each[:, 1])
+        apart = others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
+        others[k] = others[k]._replace(odds=told["odds"] + apart, error=told["error"])
     return others
 
 
 def integrals(rng: np.random.Generator, best: Refined, places: tuple[int, ...], draws: np.ndarray) -> list[Evidence]:
-    """Return the Evidences over some solids of the best with all else at draws (n, D), and last `over_blur` of them."""
-    held = [evidence_over(rng, best._replace(values=values.copy()), places) for values in draws]
-    return [*held, over_blur(rng, best, places)]
+    """Return the Evidences over some solids of the best, and the blur, with all else at draws (n, D)."""
+    return [over_all(rng, settled_at(rng, best, values, places), places) for values in draws]
+
+
+def settled_at(rng: np.random.Generator, best: Refined, values: np.ndarray, places: tuple[int, ...]) -> Refined:
+    """Return a Refined with all but some solids at a draw (D,), those climbed to their mode there.
+
+    They begin where they are likelier, as drawn or as in the Refined: a walk from a lesser mode that was drawn would
+    miss most of their integral, and a ratio to it be far too great.
+    """
+    if not places:
+        return best._replace(values=values.copy())
+    members, engine = members_of(best.chart, places), engine_of(best.chart, best.sensor)
+    as_before = values.copy()
+    as_before[members] = best.values[members]
+    start = max((values.copy(), as_before), key=lambda each: sum(load(engine, best.chart, each)))
+    return climb(rng, best.state, best.chart, start, best.sensor, SETTLING * len(places), members, ())
+
+
+def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]) -> Evidence:
+    """Return the Evidence over the coordinates of some solids and the blur.
+
+    What is drawn beside them was drawn with the blur open: under one blur it would speak for the structure whose own
+    that happens to be.
+    """
+    held, more = evidence_over(rng, refined, places), over_blur(rng, refined, places)
+    return evidence_of(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
 
 
 def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float]:
@@ -184,7 +205,7 @@ def odds_at(
 ) -> tuple[float, float]:
     """Return (log odds, error) of a structure against the best with what they share at a draw (D,) of the best.
 
-    own : Evidence over the best's solids that differ, there.
+    own : Evidence over the best's solids that differ and the blur, there.
     """
     trial, (places, own_places) = weighed.trial, weighed.places
     here = best._replace(values=values.copy())
@@ -203,7 +224,7 @@ def odds_at(
         found = Refined(state, chart, start, trial.sensor, *load(engine_of(chart, trial.sensor), chart, start))
     if not np.isfinite(found.log_prior):  # here it is impossible: it does not touch what bears it
         return -np.inf, 0.0
-    other = evidence_over(rng, found, places)
+    other = over_all(rng, found, places)
     return other.log - own.log, math.hypot(other.standard_error, own.standard_error)
 
 

@@ -69,8 +69,10 @@ def small_beside_large():
 def test_a_solid_is_taken_away_by_the_integral_over_its_coordinates():
     best = small_beside_large()
     found = of_one_solid(np.random.default_rng(6), best, 1, RULES)
-    (removed,) = [each for each in found if len(each.trial.state) == 1]
-    assert abs(removed.odds - whole_odds(removed.trial, best)) < WITHIN
+    both = [each for each in found if len(each.trial.state) == 1]
+    assert sorted(each.places is None for each in both) == [False, True], "with the rest as it is, and with all free"
+    for removed in both:
+        assert abs(removed.odds - whole_odds(removed.trial, best)) < WITHIN
 
 
 def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypatch):
