@@ -58,8 +58,8 @@ def refocused(image: Image, rows: np.ndarray, price: float) -> tuple[Image, floa
     return image._replace(taps=np.ascontiguousarray(taps_of(best[1]))), gained
 
 
-# Share by which the gains of first solids are shaken (see `greedy`) once a pair of searches did not agree: searches
-# that begin with the same solids end in the same optima.
+# Share by which the gains of first solids are shaken (see `greedy`) in every other search: those that begin with the
+# same solids end in the same optima, and their agreement would tell nothing.
 SHAKEN = 0.5
 ROUNDS = 2  # of as many searches as there are threads, at most
 HANGING_ROUNDS = 5  # the same while something hangs in the air in the best found: what bears it was not found
@@ -99,7 +99,7 @@ def search(
     task = partial(one_search, image=image, hypotheses=hypotheses, settings=settings, early=early, state=start)
     for number in range(HANGING_ROUNDS if start is None else 1):
         try:
-            found += in_threads(rng, [partial(task, shake=SHAKEN * (number > 0))] * settings.tries)
+            found += in_threads(rng, [partial(task, shake=SHAKEN * (k % 2)) for k in range(settings.tries)])
         except KeyboardInterrupt:
             if not (found or early):
                 raise
