@@ -106,7 +106,7 @@ def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
 
     What neighbouring pixels share is not told from noise by its spots.
     """
-    shows = trial.sensor.worth
+    shows = trial.sensor.shows
     left = 0 if shows < 1.0 else sum(spot.strength > SURELY for spot in spots(nearer_than_explained(trial)))
     return {"pixels": [float(shows * count) for count in pixels_of(trial)], "unexplained": left}
 

@@ -12,7 +12,7 @@ from derender.cli import group
 from derender.detection.calibration import Fit, correlation, fit_sensor, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, prediction
+from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, prediction, shown_share
 from derender.scene.codec.yaml_tree import parse_yaml
 
 NOISE = likelihoods["correlated"]
@@ -138,6 +138,25 @@ def test_many_pixels_tell_their_surface_as_well_as_so_many_independent_ones():
     low, middle, high = np.mean(found, axis=0)
     told = (2.0 * middle - low - high) / h**2 * values["sigma"] ** 2 / depth.size
     assert told == pytest.approx(independent_share(values), rel=0.5)  # one pixel is not as the next
+
+
+def test_pixels_that_show_a_solid_are_signs_of_it_by_the_nats_that_they_add():
+    """Of a large one, whose rim counts little: per pixel, against what one alone adds under the robust likelihood."""
+    values = {
+        **VALUES,
+        "sigma_growth": 0.0,
+        "outlier": 0.01,
+        "shared": 0.9,
+        "clump": 0.5,
+        "sigma": 0.002,
+        "step": 0.0005,
+    }
+    floor, solid = np.full((120, 160), 0.8), np.full((120, 160), 0.8)
+    solid[10:110, 10:150] = 0.7
+    alone = {name: values[name] for name in ("sigma", "sigma_growth", "outlier")}
+    added = [like.log_density(solid, solid, own) - like.log_density(solid, floor, own)
+             for like, own in ((NOISE, values), (likelihoods["robust"], alone))]  # fmt: skip
+    assert added[0] / added[1] == pytest.approx(shown_share(values), rel=0.3)
 
 
 def test_what_is_not_as_modelled_costs_something_at_each_pixel_and_far_less_than_one_by_one():

@@ -305,3 +305,14 @@ def independent_share(values: Mapping[str, float]) -> float:
     """
     anew, narrow = 1.0 - values["shared"], values["step"] + values["step_growth"]
     return anew / (anew + values["shared"] * (values["sigma"] + values["sigma_growth"]) / narrow)
+
+
+def shown_share(values: Mapping[str, float]) -> float:
+    """Return how many independent pixels one of many that show a solid is worth, as a sign that something is there.
+
+    By the nats by which one that goes on after such as show it is likelier than one after such as do not, against those
+    by which one that tells anew, a metre away, is likelier than an outlier.
+    """
+    noise, outlier = values["sigma"] + values["sigma_growth"], values["outlier"]
+    anew = (1.0 - outlier) / (noise * math.sqrt(2.0 * math.pi)) * (values["far"] - values["near"]) / outlier
+    return min(max(math.log(values["shared"] / values["clump"]), 0.0) / math.log(1.0 + anew), 1.0)

@@ -14,7 +14,7 @@ from derender.detection.solids.image import ROW
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
-from derender.render.likelihoods.correlated import independent_share, innovations
+from derender.render.likelihoods.correlated import independent_share, innovations, shown_share
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
@@ -73,6 +73,11 @@ class Sensor(NamedTuple):
     def worth(self) -> float:
         """How many independent pixels one of the first view tells as much as: at most 1."""
         return independent_share(self.values) if self.likelihood.name == "correlated" else 1.0
+
+    @property
+    def shows(self) -> float:
+        """How many independent pixels one of the first view is worth, as a sign that something is there: at most 1."""
+        return shown_share(self.values) if self.likelihood.name == "correlated" else 1.0
 
     @property
     def views(self) -> "tuple[Sensor, ...]":
