@@ -62,11 +62,8 @@ def export_obj(graph: SceneGraph, path: Path, camera: Camera | None = None) -> d
     for index, (name, colour) in enumerate(
         zip(graph.solid_names, colours_of(solids, graph.solid_names) / 255, strict=True)
     ):
-        pose, extent = solids.pose[index], 1.0
-        if solids.kind[index] == kinds.PLANE:
-            pose, extent = plane_patch(solids, index)
-        vertices, triangles = solid_mesh(solids, index, extent)
-        placed = up @ pose
+        vertices, triangles = solid_mesh(solids, index)
+        placed = up @ solids.pose[index]
         word = name.replace(" ", "_")
         lines += [f"o {word}", f"usemtl {word}"]
         lines += _triangles(vertices @ placed[:3, :3].T + placed[:3, 3], triangles, count)
@@ -266,10 +263,7 @@ def _log_scene(rerun: Any, stream: Any, place: str, graph: SceneGraph, static: b
     for index, colour in enumerate(colours_of(solids, graph.solid_names)):
         if solids.kind[index] in leave_out:
             continue
-        pose, extent = solids.pose[index], 1.0
-        if solids.kind[index] == kinds.PLANE:
-            pose, extent = plane_patch(solids, index)
-        vertices, triangles = solid_mesh(solids, index, extent)
+        (vertices, triangles), pose = solid_mesh(solids, index), solids.pose[index]
         mesh = rerun.Mesh3D(vertex_positions=vertices @ pose[:3, :3].T + pose[:3, 3], triangle_indices=triangles,
                             albedo_factor=[*map(int, colour), 255])  # fmt: skip
         stream.log([*place.split("/"), graph.solid_names[index]], mesh, static=static)

@@ -12,57 +12,29 @@ from derender.scene.solids import Solids
 SECTIONS = 48
 
 
-def cylinder_mesh(size: np.ndarray, sections: int = SECTIONS) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles of a cylinder along z about the origin."""
-    angle = 2 * np.pi * np.arange(sections) / sections
-    ring = np.column_stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), np.zeros(sections)])
-    vertices = np.vstack([ring - [0, 0, 0.5], ring + [0, 0, 0.5], [[0, 0, -0.5], [0, 0, 0.5]]])
-    i = np.arange(sections)
-    j = (i + 1) % sections
-    n = sections
-    triangles = np.vstack(
-        [
-            np.column_stack([i, j, j + n]),
-            np.column_stack([i, j + n, i + n]),
-            np.column_stack([j, i, np.full(n, 2 * n)]),
-            np.column_stack([i + n, j + n, np.full(n, 2 * n + 1)]),
-        ]
-    )
-    return vertices * size, triangles.astype(np.int32)
+def revolved(profile: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of a profile (K, 2) of (radius, z), foot and tip on the axis, turned about z."""
+    angle = 2 * np.pi * np.arange(SECTIONS) / SECTIONS
+    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(SECTIONS, z)]) for r, z in profile[1:-1]]
+    vertices = np.vstack([*rings, [[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]]])
+    i, last, foot = np.arange(SECTIONS), (len(rings) - 1) * SECTIONS, len(rings) * SECTIONS
+    j = (i + 1) % SECTIONS
+    triangles = [(j, i, np.full_like(i, foot)), (i + last, j + last, np.full_like(i, foot + 1))]
+    for row in range(0, last, SECTIONS):
+        up = row + SECTIONS
+        triangles += [(i + row, j + row, j + up), (i + row, j + up, i + up)]
+    return vertices, np.hstack(triangles).T.astype(np.int32)
 
 
-def sphere_mesh(size: np.ndarray, sections: int = SECTIONS) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles of a sphere about the origin, by circles of latitude."""
-    rows = sections // 2
-    polar = np.pi * np.arange(1, rows) / rows
-    angle = 2 * np.pi * np.arange(sections) / sections
-    p, a = np.meshgrid(polar, angle, indexing="ij")
-    ring = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1).reshape(-1, 3)
-    vertices = 0.5 * np.vstack([ring, [[0, 0, 1], [0, 0, -1]]])
-    top, bottom = len(ring), len(ring) + 1
-    triangles = []
-    i = np.arange(sections)
-    j = (i + 1) % sections
-    for row in range(rows - 2):
-        upper, lower = row * sections, (row + 1) * sections
-        triangles += [
-            np.column_stack([upper + i, lower + i, lower + j]),
-            np.column_stack([upper + i, lower + j, upper + j]),
-        ]
-    triangles.append(np.column_stack([np.full(sections, top), i, j]))
-    last = (rows - 2) * sections
-    triangles.append(np.column_stack([np.full(sections, bottom), last + j, last + i]))
-    return vertices * size, np.vstack(triangles).astype(np.int32)
+POLAR = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SECTIONS // 2 + 1)
+PROFILES = {  # of solids of size 1
+    kinds.CYLINDER: np.array([[0, -0.5], [0.5, -0.5], [0.5, 0.5], [0, 0.5]]),
+    kinds.SPHERE: 0.5 * np.column_stack([np.cos(POLAR), np.sin(POLAR)]),
+}
 
 
-def plane_mesh(extent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles of a square of the plane z = 0, `extent` metres from its middle to its sides."""
-    vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * extent
-    return vertices, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-
-
-def solid_mesh(solids: Solids, index: int, plane_extent: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return one solid as triangles in its own axes.
+def solid_mesh(solids: Solids, index: int, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return one solid as triangles in its own axes; of a plane a square, see `plane_patch`.
 
     Returns
     -------
@@ -71,11 +43,13 @@ def solid_mesh(solids: Solids, index: int, plane_extent: float = 1.0) -> tuple[n
     """
     kind, size = int(solids.kind[index]), solids.size[index]
     if kind == kinds.PLANE:
-        return plane_mesh(plane_extent)
-    if kind == kinds.SPHERE:
-        return sphere_mesh(size)
-    if kind == kinds.CYLINDER:
-        return cylinder_mesh(size)
+        patch, half = plane_patch(solids, index, points)
+        square = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+        offset = (patch[:3, 3] - solids.pose[index, :3, 3]) @ solids.pose[index, :3, :3]
+        return square + offset, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    if kind in PROFILES:
+        vertices, triangles = revolved(PROFILES[kind])
+        return vertices * size, triangles
     if kind == kinds.MESH:
         vertices, triangles = solids.meshes[int(solids.mesh[index])]
         return vertices * (size / np.ptp(vertices, axis=0)), triangles

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender import __version__
-from derender.report.geometry import plane_patch, solid_mesh, upright_pose
+from derender.report.geometry import solid_mesh, upright_pose
 from derender.report.pictures import colours_of
-from derender.scene import solids as kinds
 from derender.scene.pose import quaternion, rotation_x
-from derender.scene.solids import Solids
 
 if TYPE_CHECKING:
     from derender.physics.verdict import Trajectory
@@ -55,9 +53,8 @@ def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> by
         gone = trajectory is not None and vertex.shape != "plane" and vertex.name not in trajectory.names
         if vertex.name in names and not gone:
             index = names.index(vertex.name)
-            vertices, triangles = _mesh_in_object(solids, index)
             node["mesh"] = len(tree["meshes"])
-            _add_mesh(tree, data, vertex.name, vertices, triangles, colours[index])
+            _add_mesh(tree, data, vertex.name, *solid_mesh(solids, index), colours[index])
     if trajectory is not None:
         _add_animation(tree, data, graph, trajectory, numbers)
     tree["buffers"] = [{"byteLength": len(data)}]
@@ -65,16 +62,6 @@ def glb_bytes(graph: "SceneGraph", trajectory: "Trajectory | None" = None) -> by
     text += b" " * (-len(text) % 4)
     body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + bytes(data)
     return struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body
-
-
-def _mesh_in_object(solids: Solids, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a solid's triangles in its own axes; of a plane, a square under the scene."""
-    if solids.kind[index] != kinds.PLANE:
-        return solid_mesh(solids, index)
-    patch, extent = plane_patch(solids, index)
-    vertices, triangles = solid_mesh(solids, index, extent)
-    offset = (patch[:3, 3] - solids.pose[index, :3, 3]) @ solids.pose[index, :3, :3]
-    return vertices + offset, triangles
 
 
 def _add_mesh(

@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.report import pictures
 from derender.report.contents import Report
-from derender.report.geometry import plane_patch, solid_mesh
+from derender.report.geometry import solid_mesh
 from derender.scene import solids as kinds
 from derender.scene.shapes.box import CORNERS
 from derender.scene.solids import Solids
@@ -25,12 +25,10 @@ FORCE_COLOUR = (200, 30, 60)
 def viewer_html(report: Report, colours: np.ndarray) -> str:
     """Return the viewer of a report's scene: canvas, switches, data and script."""
     points, point_colours = _observed_points(report, colours)
-    shown = []
+    shown, near = [], _without_far_points(points)
     for index, kind in enumerate(report.solids.kind):
-        pose, extent = report.solids.pose[index], 1.0
-        if kind == kinds.PLANE:
-            pose, extent = plane_patch(report.solids, index, _without_far_points(points))
-        vertices, triangles = solid_mesh(report.solids, index, extent)
+        pose = report.solids.pose[index]
+        vertices, triangles = solid_mesh(report.solids, index, near)
         shown.append(
             {
                 "vertices": _base64((vertices @ pose[:3, :3].T + pose[:3, 3]).astype("<f4")),

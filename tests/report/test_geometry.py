@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from derender.report.geometry import SECTIONS, box_mesh, cylinder_mesh, plane_patch, solid_mesh, sphere_mesh
+from derender.report.geometry import SECTIONS, plane_patch, solid_mesh
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE, Solids
 
 SIZE = np.array([0.1, 0.1, 0.25])
@@ -15,23 +15,24 @@ def signed_volume(vertices, triangles):
 
 
 @pytest.mark.parametrize(
-    ("mesh", "size", "volume"),
+    ("kind", "size", "volume"),
     [
-        (box_mesh, SIZE, np.prod(SIZE)),
+        (BOX, SIZE, np.prod(SIZE)),
         # A prism of n sides has the share sin(2 pi / n) n / 2 pi of its circle.
-        (cylinder_mesh, SIZE, np.prod(SIZE) * SECTIONS / 8 * np.sin(2 * np.pi / SECTIONS)),
-        (sphere_mesh, np.full(3, 0.2), np.pi / 6 * 0.2**3),
+        (CYLINDER, SIZE, np.prod(SIZE) * SECTIONS / 8 * np.sin(2 * np.pi / SECTIONS)),
+        (SPHERE, np.full(3, 0.2), np.pi / 6 * 0.2**3),
     ],
 )
-def test_meshes_are_closed_and_face_outwards(mesh, size, volume):
-    vertices, triangles = mesh(size)
+def test_meshes_are_closed_and_face_outwards(kind, size, volume):
+    solids = Solids(np.array([kind], np.int32), np.eye(4)[None], size[None], np.array([-1], np.int32))
+    vertices, triangles = solid_mesh(solids, 0)
     edges = {}
     for triangle in triangles:
         for a, b in zip(triangle, np.roll(triangle, -1), strict=True):
             edges[a, b] = edges.get((a, b), 0) + 1
     # Closed and consistently turned: each edge is walked once in each direction.
     assert all(count == 1 and edges.get((b, a)) == 1 for (a, b), count in edges.items())
-    tolerance = 0.01 if mesh is sphere_mesh else 1e-12
+    tolerance = 0.01 if kind == SPHERE else 1e-12
     assert signed_volume(vertices, triangles) == pytest.approx(volume, rel=tolerance)
     np.testing.assert_allclose(np.ptp(vertices, axis=0), size, rtol=1e-9)
 
@@ -45,12 +46,6 @@ def test_a_plane_is_drawn_under_the_scene():
     assert half == pytest.approx(0.1)
     middle, half = plane_patch(solids, 0, np.array([[1.0, 4.0, 2.0]]))
     np.testing.assert_allclose(middle[:3, 3], [2.0, 4.0, 0.0])
-    vertices, _ = solid_mesh(solids, 0, half)
+    vertices, _ = solid_mesh(solids, 0, np.array([[1.0, 4.0, 2.0]]))
     assert np.ptp(vertices[:, 0]) == pytest.approx(2 * half)
-
-
-@pytest.mark.parametrize("kind", [BOX, CYLINDER, SPHERE])
-def test_solid_mesh_has_the_solids_size(kind):
-    size = np.full(3, 0.1)
-    solids = Solids(np.array([kind], np.int32), np.eye(4)[None], size[None], np.array([-1], np.int32))
-    np.testing.assert_allclose(np.ptp(solid_mesh(solids, 0)[0], axis=0), size, rtol=1e-9)
+    np.testing.assert_allclose(vertices.mean(axis=0), middle[:3, 3])  # in the plane's own axes
