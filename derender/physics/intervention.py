@@ -196,7 +196,7 @@ def read_add(text: str) -> tuple[str, str, np.ndarray, str, tuple[float, float]]
         raise DerenderError(f"a {parts[1]} has {wanted} positive size(s)", where, remedy)
     size = sizes if wanted == 3 else [sizes[0], sizes[0], sizes[-1]]
     x, _, y = place.partition(",")
-    offset = (_quantity(x or "0", LENGTHS, where), _quantity(y or "0", LENGTHS, where))
+    offset = (_quantity(x or "0", LENGTHS, where, signed=True), _quantity(y or "0", LENGTHS, where, signed=True))
     return parts[0], "box" if parts[1] == "cube" else parts[1], np.array(size), parent, offset
 
 
@@ -206,18 +206,23 @@ def _direction(text: str, where: str) -> np.ndarray:
         way = np.zeros(3)
         way[AXES.index(text[-1])] = -1.0 if text[0] == "-" else 1.0
         return way
-    angle = _quantity(text, ANGLES, where)
+    angle = _quantity(text, ANGLES, where, signed=True)
     return np.array([np.cos(angle), np.sin(angle), 0.0])
 
 
-def _quantity(text: str, units: dict[str, float], where: str, positive: bool = False) -> float:
-    """Read a number with one of the units by name."""
+MOST = 1e6  # metres, radians, newtons, seconds or hertz: what is beyond can be no more than a slip, and overflows
+
+
+def _quantity(text: str, units: dict[str, float], where: str, positive: bool = False, signed: bool = False) -> float:
+    """Read a number with one of the units by name; positive : not 0, signed : below 0 too."""
     found = re.fullmatch(r"\s*([-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?)\s*([A-Za-z]*)\s*", text)
     if found is None or found.group(2) not in units or not np.isfinite(float(found.group(1))):
         raise DerenderError(f"{text!r} is no number in {' or '.join(u for u in units if u)}", where, "such as 5 or 0.5")
     value = float(found.group(1)) * units[found.group(2)]
-    if value < 0 or (positive and value == 0):
-        raise DerenderError(f"{text!r} is not positive", where, "give a number above 0")
+    if (value < 0 and not signed) or (positive and value == 0):
+        raise DerenderError(f"{text!r} is not {'positive' if positive else '0 or more'}", where, "such as 5 or 0.5")
+    if abs(value) > MOST:
+        raise DerenderError(f"{text!r} is more than can be simulated", where, "such as 5 or 0.5")
     return value
 
 
