@@ -82,13 +82,14 @@ def table_of(views: Any) -> str:
     """Return the table of the views that tell most."""
     import numpy as np
 
+    from derender.report.tables import text_table
+
     least = max(views[0].spreads, key=lambda name: views[0].spreads[name][0])
-    lines = [f"{'turn':>6}{'elevation':>11}{'moved':>9}{'sizes':>8}{'structure':>11}{'stable':>8}  {least}"]
+    rows = []
     for view in views[:SHOWN]:
         before, after = (2000.0 * 1.645 * spread for spread in view.spreads[least])
-        nats = "".join(f"{view.nats[key]:{wide}.1f}" for key, wide in (("sizes", 8), ("structure", 11), ("stable", 8)))
-        lines.append(
-            f"{np.degrees(view.turn):6.0f}{np.degrees(view.elevation):11.0f}{view.moved:7.2f} m{nats}"
-            f"  {before:.1f} mm -> {after:.1f} mm"
-        )
-    return "\n".join(lines)
+        angles = (f"{np.degrees(angle):.0f}" for angle in (view.turn, view.elevation))
+        nats = (f"{view.nats[key]:.1f}" for key in ("sizes", "structure", "stable"))
+        rows.append([*angles, f"{view.moved:.2f}", *nats, f"{before:.1f} -> {after:.1f}"])
+    told = ("turn, deg", "elevation, deg", "moved, m", "sizes, nats", "structure, nats", "stable, nats", f"{least}, mm")
+    return text_table(rows, told)
