@@ -13,7 +13,7 @@ from derender.atomic import locked, make_folder, write_text
 from derender.batch.frames import LEDGER, Frame
 from derender.batch.work import THUMBNAIL, Done, Order, is_done, rows_in
 from derender.errors import DerenderError
-from derender.results.table import SIDES, as_csv, as_lines, as_page, read_lines
+from derender.results.table import SIDES, as_csv, as_lines, as_page, digits, extents_text, read_lines
 
 RUN, TABLE, PAGE = "batch.json", "results.csv", "index.html"
 
@@ -161,6 +161,7 @@ def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]])
         page = "report.html" if (folder / name / "report.html").exists() else "summary.json"
         title = f'<a href="{place}/{page}">{escape(name)}</a>'
     listed = "".join(f"<li>{_object(row)}</li>" for row in solids[:MOST_OBJECTS])
+    count = "" if state == "failed" else str(len(solids))
     if len(solids) > MOST_OBJECTS:
         listed += f"<li>and {len(solids) - MOST_OBJECTS} more</li>"
     doubts = "<br>".join(escape(str(doubt)) for doubt in rows[0]["doubts"] or ())
@@ -170,18 +171,13 @@ def _row(folder: Path, name: str, state: str, rows: Sequence[Mapping[str, Any]])
         f'<tr data-state="{state}" data-words="{escape(words.lower())}"><td>{picture}</td>'
         f'<th scope="row" data-key="{escape(name)}">{title or escape(name)}</th>'
         f'<td data-key="{order}"><span class="{state}">{STATES[state]}</span></td>'
-        f'<td class="objects" data-key="{len(solids)}">{len(solids)}<ul>{listed}</ul></td>'
+        f'<td class="objects" data-key="{len(solids)}">{count}{f"<ul>{listed}</ul>" if listed else ""}</td>'
         f'<td class="doubts" data-key="{len(rows[0]["doubts"] or ())}">{doubts}</td></tr>'
     )
 
 
 def _object(row: Mapping[str, Any]) -> str:
-    sizes = " × ".join(_size(row, side) for side in SIDES)
-    probability = f", p {row['probability']:.2f}" if row["probability"] is not None else ""
+    ranges = [(row[f"{side}_low"], row[f"{side}_high"]) for side in SIDES]
+    sizes = extents_text([row[side] for side in SIDES], None if None in ranges[0] else ranges)
+    probability = f", p {escape(digits(row['probability']))}" if row["probability"] is not None else ""
     return f"{escape(str(row['object']))}: {sizes}, on {escape(str(row['rests_on']))}{probability}"
-
-
-def _size(row: Mapping[str, Any], side: str) -> str:
-    low, high = row[f"{side}_low"], row[f"{side}_high"]
-    spread = f"±{50 * (high - low):.1f}" if low is not None and high is not None else ""
-    return f"{100 * row[side]:.1f}{spread}"

@@ -12,7 +12,7 @@ from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.report.depth_pictures import depth_pictures
 from derender.results import trust
-from derender.results.table import as_page, probability_text
+from derender.results.table import as_page, extents_text, probability_text
 
 HERE = Path(__file__).parent
 MOST_STRUCTURES = 8  # of the table
@@ -122,17 +122,9 @@ def _objects(report: Report, colours: Mapping[str, str]) -> str:
 
 
 def _size(item: Mapping[str, Any]) -> str:
-    """Return the extents of an object in centimetres, with half of their ranges where there are any."""
+    """Return the extents of an object in words."""
     size = item.get("size")
-    if size is None:
-        return "–"
-    ranges = item.get("size_interval") or [(value, value) for value in size]
-    words = []
-    for value, (low, high) in zip(size, ranges, strict=True):
-        half = 50.0 * (high - low)
-        digits = 1 if half == 0.0 or half >= 0.05 else 2
-        words.append(f"{100 * value:.{digits}f}" + (f" ± {max(half, 0.01):.{digits}f}" if half > 0.0 else ""))
-    return " × ".join(words)
+    return "–" if size is None else extents_text(size, item.get("size_interval"))
 
 
 def wide(inside: str, words: str) -> str:

@@ -112,6 +112,16 @@ def as_page(title: str, style: str, body: str, script: str) -> str:
     )
 
 
+def extents_text(size: Sequence[float], ranges: Sequence[Sequence[float]] | None = None) -> str:
+    """Return extents, metres, in centimetres, with half of their ranges (low, high) where there are any."""
+    words = []
+    for value, (low, high) in zip(size, ranges or [(each, each) for each in size], strict=True):
+        half = 50.0 * (high - low)
+        places = 1 if half == 0.0 or half >= 0.05 else 2
+        words.append(f"{100 * value:.{places}f}" + (f" ± {max(half, 0.01):.{places}f}" if half > 0.0 else ""))
+    return " × ".join(words)
+
+
 SURE = 0.99  # no probability is said to be surer than that: what a search has missed it cannot know
 OPEN = 0.02  # width of an interval from which on it is said
 COARSE = 0.1  # standard error from which on one digit has to do

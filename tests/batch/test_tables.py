@@ -165,9 +165,11 @@ def test_the_page_names_every_frame_and_escapes_it(tmp_path):
         "odd": rows_of("odd", summary(trusted=False, doubts=["the fit is poor"])),
     }
     page = index_page(tmp_path, rows)
-    assert "&lt;a&gt;/1" in page and "<b>:" not in page and "&lt;b&gt;: 20.0±2.0 × 10.0±1.0 × 5.0±0.5" in page
+    assert "&lt;a&gt;/1" in page and "<b>:" not in page and "&lt;b&gt;: 20.0 ± 2.0 × 10.0 ± 1.0 × 5.0 ± 0.5" in page
     assert 'src="%3Ca%3E/1/thumbnail.png"' in page and "no pixel &amp; more" in page
     assert [page.count(f'data-state="{state}"') for state in ("trusted", "doubtful", "failed")] == [1, 1, 1]
+    sure = {"sure": rows_of("sure", summary(FLOOR, box() | {"probability": 0.9999}))}
+    assert "p &gt;.99" in index_page(tmp_path, sure)  # as everywhere: no more than that is said
     quick = {"quick": rows_of("quick", summary(FLOOR, box(), method="map"))}
     assert "90 % ranges" in page and "90 % ranges" not in index_page(tmp_path, quick)  # none are shown, none are told
 
