@@ -137,6 +137,8 @@ def _swatch(colour: str) -> str:
 
 
 def _events(events: Any, named: Any) -> str:
+    if not events:
+        return "<p>None.</p>"
     rows = "".join(
         f'<tr><td class="number">{event["frame"]}</td><td class="number">{event["time"]:.3f}</td>'
         f"<td>{_swatch(named.get(event['object'], '#000'))} {escape(event['object'])}</td>"

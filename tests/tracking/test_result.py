@@ -34,6 +34,7 @@ def test_a_track_is_written_and_read_again(tmp_path):
     assert told["seed"] == 3 and told["version"] and len(told["objects"][0]["poses"]) == 4
     lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
     assert {"frame", "time", "event", "object"} <= set(lines[0])
+    assert "<h2>Events</h2><p>None.</p>" in report_page(track, frames, films.CAMERA, [], "a film")
     assert page.count('class="shot"') == 4 and "http" not in page.replace("http://www.w3.org", "")
 
 
