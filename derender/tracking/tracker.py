@@ -16,7 +16,7 @@ from derender.scene.pose import from_rotation_vector, inverse, rotation_vector
 from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
-from derender.tracking.hidden import last_seen, one_frame_later
+from derender.tracking.hidden import last_seen, moved, one_frame_later
 from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Thing
 from derender.tracking.unexplained import Blob, blobs_of, shifts_to
 
@@ -111,10 +111,7 @@ class Tracker(Drawing):
         """Return where constant velocity leads a thing, (4, 4), or where it may be while nothing shows it."""
         if thing.hidden is not None:
             return thing.hidden.pose
-        pose = thing.pose.copy()
-        pose[:3, :3] = from_rotation_vector(thing.spin * self.step)[:3, :3] @ pose[:3, :3]
-        pose[:3, 3] += thing.velocity * self.step
-        return pose
+        return moved(thing.pose, np.concatenate([thing.velocity, thing.spin]) * self.step)
 
     def _predictions(self, thing: Thing) -> list[np.ndarray]:
         """Return poses (4, 4) where a moving thing may be, the likeliest first: at constant velocity, without its spin,
@@ -179,17 +176,16 @@ class Tracker(Drawing):
         if seen[1] < FEW or (is_wrong and thing.hidden is not None):
             thing.state = GONE if self.outside(k) else HIDDEN
             if thing.hidden is None:
-                thing.hidden = one_frame_later(last_seen(thing, self.step, np.random.default_rng(k)), self, k)
+                thing.hidden = one_frame_later(last_seen(self, k), self, k)
             thing.pose = thing.hidden.pose
             thing.covariance[:6, :6] = thing.hidden.covariance()
             self.draw(k, thing.pose)
             return
         if thing.hidden is not None:
-            thing.velocity, thing.spin = thing.hidden.motion
+            way = rotation_between(thing.hidden.pose, thing.hidden.before)
+            before = moved(inverse(self.view) @ self.poses[self.planes + k],
+                           np.concatenate([thing.hidden.before[:3, 3] - thing.hidden.pose[:3, 3], way]))  # fmt: skip
             thing.hidden = None
-            before = inverse(self.view) @ self.poses[self.planes + k]
-            before[:3, :3] = from_rotation_vector(-thing.spin * self.step)[:3, :3] @ before[:3, :3]
-            before[:3, 3] -= thing.velocity * self.step
         self._take(k, curvature)
         self._moved(thing, before)
 
