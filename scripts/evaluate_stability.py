@@ -2,7 +2,7 @@
 `stands`.
 
 `verdicts`: images of flush towers of three to five boxes, every second of which falls (statics and simulation agree on
-the truth); P(stable) is the share of posterior draws that can stand, by `posterior.probability`.
+the truth); P(stable) is `posterior.probability` by statics.
 
 `stands`: images of towers that stand; where their posterior leaves the verdict open, how much nearer to the truth their
 centres come once `--assume-stable` has ruled out the draws that fall. Which towers count is decided by the image alone:
@@ -50,8 +50,9 @@ def image_verdict(k, options):
     """Return whether the k-th tower stands, and how probable that is given its image."""
     falls = bool(k % 2)
     scene = made_tower(np.random.default_rng([141, k]), lambda verdict: verdict.stands != falls)
-    graphs = inferred(scene, k, options).graphs(np.random.default_rng(k), DRAWS)
-    return not falls, probability(graphs, "stands", engine="statics").probability
+    posterior = inferred(scene, k, options)
+    graphs = posterior.graphs(np.random.default_rng(k), DRAWS)
+    return not falls, probability(graphs, "stands", engine="statics", missed=posterior.missed).probability
 
 
 def centres_of(posterior, truth, rng):

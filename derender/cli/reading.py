@@ -73,13 +73,14 @@ class Source(NamedTuple):
     graph : the scene; of a posterior the most probable one, of a prior the first drawn.
     camera : or None.
     uncertain : whether draws differ.
-    draws : draws(rng, count) yields that many scenes.
+    draws : draws(rng, count) yields that many scenes. missed : see `Posterior.missed`.
     """
 
     graph: "SceneGraph"
     camera: "Camera | None"
     uncertain: bool
     draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"
+    missed: float = 0.0
 
 
 def read_source(path: str, seed: int) -> Source:
@@ -95,7 +96,7 @@ def read_source(path: str, seed: int) -> Source:
         posterior = found.posterior
         if posterior is not None:
             uncertain = len(posterior.parts) > 1 or posterior.best_part.log_density.size > 1
-            return Source(found.graph, found.camera, uncertain, posterior.each_graph)
+            return Source(found.graph, found.camera, uncertain, posterior.each_graph, posterior.missed)
         return Source(found.graph, found.camera, False, lambda rng, count: iter([found.graph] * count))
     named = path in built_in_priors() and not folder.exists()
     document = read_prior_document(path) if named else read_document(path)

@@ -189,7 +189,7 @@ def _one(path: str, what, ask, margin: bool, forces: bool, talk: Talk):
         graphs = source.draws(np.random.default_rng(ask["seed"]), limit)
         drawn = outcomes(graphs, what, ask["seed"], ask["engine"], ask["duration"], ask["jobs"], ask["until"])
         runs = [run._replace(trajectory=None) for run in talk.counted(drawn, limit, "simulating draw")]
-    return summary_of(best, runs, assumed), best, source
+    return summary_of(best, runs, assumed, source.missed), best, source
 
 
 def _table(

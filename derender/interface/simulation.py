@@ -48,7 +48,7 @@ class Simulation(NamedTuple):
     Attributes
     ----------
     verdict : "stands", "settles" or "falls", of the (most probable) scene. stable : whether it stands.
-    p_stable : share of the draws that stand, p_stable_error : its standard error; of a scene alone 1 or 0, and 0.
+    p_stable : how probable standing is, p_stable_error : its Monte Carlo error; of a scene alone 1 or 0, and 0.
     displacement : metres that each body moved, by name. rotation : radians that it turned.
     fallen : names of the bodies that did not stay, the first first.
     margin : the least horizontal acceleration that topples or slides something, g; None where it was not asked for.
@@ -143,7 +143,8 @@ def chance_that(
     count = draws if until is None else MOST_DRAWS
     rng = np.random.default_rng(seed)
     graphs = of.each_graph(rng, count) if isinstance(of, Posterior) else repeat(of.graph, count)
-    return probability(graphs, event, until=until, seed=seed, **_several(how))
+    missed = of.missed if isinstance(of, Posterior) else 0.0
+    return probability(graphs, event, until=until, seed=seed, missed=missed, **_several(how))
 
 
 def _several(acts: Mapping[str, Any]) -> dict[str, Any]:

@@ -174,17 +174,19 @@ def outcomes(
             yield from pool.map(run, enumerate(scenes))
 
 
-def chance_of(happened: Sequence[bool], before: float = 0.5) -> Chance:
+def chance_of(happened: Sequence[bool], before: float = 0.5, missed: float = 0.0) -> Chance:
     """Return how probable something is that happened in some of the draws, by Jeffreys' estimate, and its error.
 
     The estimate (k + 1/2) / (n + 1) is never surer than n draws can make it: a thousand that agree leave .0005.
     before : the probability before any draw, in place of that 1/2.
+    missed : probability that what is there is none of the draws: of that no more is known than before them.
     """
     count = len(happened)
     if count == 0:
         return Chance(float("nan"), float("nan"), 0)
     centred = (sum(happened) + before) / (count + 1)
-    return Chance(centred, float(np.sqrt(centred * (1 - centred) / (count + 2))), count)
+    error = float(np.sqrt(centred * (1 - centred) / (count + 2)))
+    return Chance(centred + missed * (before - centred), (1 - missed) * error, count)
 
 
 def probability(
@@ -196,6 +198,7 @@ def probability(
     engine: str = "mujoco",
     duration: float = 2.0,
     jobs: int = 1,
+    missed: float = 0.0,
     **interventions: str | Sequence[str] | None,
 ) -> Chance:
     """Return how probable an event is over scenes, such as the draws of a posterior.
@@ -205,6 +208,7 @@ def probability(
     event : what an `Outcome` must be like; or a verdict ("stands", "settles", "falls"), or the name of an object that
         moves.
     until : stop as soon as the standard error is no greater, after 10 draws at least.
+    missed : see `chance_of`; of a posterior, `Posterior.missed`.
     interventions : push, remove, add, tilt, shake, jitter, as `simulate_scene` takes them.
     """
     what = intervention(**interventions)
@@ -214,7 +218,8 @@ def probability(
         def event(outcome: Outcome) -> bool:
             return outcome.verdict == word if word in (STANDS, SETTLES, FALLS) else word in outcome.fallen
 
-    return chance_of([bool(event(run)) for run in outcomes(scenes, what, seed, engine, duration, jobs, until, event)])
+    runs = outcomes(scenes, what, seed, engine, duration, jobs, until, event)
+    return chance_of([bool(event(run)) for run in runs], missed=missed)
 
 
 def upright_axes(matter: Matter) -> np.ndarray:

@@ -65,16 +65,16 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -> dict[str, Any]:
+def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str], missed: float = 0.0) -> dict[str, Any]:
     """Return what `derender simulate --json` prints of a scene.
 
     Parameters
     ----------
     best : of the most probable scene. runs : of the draws; the scene's own alone where it is certain.
-    assumed : sentences.
+    assumed : sentences. missed : see `chance_of`.
     """
     drawn = len(runs) > 1
-    stable = chance_of([run.stable for run in runs]) if drawn else Chance(float(best.stable), 0.0, 1)
+    stable = chance_of([run.stable for run in runs], missed=missed) if drawn else Chance(float(best.stable), 0.0, 1)
     found: dict[str, Any] = {
         "verdict": best.verdict,
         "margin": best.margin,
@@ -82,7 +82,9 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -
         "p_stable": stable.probability,
         "p_stable_error": stable.error,
         "p_verdict": {
-            word: (sum(run.verdict == word for run in runs) + drawn * share) / (len(runs) + drawn)
+            word: chance_of([run.verdict == word for run in runs], share, missed).probability
+            if drawn
+            else float(best.verdict == word)
             for word, share in BEFORE.items()
         },
         "p_falls": {},
@@ -100,7 +102,7 @@ def summary_of(best: Outcome, runs: Sequence[Outcome], assumed: Sequence[str]) -
             continue
         there = [run for run in runs if any(other.name == body.name for other in run.matter.bodies)]
         falls = [run.verdict == FALLS and body.name in run.fallen for run in there]
-        chance = chance_of(falls, BEFORE[FALLS]) if drawn else Chance(float(any(falls)), 0.0, 1)
+        chance = chance_of(falls, BEFORE[FALLS], missed) if drawn else Chance(float(any(falls)), 0.0, 1)
         found["p_falls"][body.name] = chance.probability if there else None
         found["p_falls_error"][body.name] = chance.error if there else None
     if all(len(run.by_engine) > 1 for run in runs):

@@ -157,6 +157,11 @@ class Posterior:
         """Return the scene of highest density under the most probable structure."""
         return self.best_part.best()[0]
 
+    @property
+    def missed(self) -> float:
+        """How probable it is that a search has found none of the structures that are there."""
+        return max(1.0 - sum(part.weight for part in self.parts), 0.0)
+
     def object_probability(self, name: str) -> float:
         """Return the probability that an object of this name is there: in the structures that were found, and in what
         a search may have missed as often as the prior says, see `Missed`; how often a free-form thing is an object

@@ -169,6 +169,17 @@ def test_no_object_falls_more_likely_than_the_scene(graph):
     assert set(found["p_falls"].values()) == {found["p_verdict"]["falls"]}
 
 
+def test_what_a_search_missed_may_stand_or_fall(graph):
+    """Draws of structures that are wrong with probability .43 all stood, and P(stands) was .98."""
+    chance, sure = (probability([graph] * 40, "stands", engine="statics", missed=missed) for missed in (0.4, 0.0))
+    assert chance.probability == pytest.approx(0.6 * sure.probability + 0.2) and chance.error < sure.error
+    runs = [simulate_scene(graph, engine="statics") for _ in range(3)]
+    found = summary_of(runs[0], runs, [], missed=0.4)
+    assert found["p_stable"] == pytest.approx(0.6 * 3.5 / 4 + 0.4 * 0.5)
+    assert sum(found["p_verdict"].values()) == pytest.approx(1.0)
+    assert found["p_verdict"]["falls"] == pytest.approx(0.6 * 0.25 / 4 + 0.4 * 0.25)
+
+
 def test_a_settled_scene_is_a_scene_that_stands(graph, tmp_path):
     for texts in ({"push": ["red:+x:4N@0.2s"]}, {"remove": ["red"]}):
         outcome = simulate_scene(graph, early=False, **texts)
