@@ -55,7 +55,7 @@ MUTATIONS = [
         ("accept: sign of the threshold", "sampling/metropolis.py", "math.log(1.0 - rng.random())",
          "-math.log(1.0 - rng.random())", STEPS),
         ("accept: half as often", "sampling/metropolis.py", "log_threshold(rng) < log_ratio",
-         "log_threshold(rng) + 0.7 < log_ratio", JUMPS),
+         "log_threshold(rng) + 0.7 < log_ratio", STEPS),
         ("adapted scale: wrong way", "sampling/metropolis.py", "gain * (rate - wanted)", "gain * (wanted - rate)",
          (*STEPS, *COMPILED)),
         ("adapted scale: unlimited", "sampling/metropolis.py", "max(-MOST_CHANGE, min(MOST_CHANGE, gain", "((gain",

@@ -8,12 +8,16 @@ import pytest
 from derender.sampling import metropolis
 
 
-@pytest.mark.parametrize("threshold", [metropolis.log_threshold, metropolis.compiled_log_threshold])
-def test_steps_are_accepted_as_often_as_their_ratio_says(threshold):
+@pytest.mark.parametrize("accepted", [
+    lambda rng, log_ratio: metropolis.log_threshold(rng) < log_ratio,
+    lambda rng, log_ratio: metropolis.compiled_log_threshold(rng) < log_ratio,
+    lambda rng, log_ratio: metropolis.decide(rng, False, True, log_ratio, "step")[0],
+])  # fmt: skip
+def test_steps_are_accepted_as_often_as_their_ratio_says(accepted):
     """4 standard errors of 20,000 decisions."""
     rng, count = np.random.default_rng(1), 20_000
     for ratio in (0.05, 0.5, 1.0):
-        share = np.mean([threshold(rng) < math.log(ratio) + 1e-12 for _ in range(count)])
+        share = np.mean([accepted(rng, math.log(ratio) + 1e-12) for _ in range(count)])
         assert abs(share - ratio) <= 4.0 * math.sqrt(ratio * (1.0 - ratio) / count)
 
 

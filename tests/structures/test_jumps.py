@@ -105,14 +105,18 @@ STEPS = 3
 
 
 def features(words, graph, log_prior):
-    """Return functions of a scene as a set: counts of objects and edges, sums of sizes, offsets, angles and slack."""
+    """Return functions of a scene as a set: counts of objects, edges and siblings, sums of sizes, offsets, angles and
+    slack."""
     found = dict.fromkeys(
-        ("cube", "box", "cylinder", "sphere", "edges", "floating", "first", "carried", "last", "square", "volume", "u",
-         "v", "uu", "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt", "face", "side"),
+        ("objects", "siblings", "cube", "box", "cylinder", "sphere", "edges", "floating", "first", "carried", "last",
+         "square", "volume", "u", "v", "uu", "vv", "uv", "cosine", "sine", "x", "xx", "xy", "z", "turn", "gap", "tilt",
+         "face", "side"),
         0.0)  # fmt: skip
     for name in words.grown(graph):
         vertex = graph.vertex(name)
         sizes, numbers = list(vertex.parameters.values()), vertex.contact.values
+        found["objects"] += 1.0
+        found["siblings"] += sum(other.parent == vertex.parent for other in graph.vertices) - 1.0
         found[vertex.shape] += 1.0
         found["edges"] += vertex.parent not in words.base and vertex.parent != "root"
         found["floating"] += vertex.parent == "root"
