@@ -264,7 +264,6 @@ def default_parts() -> list[dict[str, Mapping[str, Any]]]:
         {"drift": {"weight": 0.2}},
         {"slide": {"weight": 0.2}},
         {"drift-all": {"weight": 0.1}},
-        {"independence": {"weight": 0.01}},
         {"jump": {"weight": 0.01}},
         {"flip": {"weight": 0.01}},
         {"resimulate": {"weight": 0.02}},

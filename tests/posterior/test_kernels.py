@@ -14,7 +14,6 @@ from derender.errors import DerenderError
 from derender.posterior.compiled.interpreted import InterpretedBackend
 from derender.posterior.compiled.layout import NEXT, NOW, OFFSET, PERIOD
 from derender.posterior.kernels.base import Tuning, kernels, mixture
-from derender.posterior.kernels.independence import log_proposal
 from derender.posterior.space import turn as turned
 from derender.posterior.space import turn_between, wrap
 
@@ -81,11 +80,6 @@ def third_of_a_turn(unknowns, laws, values, i):
     values[NEXT, start] = wrap(values[NOW, start] + period / 3, period)
 
 
-def symmetric(*arguments):
-    """Takes the proposal for symmetric; what it cannot propose stays impossible."""
-    return 0.0 if log_proposal.py_func(*arguments) > -math.inf else -math.inf
-
-
 class Without:
     """A target that leaves out the log Jacobian which one of its methods returns."""
 
@@ -108,7 +102,6 @@ CASES = {
     "resimulate": ("angle", Twin({"log_prior": lambda *_: 0.0})),  # forgets that the proposal was the prior
     "drift": ("angle", Twin({"shaped": one_way})),
     "drift-all": ("angle", Twin({"shaped": one_way})),
-    "independence": ("angle", Twin({"log_proposal": symmetric})),
     "jump": ("angle", Twin({"half_turn": third_of_a_turn})),
     "flip": ("box", Twin({"half_turn": third_of_a_turn})),
     "slide": ("angle", Twin(without="keep_children")),
@@ -116,7 +109,7 @@ CASES = {
     "relocate-stack": ("angle", Twin(without="put")),
     "turn": ("angle", Twin(without="put")),
 }
-OPTIONS = {"slide": {"scale": 2.0}, "independence": {"inflation": 0.4}}
+OPTIONS = {"slide": {"scale": 2.0}}
 # More replicates where the fault is small: as many for the kernel itself, which could have that fault.
 MORE = {"slide": 2}
 LONG = ("relocate", "relocate-stack")  # whose steps weigh many places
@@ -157,23 +150,6 @@ def test_relocation_without_proposal_ratio_is_caught(name):
     twin = Twin({"mixture_density": lambda *_: 1.0})
     result = verdict(WORLDS["angle"](), maker(name, twin), REPLICATES, steps=4, until_caught=True)
     assert result.worst > bound(len(result.z)), result.worst
-
-
-def without_haar(unknowns, laws, members, tangent, *rest):
-    """Takes the density per volume of the rotation vector for the density per Haar measure."""
-    log_density, angle = log_proposal.py_func(unknowns, laws, members, tangent, *rest), np.linalg.norm(tangent[:3])
-    if log_density == -math.inf or angle < 1e-9:
-        return log_density
-    return log_density + 2 * math.log(math.sin(angle / 2) / (angle / 2))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("twin", [WHOLE, Twin({"log_proposal": without_haar})], ids=["whole", "broken"])
-def test_independence_knows_the_measure_of_rotations(twin):
-    make, broken = maker("independence", twin, inflation=2.0), twin is not WHOLE
-    result = verdict(WORLDS["floating"](), make, 6 * REPLICATES, steps=6, until_caught=broken)
-    assert result.moved > 0.02
-    assert (result.worst > bound(len(result.z))) == broken, result
 
 
 @pytest.mark.slow

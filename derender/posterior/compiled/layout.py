@@ -61,14 +61,12 @@ class Kernels(NamedTuple):
         vertices, and the unknowns that turn them.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
         PlaceMixture.flat.
-    mean : (P,) float64, centre of independence proposals.
     """
 
     table: np.ndarray
     numbers: np.ndarray
     members: np.ndarray
     factors: np.ndarray
-    mean: np.ndarray
 
 
 class Chain(NamedTuple):

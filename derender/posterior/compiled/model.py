@@ -293,7 +293,6 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
         numbers=np.array(numbers, float),
         members=np.array(members, np.int64),
         factors=np.concatenate(factors),
-        mean=np.array(tuning.mean, float),
     )
 
 
@@ -309,7 +308,7 @@ def calls_of(target: "SceneTarget", parts: list[Part], model: Model, chain: Chai
                                chain.moved_pose, members, index, index, members, flat, index)  # fmt: skip
         else:
             propose = address_of(kind.proposal, rng, model.unknowns, model.laws, chain.values, chain.tangents, members,
-                                 flat, 0.0, flat)  # fmt: skip
+                                 flat, 0.0)  # fmt: skip
         if kind.keeps_children:
             vertex = target.template.names.index(part.block.objects[0])
             keep = address_of(reattach, model.vertices, model.extents, model.places, model.laws, chain.values,

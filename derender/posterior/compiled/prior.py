@@ -31,7 +31,6 @@ from derender.scene.separation import penetration_of, rest_residual, separation_
 
 wrap = njit(cache=True, nogil=True)(space.wrap)
 turn = njit(cache=True, nogil=True)(space.turn)
-turn_between = njit(cache=True, nogil=True)(space.turn_between)
 _rotation_density = njit(distributions["uniform-rotation"].density)
 _draw_rotation = njit(distributions["uniform-rotation"].draw)
 
@@ -88,24 +87,6 @@ def move(unknowns, laws, members, values, tangent, scale, moved):
         else:
             value = values[start] + scale * tangent[direction]
             moved[start] = value if period == 0.0 else wrap(value, period)
-            direction += 1
-
-
-@njit(cache=True, nogil=True)
-def difference(unknowns, laws, members, values, origin, tangent):
-    """Write into `tangent` the shortest step of some unknowns from `origin` to `values`."""
-    direction = 0
-    for i in members:
-        code, start, period = unknowns[CODE, i], unknowns[OFFSET, i], laws[i, PERIOD]
-        if code == ROTATION:
-            x, y, z = turn_between(origin[start : start + 4], values[start : start + 4])
-            tangent[direction], tangent[direction + 1], tangent[direction + 2] = x, y, z
-            direction += 3
-        else:
-            step = values[start] - origin[start]
-            if period != 0.0:
-                step = wrap(step + 0.5 * period, period) - 0.5 * period
-            tangent[direction] = step
             direction += 1
 
 

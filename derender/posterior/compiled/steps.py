@@ -71,7 +71,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
         else:
             correction = call_for_number(
                 kernels.table[PROPOSE_AT, k], rng, unknowns, laws, values, chain.tangents, members, factor,
-                kernels.numbers[k, SCALE], kernels.mean
+                kernels.numbers[k, SCALE]
             )  # fmt: skip
         if keep >= 0 and not math.isnan(correction):
             correction += call_for_number(

@@ -74,7 +74,7 @@ class KernelType:
     adapts : whether warm-up tunes its scale towards `acceptance`.
     keeps_children : whether it leaves the children of the object that it moves where they are in the world.
     form : STEP or PLACING.
-    proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale, mean)
+    proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale)
         -> log ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING: (rng, places,
         periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
     """

@@ -10,7 +10,7 @@ from derender.posterior.space import Block, Space
 
 
 @njit(cache=True, nogil=True)
-def drifted(rng, unknowns, laws, values, tangents, members, factor, scale, mean):
+def drifted(rng, unknowns, laws, values, tangents, members, factor, scale):
     """Random-walk Metropolis: tangent = scale * factor @ z with z standard normal.
 
     The tangent's density is even and does not depend on where the step starts, and `move` is symmetric, so
