@@ -78,7 +78,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     if only_best:
         part = structure_posterior(rng, first, names_of(first.state), 1.0, [only_draw(first)])
         return [replace(part, extras={**part.extras, **shown_and_left(first), "weighed": False})]
-    made = DrawsOfOne(chains, draws)
+    made = DrawsOfOne(chains, draws, settings.until)
     kept = weighed_structures(rng, first, energy, pool, settings, made)
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
     # What is not reported keeps its share: of the others' weights it takes what is its own.
@@ -114,14 +114,14 @@ def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:
 class DrawsOfOne:
     """Chains of one structure at a time, made when they are first asked for: the likeliest needs them anyway."""
 
-    def __init__(self, chains: int, draws: int) -> None:
-        self.chains, self.count = chains, draws
+    def __init__(self, chains: int, draws: int, until: float | None = None) -> None:
+        self.chains, self.count, self.until = chains, draws, until
         self.made: tuple = ()
 
     def of(self, rng: np.random.Generator, refined: Refined) -> list[Draws]:
         """Return the list of Draws of a Refined, one for each chain."""
         if not self.made or self.made[0] is not refined:
-            self.made = refined, chains_of(rng, refined, self.chains, self.count)
+            self.made = refined, chains_of(rng, refined, self.chains, self.count, self.until)
         return self.made[1]
 
 

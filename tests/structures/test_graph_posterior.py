@@ -3,6 +3,7 @@
 import itertools
 import math
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures import graph_posterior
 from derender.structures.draws import chart as charts
+from derender.structures.draws import metropolis
 from derender.structures.draws.chart import (
     camera_poses,
     log_prior,
@@ -505,6 +507,21 @@ def test_structures_too_many_to_be_told_keep_their_share(monkeypatch):
     assert [part.weight for part in parts] == pytest.approx([0.05] * MOST_PARTS)
     (alone,) = independent_parts(np.random.default_rng(0), refined, 0.0, [], Settings(), 1, 2, True)
     assert alone.extras["weighed"] is False and "weighed" not in parts[0].extras
+
+
+@pytest.mark.parametrize(("budget", "times"), [(None, metropolis.LONGER + 1), (0.0, 1), (math.inf, 6)])
+def test_chains_that_do_not_agree_go_on_while_it_is_worth_it_or_as_long_as_was_said(monkeypatch, budget, times):
+    """Here none agrees before the sixth time."""
+    sensor, chart, values = observe(np.random.default_rng(6), cube(), {"sigma": 0.003}, camera(40, 30))
+    refined = Refined(cube(), chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    genuine, told = metropolis.final_draws, []
+    monkeypatch.setattr(metropolis, "final_draws", lambda *walk: told.append(walk) or genuine(*walk))
+    monkeypatch.setattr(metropolis, "agree", lambda draws: len(told) == 6)
+    monkeypatch.setattr(metropolis, "far_apart", lambda draws: False)
+    settings = Settings()._replace(until=None if budget is None else time.monotonic() + budget)
+    monkeypatch.setattr(graph_posterior, "weighed_structures", lambda rng, *_: [(refined, 0.0, ["cube_1"], 0.0)])
+    independent_parts(np.random.default_rng(7), refined, 0.0, [], settings, 2, 4, False)
+    assert len(told) == times
 
 
 def test_draws_are_of_what_tips_as_rarely_as_the_prior_says():

@@ -13,6 +13,8 @@ anew, and always taken up were the posterior that normal.
 Scales, factors and centers are learnt in the warm-up and fixed afterwards.
 """
 
+import itertools
+import time
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -283,7 +285,8 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
 
 
 def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.ndarray, chains: int, count: int,
-           thin: int, only: list[int] | None = None, open_blur: bool = False) -> list[Draws]:  # fmt: skip
+           thin: int, only: list[int] | None = None, open_blur: bool = False,
+           until: float | None = None) -> list[Draws]:  # fmt: skip
     """Return the Draws of chains from `values` (D,): a warm-up with adaptation, then `count` draws `thin` steps apart.
 
     The steps' covariance is at first that of a normal about `values` (`curvature.py`), later a mean of it and of what
@@ -293,6 +296,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
 
     only : coordinates that may move, None for all. open_blur : whether the draws are of the blur too, of which there is
         one for each view: some sides lie where they do only under one blur. Then a draw's density is under its own.
+    until : time.monotonic() to which chains that do not agree go on; None: while it is worth it.
     """
     members = list(range(len(values)) if only is None else only)
     engines = [engine_of(chart, sensor) for _ in range(chains)]
@@ -314,7 +318,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
             met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
             spread, center[members] = spread_of(met, factor), met.mean(axis=0)
     former: list[Draws] = []
-    for left in reversed(range(LONGER + (len(members) > MANY) + 1)):
+    for number in itertools.count():
         steps = [*singles, *block_steps(chart, spread, only, center=center.copy())]
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         if not former:
@@ -323,7 +327,11 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
         told = np.stack([each.values[:, members] for each in drawn])
-        if not left or chains == 1 or agree(told) or (former and far_apart(told)):
+        if until is None:
+            over = number == LONGER + (len(members) > MANY) or bool(former and far_apart(told))
+        else:
+            over = time.monotonic() > until
+        if over or chains == 1 or agree(told):
             break
         met = np.concatenate([draws.values[:, members] for draws in drawn])
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)

@@ -247,10 +247,12 @@ def with_sensor_refitted(rng: np.random.Generator, refined: Refined) -> Refined:
     return climb(rng, refined.state, refined.chart, refined.values.copy(), sensor, ANNEALING, None, ())
 
 
-def chains_of(rng: np.random.Generator, refined: Refined, chains: int, draws: int) -> list[Draws]:
+def chains_of(
+    rng: np.random.Generator, refined: Refined, chains: int, draws: int, until: float | None = None
+) -> list[Draws]:
     """Return a list of Draws, the blur open, one for each chain; each starts where a hot walk of its own ends."""
     steps = min(STEPS * len(refined.values), MOST_STEPS)
-    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, open_blur=True)
+    return sample(rng, refined.chart, refined.sensor, refined.values, chains, draws, steps, None, True, until)
 
 
 def floor_pose_of(refined: Refined) -> np.ndarray:
