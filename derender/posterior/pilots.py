@@ -79,7 +79,7 @@ def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, si
     good = densities > np.max(densities) - GOOD
     if not good.any():
         return None
-    pools = [np.concatenate([found.stops[-1 - r].values for found in explored]) for r in range(len(LADDER))]
+    pools = [np.concatenate([found.stops[-1 - r] for found in explored]) for r in range(len(LADDER))]
     pools[0] = np.concatenate([found.values for found in explored])[good]
     levels = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
     levels = refitted(space, levels, pools, [[{}]] * len(levels))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
+from derender.posterior.kernels.base import Part, first_tuning, rescale
 from derender.posterior.space import Space
 from derender.scene.priors.terms import MOST_TRIES
 
@@ -28,29 +28,18 @@ BISECTIONS = 60  # halve [present, 1] to below the spacing of floating point num
 Advance = Callable[[np.ndarray, float], np.ndarray]
 
 
-class Stop(NamedTuple):
-    """A population on the way. values : (n, P) float64; tuning : with the temperature and the scales of then."""
-
-    values: np.ndarray
-    tuning: Tuning
-
-
 class Population(NamedTuple):
     """Particles of equal weight from the posterior.
 
     values : (n, P) float64. densities : (n, 2) float64, log prior and log likelihood.
     log_evidence : estimate of log p(image); unbiased on the natural scale but for the adaptation.
-    tuning : scales that the moves ended with.
-    temperatures : the exponents gone through.
-    stops : the populations at the exponents that were asked for, or just above.
+    stops : (n, P) float64, the populations at the exponents that were asked for, or just above.
     """
 
     values: np.ndarray
     densities: np.ndarray
     log_evidence: float
-    tuning: Tuning
-    temperatures: tuple[float, ...]
-    stops: tuple[Stop, ...] = ()
+    stops: list[np.ndarray]
 
 
 def from_prior(
@@ -115,21 +104,18 @@ def systematic(rng: np.random.Generator, weights: np.ndarray, count: int | None 
 
 def anneal(
     rng: np.random.Generator, gain: np.ndarray, advance: Advance, count: int | None = None, share: float = 0.5
-) -> tuple[float, list[float]]:
-    """Raise the exponent on a population's gain from 0 to 1.
+) -> float:
+    """Raise the exponent on a population's gain from 0 to 1; return the log of the estimated mean weight.
 
     gain : (n,) log increments of the particles, -inf allowed.
     advance : called at each stage with the indices of the particles that are kept, copies among them, and the exponent;
         moves them and returns their gains in full.
     count : of particles after the first stage; None: n.
     share : of the particles, the effective number that a stage leaves: the smaller, the fewer stages.
-
-    Returns log of the estimated mean weight; the exponents, from 0 to 1.
     """
     count = len(gain) if count is None else count
-    log_mean, exponents = 0.0, [0.0]
-    while exponents[-1] < 1.0:
-        present = exponents[-1]
+    log_mean, present = 0.0, 0.0
+    while present < 1.0:
         following = next_temperature(gain, present, share * count / len(gain))
         with np.errstate(invalid="ignore"):  # 0 times -inf, where nothing is
             logs = np.where(gain > -np.inf, (following - present) * gain, -np.inf)
@@ -138,9 +124,8 @@ def anneal(
         chosen = systematic(rng, weights)
         if len(gain) > count:  # from many draws to the population
             chosen = chosen[rng.permutation(len(gain))[:count]]
-        exponents.append(following)
-        gain = advance(chosen, following)
-    return log_mean, exponents
+        gain, present = advance(chosen, following), following
+    return log_mean
 
 
 def tempered(
@@ -165,7 +150,7 @@ def tempered(
     """
     values, densities, log_evidence = from_prior(rng, space, backend, max(particles, drawn or particles))
     tuning = first_tuning(space, values[0])
-    kept = list[Stop]()
+    kept = list[np.ndarray]()
 
     def advance(chosen: np.ndarray, exponent: float) -> np.ndarray:
         nonlocal values, densities, tuning
@@ -178,8 +163,8 @@ def tempered(
             counts += stretch.counts
         tuning = tuning._replace(scale=rescale(tuning.scale, parts, counts, GAIN))
         while len(kept) < len(stops) and exponent >= stops[len(kept)]:
-            kept.append(Stop(values.copy(), tuning))
+            kept.append(values.copy())
         return densities[:, 1]
 
-    log_ratio, temperatures = anneal(rng, densities[:, 1], advance, particles, share)
-    return Population(values, densities, log_evidence + log_ratio, tuning, tuple(temperatures), tuple(kept))
+    log_ratio = anneal(rng, densities[:, 1], advance, particles, share)
+    return Population(values, densities, log_evidence + log_ratio, kept)

@@ -40,7 +40,6 @@ class Candidate(NamedTuple):
 
     name, other : the solid, and what else it may rest on.
     mean, spread : metres, of the gap between them over the draws.
-    balanced : whether the parent alone could carry it.
     probability : that they are in contact.
     """
 
@@ -48,7 +47,6 @@ class Candidate(NamedTuple):
     other: str
     mean: float
     spread: float
-    balanced: bool
     probability: float
 
 
@@ -116,7 +114,7 @@ def judge(part: StructurePosterior, graph: SceneGraph, name: str, other: str, sl
     with_it = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2 * np.pi * variance)
     prior_odds = loose.second_support / (1.0 - loose.second_support)
     odds = prior_odds * loose.within * with_it / (1.0 if balanced else loose.tipping)
-    return Candidate(name, other, mean, spread, balanced, float(odds / (1 + odds)))
+    return Candidate(name, other, mean, spread, float(odds / (1 + odds)))
 
 
 def divide(part: StructurePosterior, candidate: Candidate) -> list[StructurePosterior]:

@@ -83,7 +83,7 @@ def test_annealing_estimates_the_mean_weight(impossible, broken):
             fresh = 8.0 * exponent / precision + rng.standard_normal(len(chosen)) / math.sqrt(precision)
             return gain_of(0.0 * fresh if broken else fresh, dead)
 
-        estimates.append(math.exp(smc.anneal(rng, gain_of(x, dead), advance)[0]))
+        estimates.append(math.exp(smc.anneal(rng, gain_of(x, dead), advance)))
     exact = (1.0 - impossible) / 3.0 * math.exp(-4.0 / 9.0)
     error = np.std(estimates) / math.sqrt(len(estimates))
     assert (abs(np.mean(estimates) - exact) < 4.5 * error + 0.02 * exact) != broken
