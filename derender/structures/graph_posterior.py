@@ -87,6 +87,8 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     for place, (trial, _, own, _) in enumerate(kept[:MOST_PARTS]):
         if place == 0 and len(trial.state):
             drawn = made.of(rng, trial)
+        elif place == 0:  # free-form things have numbers that are drawn for each of them
+            drawn = [only_draw(trial, draws)] * chains
         elif weights[place] > WORTH_DRAWING and len(trial.state):
             trial = at_mode(rng, trial.state, floor_pose_of(trial), trial.sensor, settings.rules, temperatures=WARM)
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))

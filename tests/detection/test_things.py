@@ -63,12 +63,21 @@ def test_a_bowl_is_one_thing_and_a_box_a_box(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_the_intervals_of_a_things_size_hold_the_best_one(scene):
     posterior = scene[1]
     told = next(item for item in scene_json(posterior.best_graph(), posterior)["objects"] if item["type"] == "thing")
     for size, (low, high) in zip(told["size"], told["size_interval"], strict=True):
         assert low < size < high
+
+
+def test_a_thing_that_stands_alone_has_draws_of_its_own():
+    """Of a scene without solids there was one draw, and all its intervals were points."""
+    image = seen_on_the_table([(MESH, 0.0, 0.0, (0.14, 0.14, 0.06), bowl())])
+    posterior = infer_structure(image, CAMERA, Options(seed=0, chains=2, draws=40))
+    item = next(item for item in scene_json(posterior.best_graph(), posterior)["objects"] if item["type"] == "thing")
+    assert posterior.best_part.values.shape[:2] == (2, 40)
+    for true, (low, high) in zip((0.14, 0.14, 0.06), item["size_interval"], strict=True):
+        assert low < true < high and high - low < 0.05
 
 
 def test_the_thing_explains_what_is_seen_of_it(scene):

@@ -302,9 +302,10 @@ def structure_posterior(
     )  # fmt: skip
 
 
-def only_draw(refined: Refined) -> Draws:
-    """Return Draws that hold the mode alone."""
-    return Draws(refined.values[None].copy(), np.array([[refined.log_prior, refined.log_likelihood]]), 0.0)
+def only_draw(refined: Refined, times: int = 1) -> Draws:
+    """Return Draws that hold the mode alone, so many times."""
+    densities = np.array([[refined.log_prior, refined.log_likelihood]])
+    return Draws(np.repeat(refined.values[None], times, axis=0), np.repeat(densities, times, axis=0), 0.0)
 
 
 def members_of(chart: Chart, solids: Any) -> list[int]:
