@@ -83,11 +83,12 @@ def table_of(views: Any) -> str:
     import numpy as np
 
     from derender.report.tables import text_table
+    from derender.results.posterior import NINETY
 
     least = max(views[0].spreads, key=lambda name: views[0].spreads[name][0])
     rows = []
     for view in views[:SHOWN]:
-        before, after = (2000.0 * 1.645 * spread for spread in view.spreads[least])
+        before, after = (2000.0 * NINETY * spread for spread in view.spreads[least])
         angles = (f"{np.degrees(angle):.0f}" for angle in (view.turn, view.elevation))
         nats = (f"{view.nats[key]:.1f}" for key in ("sizes", "structure", "stable"))
         rows.append([*angles, f"{view.moved:.2f}", *nats, f"{before:.1f} -> {after:.1f}"])

@@ -30,7 +30,7 @@ from derender.scene.vertex import is_name
 
 FORMAT = 1  # of posterior.npz
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for
-NINETY = 1.645  # standard errors on either side that nine of ten lie within
+NINETY = 1.645  # standard deviations on either side of a normal mean that nine of ten lie within
 # What NumPy, zipfile and our own reading raise for a file that is damaged or not ours.
 UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError,
               NotImplementedError, OverflowError, RuntimeError, MemoryError, zipfile.BadZipFile,

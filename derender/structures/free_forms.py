@@ -12,6 +12,7 @@ from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, 
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import Thing
+from derender.results.posterior import NINETY
 from derender.scene.priors.bare_image import Things
 from derender.scene.shapes.thing import encode_surface
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 SLACK = ("gap", "tilt_x", "tilt_y")
 MEDIAN = 0.6745  # of the absolute value of a standard normal
-NORMAL_95 = 1.645  # standard deviations of a normal between which and minus which nine of ten lie
 LEAST = 0.5  # of an extent that is seen: what noise leaves of it at least
 
 
@@ -61,7 +61,7 @@ def with_rivals(
             continue
         free = isinstance(swap.instead, Thing)
         name = names[swap.place] if free else thing_name(swap.place)
-        share, low, high = 1.0 / (1.0 + np.exp(-(swap.odds + NEAR_ERROR * np.array([0.0, -NORMAL_95, NORMAL_95]))))
+        share, low, high = 1.0 / (1.0 + np.exp(-(swap.odds + NEAR_ERROR * np.array([0.0, -NINETY, NINETY]))))
         both = []
         for part in parts:
             if name not in part.graph.names or (part.graph.vertex(name).shape == "thing") == free:
