@@ -85,7 +85,7 @@ def verdict_of_sweeps(world, without_terms=False):
         tuning = first_tuning(world.space, world.space.sample(np.random.default_rng(9)))
 
         def kernel(rng, state):
-            stretch = backend.sweep(rng, state.values, tuning, 1, 25)
+            stretch = backend.sweep(rng, state.values, tuning, 1, 250)
             prior, likelihood = stretch.densities[-1]
             if without_terms:  # its own log prior is another function of the values: the test is of one
                 prior = max(target.log_prior(stretch.values[-1]), -1e3)
