@@ -49,6 +49,7 @@ def explain(
     bent: np.ndarray | None = None,
     bend: np.ndarray | float = 0.0,
     coarse: int = 1,
+    hides: bool = True,
 ) -> Explanation:
     """Return the Explanation of an image by a scene.
 
@@ -61,6 +62,7 @@ def explain(
     bent : (H, W) bool, pixels of the floor that the model takes as the sensor bends them: they show the floor
         where they are off its plane by no more than MOST_BENT of the depth. bend : (H, W) metres by which all is seen
         nearer than it is, as the floor tells.
+    hides : whether background may lie before a solid: of an image without a sensor's dents what does is unexplained.
     coarse : pixels of this image by which the silhouettes of free-form things may be off, which were found in a
         reduced one: what goes on beyond them without a step, and nothing else explains, is theirs.
     """
@@ -77,7 +79,7 @@ def explain(
     filled = np.where(valid, seen, 0.0)
     tolerance = np.maximum(np.maximum(NEAR, NEAR_SHARE * filled), NOISES * noise)
     if background is not None:
-        behind = background & valid & ((label < 0) | (depth > filled + tolerance))
+        behind = background & valid & ((label < 0) | (hides & (depth > filled + tolerance)))
         depth[behind] = smooth_surface(filled, behind)[behind]
         label[behind] = BACKGROUND
     with np.errstate(invalid="ignore"):

@@ -339,7 +339,8 @@ def explanation_of(graph: Any, observations: Any, depth: np.ndarray, camera: Any
         if seen.bend is not None:
             bend = np.where(there, of_whole_image(seen.bend, seen, depth.shape), bend)
     noise, coarse = (max(values) for values in zip(*((s.floor.sigma, s.factor) for s in observations), strict=True))
-    return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse)
+    hides = any(seen.correlation > CORRELATED for seen in observations)
+    return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse, hides)
 
 
 def whole_camera(camera: Any, shape: tuple[int, int]) -> Any:

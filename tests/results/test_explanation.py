@@ -83,6 +83,8 @@ def test_background_before_a_solid_hides_it(graph, seen):
     told = explain(graph, seen, CAMERA, background=np.ones(seen.shape, bool))
     assert (told.label[24:28, 28:36] == BACKGROUND).all() and np.allclose(told.depth[24:28, 28:36], 0.5)
     assert (told.label[20:24, 28:36] == 0).all()
+    told = explain(graph, seen, CAMERA, background=np.ones(seen.shape, bool), hides=False)
+    assert (told.label[24:28, 28:36] == 0).all() and (told.depth[24:28, 28:36] > 0.6).all()  # what is there is not told
 
 
 def test_what_goes_on_beyond_a_coarse_outline_is_the_things():
