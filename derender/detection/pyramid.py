@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 STEP = 0.04  # share of the depth: a greater step within a block is a jump, not a slanted surface
 FAR_OFF = 2.0  # standard deviations
 SLOPING = 0.004  # share of the depth by which a surface may go on beside all that returned of it
-# Standard deviations of a blur within which a pixel beside a jump shows 2 % or more of its other side; and those of the
-# noise by which three pixels of a row or column are bent at a jump: 5 of what noise alone bends them by, sqrt(6).
+# Standard deviations of a blur, rounded up to pixels, beyond which a pixel shows less than 2 % of a jump's other side;
+# and those of the noise by which three pixels in line are bent at a jump: five times sqrt(6), what noise alone makes.
 MIXED, JUMP = 1.5, 12.0
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
