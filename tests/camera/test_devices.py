@@ -98,6 +98,12 @@ def test_distortion_and_raw_calibrations_are_refused(tmp_path):
             read_camera(tmp_path / "camera.json", (192, 256))
 
 
+def test_a_colour_image_without_pixels_is_refused(tmp_path):
+    (tmp_path / "camera.json").write_text(json.dumps(FILES["Record3D"] | {"w": 0}))
+    with pytest.raises(DerenderError, match="that of 0 x 1440 pixels"):
+        read_camera(tmp_path / "camera.json", (192, 256))
+
+
 def test_gravity_is_read_from_the_pose(tmp_path):
     trees = {
         "level": (FILES["ARKit, nested"], (0, 1, 0)),
