@@ -94,14 +94,18 @@ def touching_points(row: np.ndarray, other: np.ndarray | None, reach: float) -> 
     return points
 
 
-def shares_of_load(rows: list[np.ndarray] | np.ndarray, k: int, reach: float) -> dict[int, float]:
+def shares_of_load(
+    rows: list[np.ndarray] | np.ndarray, k: int, reach: float, friction: np.ndarray | None = None
+) -> dict[int, float]:
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
     Parameters
     ----------
     rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
+    friction : (N + 1,) coefficients of its contacts with each of the others, that with the floor last; None: FRICTION.
     """
     row = rows[k]
+    friction = np.full(len(rows) + 1, FRICTION) if friction is None else friction
     columns, carriers = [], []
     for other in (FLOOR, *(j for j in range(len(rows)) if j != k)):
         points = touching_points(row, None if other == FLOOR else rows[other], reach)
@@ -113,7 +117,7 @@ def shares_of_load(rows: list[np.ndarray] | np.ndarray, k: int, reach: float) ->
         across = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
         across /= np.linalg.norm(across)
         other_way = np.cross(normal, across)
-        pyramid = normal + FRICTION * np.array([across, -across, other_way, -other_way])
+        pyramid = normal + friction[other] * np.array([across, -across, other_way, -other_way])
         force = np.tile(pyramid, (len(points), 1))
         turning = np.cross(np.repeat(points - row[10:13], len(pyramid), axis=0), force) / row[13:16].max()
         columns.append(np.hstack([force, turning]))
@@ -121,7 +125,7 @@ def shares_of_load(rows: list[np.ndarray] | np.ndarray, k: int, reach: float) ->
     if not columns:
         return {}
     matrix, weight = np.concatenate(columns).T, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    forces = non_negative(matrix.T @ matrix + RIDGE * np.eye(matrix.shape[1]), weight @ matrix)
+    forces = least_forces(matrix, weight, RIDGE)
     # the ridge alone lets a share of the weight go
     held = matrix @ forces
     if np.linalg.norm(held / max(held[2], 1e-9) - weight) > UNBALANCED:
@@ -255,43 +259,50 @@ def standing_on(state: State, i: int, reach: float = 0.012) -> tuple[int, float]
     return (min(leaning)[1] if leaning else FLOOR), np.nan
 
 
-def non_negative(gram: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return the x >= 0 (N,) with the least x . gram . x / 2 - target . x, gram (N, N) positive definite.
+def least_forces(matrix: np.ndarray, load: np.ndarray, ridge: float) -> np.ndarray:
+    """Return the x >= 0 (K,) with the least |matrix x - load|^2 + ridge |x|^2.
 
-    By the active sets of Lawson and Hanson (1974), as in scipy, whose import takes longer than an image.
+    By its dual, which has as many unknowns as the load (M,), not as many as there are forces: what of the load is left,
+    u = load - matrix x, is where |u|^2 / 2 + |max(u matrix, 0)|^2 / (2 ridge) - load u is least, and x =
+    max(u matrix, 0) / ridge. Newton's steps, halved where they go too far, end there once they know which forces push.
     """
-    found, free = np.zeros(len(target)), np.zeros(len(target), bool)
+
+    def height(left: np.ndarray) -> float:
+        push = np.maximum(left @ matrix, 0.0)
+        return float(0.5 * left @ left + 0.5 * push @ push / ridge - load @ left)
+
+    left, last = np.zeros(len(load)), np.inf
     while True:
-        slope = np.where(free, 0.0, target - gram @ found)
-        if slope.max() <= EVEN:
-            return found
-        free[np.argmax(slope)] = True
-        while True:
-            trial = np.zeros(len(target))
-            trial[free] = np.linalg.solve(gram[np.ix_(free, free)], target[free])
-            under = free & (trial <= 0.0)
-            if not under.any():
-                break
-            found += (found[under] / (found[under] - trial[under])).min() * (trial - found)
-            free &= found > EVEN
-        found = trial
+        forces = np.maximum(left @ matrix, 0.0) / ridge
+        slope = left + matrix @ forces - load
+        if np.abs(slope).max() <= EVEN or not height(left) < last:  # the second: nothing but rounding is left
+            return forces
+        last, pushing = height(left), matrix[:, forces > 0.0]
+        step = np.linalg.solve(np.eye(len(load)) + pushing @ pushing.T / ridge, slope)
+        while height(left - step) > last and np.abs(step).max() > EVEN:
+            step = 0.5 * step
+        left = left - step
+
+
+def bearers(rows: list[np.ndarray] | np.ndarray, i: int) -> list[int]:
+    """Return what may bear solid i: FLOOR and the indices of lower solids, as far as it touches them."""
+    lower = (j for j in range(len(rows)) if j != i and rows[j][12] < rows[i][12])
+    floor = [FLOOR] if lowest(rows[i]) < NEAR else []
+    return floor + [j for j in lower if touches(rows[i], rows[j])]
 
 
 def final_parents(state: State) -> list[int]:
     """Return the parent of each solid by contact: of several supports, the one that bears the most of its weight."""
     parents = []
     for i in range(len(state)):
-        row = state.rows[i]
-        below = [j for j in range(len(state)) if j != i and state.rows[j][12] < row[12]]
-        carriers = [j for j in below if touches(row, state.rows[j])]
-        on_floor = lowest(row) < NEAR
-        shares = shares_of_load(state.rows, i, TOUCHING) if len(carriers) + on_floor > 1 else {}
+        row, found = state.rows[i], bearers(state.rows, i)
+        shares = shares_of_load(state.rows, i, TOUCHING) if len(found) > 1 else {}
         if shares:
             parents.append(max(shares, key=lambda j: shares[j]))
-        elif on_floor or not carriers:
-            parents.append(FLOOR if on_floor or state.parents[i] in (FLOOR, i) else state.parents[i])
-        elif state.parents[i] in carriers:
+        elif FLOOR in found or not found:
+            parents.append(FLOOR if found or state.parents[i] in (FLOOR, i) else state.parents[i])
+        elif state.parents[i] in found:
             parents.append(state.parents[i])
         else:
-            parents.append(min(carriers, key=lambda j: np.hypot(*(state.rows[j][10:12] - row[10:12]))))
+            parents.append(min(found, key=lambda j: np.hypot(*(state.rows[j][10:12] - row[10:12]))))
     return parents
