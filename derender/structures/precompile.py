@@ -51,7 +51,7 @@ def draws_on_a_floor() -> None:
     from derender.structures.draws.chart import make_chart
     from derender.structures.draws.refined import only_draw, refined_at, structure_posterior
     from derender.structures.draws.sensor import Sensor, model_depth
-    from derender.structures.draws.steps import make_proposals, single_steps
+    from derender.structures.draws.steps import single_steps
 
     camera = Camera(WIDTH, WIDTH, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
     floor = translation(0.0, 0.0, 0.8) @ rotation_x(np.radians(125.0))
@@ -61,7 +61,7 @@ def draws_on_a_floor() -> None:
     sensor = Sensor(camera, np.full((HEIGHT, WIDTH), 0.8), likelihoods["robust"], {})
     sensor = sensor.changed(sigma=0.01, blur=0.5)
     engine = metropolis.engine_of(chart, sensor)
-    proposals = make_proposals(single_steps(chart))
+    proposals = single_steps(chart)
     draws = metropolis.run(np.random.default_rng(0), engine, chart, values, proposals, 1.0, 0.1, 1, 1)
     model_depth(chart, values, camera)
     refined = refined_at(state, chart, values, sensor, *draws.densities[0])

@@ -40,6 +40,7 @@ from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
 from derender.structures.draws.refined import Refined, chains_of, pixels_of, structure_posterior, with_lost_back
 from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
 from derender.structures.draws.steps import (
+    FIRST,
     FLOOR_SHARE,
     WIDER,
     Step,
@@ -196,7 +197,7 @@ def test_walk_draws_sizes_from_their_prior():
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
     rng = np.random.default_rng(3)
     side = int(chart.slots[0, charts.SIZE])
-    proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
+    proposals = single_steps(chart, own_members(chart, 0))
     proposals.scale[:] = 0.05
     draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
     z = (np.log(draws.values[:, side]) - math.log(0.085)) / 0.45
@@ -208,7 +209,7 @@ def test_a_walk_gives_its_generator_back():
     """Else each of the hundred walks that a frame takes would keep one in memory for good."""
     chart, values = make_chart(cube(), floor_pose(), Rules(0.0015))
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
-    rng, proposals = np.random.default_rng(3), make_proposals(single_steps(chart))
+    rng, proposals = np.random.default_rng(3), single_steps(chart)
     held = sys.getrefcount(rng)
     run(rng, engine_of(chart, sensor), chart, values, proposals, 1.0, 0.0, 5, 1)
     assert sys.getrefcount(rng) == held
@@ -406,9 +407,10 @@ def test_nothing_leans_on_a_support_of_negative_extent():
 
 def test_the_floor_is_moved_less_often_than_each_solid():
     chart, values = make_chart(stack(), floor_pose(), Rules(0.0015))
-    for steps, total in ((single_steps(chart), 1.0), (block_steps(chart, 1e-6 * np.eye(len(values))), 2.0)):
-        floor = np.array([step.members[-1] >= len(values) - 3 for step in steps])
-        weights = np.array([step.weight for step in steps])
+    blocks = make_proposals(block_steps(chart, 1e-6 * np.eye(len(values))))
+    for steps, total in ((single_steps(chart), 1.0), (blocks, 2.0)):
+        floor = steps.members[steps.table[FIRST, 1:] - 1] >= len(values) - 3
+        weights = np.diff(steps.cumulative, prepend=0.0)
         assert weights.sum() == pytest.approx(total)
         np.testing.assert_allclose(weights[floor].mean(), FLOOR_SHARE * weights[~floor])
 

@@ -14,7 +14,7 @@ from derender.scene.priors.objects import ShapePrior
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, SLOTS, make_chart
 from derender.structures.draws.metropolis import engine_of, run
-from derender.structures.draws.steps import make_proposals, own_members, single_steps
+from derender.structures.draws.steps import own_members, single_steps
 from derender.structures.infer import settings_of
 from derender.structures.options import Options
 
@@ -80,7 +80,7 @@ def test_walk_draws_sizes_from_the_file():
     state = State().add(row(BOX, 0.4, 0.0, 0.0, 0.0, (0.12, 0.05, 0.04)), UPRIGHT, False, FLOOR, 0.0)
     chart, values = make_chart(state, floor_pose(), Rules(0.0015, beliefs=bare_image()._replace(sizes=sizes_of(PRIOR))))
     sensor, _, _ = observe(np.random.default_rng(0), state, {"sigma": 0.01}, camera(16, 12))
-    proposals = make_proposals(single_steps(chart, own_members(chart, 0)))
+    proposals = single_steps(chart, own_members(chart, 0))
     proposals.scale[:] = 0.01
     draws = run(np.random.default_rng(3), engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1000, 80)
     length, height = (draws.values[::2, int(chart.slots[0, SIZE + axis])] for axis in (0, 2))

@@ -39,8 +39,9 @@ from derender.structures.draws.steps import (
     PULL,
     RANK,
     Proposals,
-    Step,
+    adapted,
     block_steps,
+    joined,
     make_proposals,
     single_steps,
     touched_by,
@@ -267,16 +268,17 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
     """
     members = list(range(len(values)) if only is None else only)
     found = [(values.copy(), *load(engine, chart, values))]
-    moves, count = single_steps(chart, only), max(steps // APART, 1)
-    singles, blocks = len(moves), []
+    singles, blocks, count = single_steps(chart, only), None, max(steps // APART, 1)
     for temperature in (*temperatures, *COLD):
+        moves = singles
         if temperature >= 1.0:
-            if not blocks:
+            if blocks is None:
                 load(engine, chart, values)
                 spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
-                blocks = block_steps(chart, spread, only)
-            moves = [*moves[:singles], *(each._replace(matrix=each.matrix / np.sqrt(temperature)) for each in blocks)]
+                blocks = make_proposals(block_steps(chart, spread, only))
+            moves = joined(singles, blocks._replace(factors=blocks.factors / np.sqrt(temperature)))
         moves, (draws,) = stretch(rng, [(engine, chart, values)], moves, temperature, 0.1, count, APART)
+        singles = adapted(singles, moves)
         if temperature >= 1.0:
             best = int(np.argmax(draws.densities.sum(axis=1)))
             values[:] = draws.values[best]
@@ -307,22 +309,25 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     spread = np.linalg.inv(curvature.precision(members))
     factor = np.linalg.cholesky(spread)
     walkers = [(engine, chart, values.copy()) for engine in engines]
-    singles = [step._replace(weight=SINGLES * step.weight, scale=NARROW) for step in single_steps(chart, only)]
-    singles += unseen_steps(chart, sensor, only)
+    singles = single_steps(chart, only)
+    singles = singles._replace(cumulative=SINGLES * singles.cumulative, scale=np.full_like(singles.scale, NARROW))
+    if unseen := unseen_steps(chart, sensor, only):
+        singles = joined(singles, make_proposals(unseen))
     met, center = np.empty((0, len(members))), values.copy()
     for temperature, length in ROUNDS[chains == 1 :]:
-        steps = [*singles, *block_steps(chart, spread / temperature, only, center=center)]
+        steps = joined(singles, make_proposals(block_steps(chart, spread / temperature, only, center=center)))
         steps, drawn = stretch(rng, walkers, steps, temperature, 0.1, max(length * len(members) // APART, 4), APART)
-        singles = steps[: len(singles)]
+        singles = adapted(singles, steps)
         if temperature == 1.0:
             met = np.concatenate([met, *(draws.values[:, members] for draws in drawn)])
             spread, center[members] = spread_of(met, factor), met.mean(axis=0)
     former: list[Draws] = []
     for number in itertools.count():
-        steps = [*singles, *block_steps(chart, spread, only, center=center.copy())]
+        blocks = make_proposals(block_steps(chart, spread, only, center=center.copy()))
+        steps = joined(singles, blocks)
         steps, _ = stretch(rng, walkers, steps, 1.0, 0.05, max(LAST * len(members) // APART, 4), APART)
         if not former:
-            thin += int(thin * np.mean([step.pull is None for step in steps[len(singles) :]]))
+            thin += int(thin * np.mean(blocks.table[PULL, :-1] < 0))
         drawn = final_draws(rng, walkers, steps, count, thin, sensor, blurs)
         if former:
             drawn, thin = [every_other(*both) for both in zip(former, drawn, strict=True)], 2 * thin
@@ -335,7 +340,7 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
             break
         met = np.concatenate([draws.values[:, members] for draws in drawn])
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)
-        former, singles = drawn, steps[: len(singles)]
+        former, singles = drawn, adapted(singles, steps)
     return drawn
 
 
@@ -345,7 +350,7 @@ def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, senso
     blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
     """
     pieces: list[list[Draws]] = []
-    proposals = [make_proposals(steps)] * len(walkers)
+    proposals = [steps] * len(walkers)
     for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(map(len, blurs)) else 1):
         walkers = [(with_blurs_drawn(rng, views, sensor, blurs), *rest) for views, *rest in walkers]
         pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, len(piece), thin))
@@ -386,17 +391,15 @@ def spread_of(met: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
 
 
-def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], steps: list[Step],
-            temperature: float, gain: float, count: int, thin: int) -> tuple[list[Step], list[Draws]]:  # fmt: skip
+def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], steps: Proposals,
+            temperature: float, gain: float, count: int, thin: int) -> tuple[Proposals, list[Draws]]:  # fmt: skip
     """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
 
     The scales are the geometric means of those to which each walker's adapted.
     """
-    made = make_proposals(steps)
-    proposals = [made._replace(scale=made.scale.copy()) for _ in walkers]
+    proposals = [steps._replace(scale=steps.scale.copy()) for _ in walkers]
     drawn = side_by_side(rng, walkers, proposals, temperature, gain, count, thin)
-    scales = np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))
-    return [step._replace(scale=scale) for step, scale in zip(steps, scales, strict=True)], drawn
+    return steps._replace(scale=np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))), drawn
 
 
 def side_by_side(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], proposals: list[Proposals],

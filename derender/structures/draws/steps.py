@@ -6,6 +6,7 @@ floor, each given the coordinates that stay. In a stack an image tells where eac
 moves one top leaves those above where they are (`tops_of`).
 """
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from derender.structures.draws.sensor import Sensor
 
 PIVOTS = np.array([(0, 0, 0), (1, 1, 0), (1, -1, 0), (-1, 1, 0), (-1, -1, 0)])  # half sides from the centre
+# Where a centre goes as up to three sides grow by one, each held at one end or the other: (2^n, n) for n sides.
+HELD_CORNERS = [np.array(list(np.ndindex(*[2] * count))) - 0.5 for count in range(4)]
 
 
 def directions(chart: Chart, count: int, solids: list[int] | None = None) -> np.ndarray:
@@ -29,45 +32,28 @@ def directions(chart: Chart, count: int, solids: list[int] | None = None) -> np.
     """
     found = []
     for k in range(len(chart.flags)) if solids is None else solids:
-        slot, flag, base = chart.slots[k], chart.flags[k], chart.base[k]
-        rotation = base[1:10].reshape(3, 3)
-
-        def shifted(vector, move, slot=slot):
-            for i in range(3):
-                if slot[i] >= 0:
-                    vector[slot[i]] += move[i]
-            return vector
-
-        for axis in range(3):
-            if slot[axis] >= 0:
-                found.append(shifted(np.zeros(count), np.eye(3)[axis]))
-            found.append(shifted(np.zeros(count), rotation[:, axis]))
-        sizes = sorted({int(s) for s in slot[SIZE:]})
-        for index in sizes:
-            axes = [i for i in range(3) if slot[SIZE + i] == index]
-            for signs in np.ndindex(*([2] * len(axes))):
-                vector = np.zeros(count)
-                vector[index] = 1.0
-                for axis, sign in zip(axes, signs, strict=True):
-                    shifted(vector, (sign - 0.5) * rotation[:, axis])
-                found.append(vector)
-        for axis in range(3):
-            index = slot[TURN + axis]
-            if index < 0:
-                continue
-            about = np.array([0.0, 0.0, 1.0]) if flag[VERTICAL] else rotation[:, axis]
-            radius = 0.5 * float(np.linalg.norm(base[13:16]))
+        slot, base = chart.slots[k], chart.base[k]
+        rotation, free = base[1:10].reshape(3, 3), slot[:3] >= 0
+        along = np.stack([np.eye(3), rotation.T], axis=1).reshape(6, 3)[np.stack([free, [True] * 3], axis=1).ravel()]
+        ways = [(along, 0, 0.0)]  # shifts (n, 3) of the centre, and by how much which coordinate changes besides
+        for index in sorted({int(s) for s in slot[SIZE:]}):
+            axes = np.flatnonzero(slot[SIZE:] == index)
+            ways.append((HELD_CORNERS[len(axes)] @ rotation[:, axes].T, index, 1.0))
+        radius = 0.5 * math.sqrt(base[13:16] @ base[13:16])
+        for axis in np.flatnonzero(slot[TURN:SIZE] >= 0):
+            x, y, z = (0.0, 0.0, 1.0) if chart.flags[k, VERTICAL] else rotation[:, axis]
             corners = (0.5 * base[13:16] * PIVOTS) @ rotation.T
-            for move in np.cross(about, -corners) / radius:
-                vector = np.zeros(count)
-                vector[index] = 1.0 / radius
-                found.append(shifted(vector, move))
-    for axis in range(FLOOR_WAYS):
-        vector = np.zeros(count)
-        vector[count - FLOOR_WAYS + axis] = 0.1
-        found.append(vector)
-    kept = [v for v in found if np.abs(v).max() > 1e-9]
-    return np.array(kept)
+            about = corners @ [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+            ways.append((about / radius, slot[TURN + axis], 1.0 / radius))
+        for shifts, index, change in ways:
+            moves = np.zeros((len(shifts), count))
+            moves[:, slot[:3][free]] = shifts[:, free]
+            moves[:, index] += change
+            found.append(moves)
+    floor = np.zeros((FLOOR_WAYS, count))
+    floor[:, -FLOOR_WAYS:] = 0.1 * np.eye(FLOOR_WAYS)
+    moves = np.concatenate([*found, floor])
+    return moves[np.abs(moves).max(axis=1) > 1e-9]
 
 
 FIRST, FACTOR, RANK, PULL = range(4)  # rows of Proposals.table
@@ -181,28 +167,39 @@ class Step(NamedTuple):
     center: np.ndarray | None = None
 
 
-def single_steps(chart: Chart, only: list[int] | None = None) -> list[Step]:
-    """Return the Steps along one direction each, of LATTICE metres; only : coordinates that may move, None for all."""
+def single_steps(chart: Chart, only: list[int] | None = None) -> Proposals:
+    """Return the Proposals of steps along one direction each, of LATTICE metres, with weights whose sum is 1.
+
+    only : coordinates that may move, None for all.
+    """
     size = size_of(chart)
-    free = np.isin(np.arange(size), list(range(size) if only is None else only))
+    free = np.zeros(size, bool)
+    free[slice(None) if only is None else only] = True
     solids = [k for k, slot in enumerate(chart.slots) if free[slot[slot >= 0]].any()]
-    ways = list({v.tobytes(): v for v in directions(chart, size, solids) * free if np.any(v)}.values())
-    steps = []
-    for vector, touched in zip(ways, touched_by_each(chart, np.transpose(ways)), strict=True):
-        members = np.flatnonzero(vector)
-        steps.append(Step(members, vector[members][:, None], touched, weight_of(chart, members), LATTICE, 0.4))
-    return weighted(steps, 1.0)
+    ways = directions(chart, size, solids) * free
+    ways = ways[ways.any(axis=1)]
+    ways = ways[list({way.tobytes(): k for k, way in enumerate(ways)}.values())]
+    rows, members = divmod(np.flatnonzero(ways), size)
+    table = np.zeros((4, len(ways) + 1), np.int64)
+    table[FIRST] = table[FACTOR] = np.searchsorted(rows, np.arange(len(ways) + 1))
+    table[RANK, :-1], table[PULL, :-1] = 1, -1
+    weights = weight_of(chart, members[table[FIRST, :-1]])
+    return Proposals(
+        table=table,
+        members=members,
+        factors=ways[rows, members],
+        pulls=np.zeros((0, 0)),
+        center=np.zeros(0),
+        touched=np.ascontiguousarray(touched_by_each(chart, ways.T)),
+        cumulative=np.cumsum(weights / weights.sum()),
+        scale=np.full(len(ways), LATTICE),
+        wanted=np.full(len(ways), 0.4),
+    )
 
 
-def weight_of(chart: Chart, members: np.ndarray) -> float:
-    """Return the weight of a step of these coordinates beside others of its kind."""
-    return FLOOR_SHARE if members[0] >= size_of(chart) - FLOOR_WAYS else 1.0
-
-
-def weighted(steps: list[Step], total: float) -> list[Step]:
-    """Return the Steps with weights of this sum in the same proportions."""
-    total /= sum(step.weight for step in steps)
-    return [step._replace(weight=total * step.weight) for step in steps]
+def weight_of(chart: Chart, first: Any) -> np.ndarray:
+    """Return the weight of a step beside others of its kind, whose first coordinate this is."""
+    return np.where(np.asarray(first) >= size_of(chart) - FLOOR_WAYS, FLOOR_SHARE, 1.0)
 
 
 def unseen_steps(chart: Chart, sensor: "Sensor", only: list[int] | None = None) -> list[Step]:
@@ -238,7 +235,8 @@ SHRINK = 1e-6  # metres added to every spread, so that few draws do not make a f
 
 
 def block_steps(chart, covariance, only=None, center=None):
-    """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay.
+    """Return the Steps of coordinates that move together as a covariance (D, D) says, given those that stay; their
+    weights sum to 2.
 
     only : the coordinates that may move at all: then the covariance is theirs alone, (len(only), len(only)).
     center : (D,) the mean that goes with it: steps are drawn to what both let expect, but for those of what the image
@@ -263,7 +261,7 @@ def block_steps(chart, covariance, only=None, center=None):
     by_column, steps = np.split(touched_by_each(chart, moves), np.cumsum([len(index) for index in indices])), []
     for index, factor, matrix, touched in zip(indices, factors, matrices, by_column, strict=False):
         block, moving = members[index], matrix.any(axis=1)
-        step = Step(members[moving], matrix[moving], touched.any(axis=0), weight_of(chart, block),
+        step = Step(members[moving], matrix[moving], touched.any(axis=0), float(weight_of(chart, block[0])),
                     1.5 / np.sqrt(len(block)), 0.25)  # fmt: skip
         if center is not None and held[moving].all():
             pull = np.zeros((len(block), size))
@@ -272,7 +270,8 @@ def block_steps(chart, covariance, only=None, center=None):
         steps.append(step)
     if place.keys() > set(blocks_of(chart)[-1]):
         steps.append(floor_step(covariance + SHRINK**2 * np.eye(size), len(chart.flags), center))
-    return weighted(steps, 2.0)
+    weight = 2.0 / sum(step.weight for step in steps)
+    return [step._replace(weight=weight * step.weight) for step in steps]
 
 
 def factor_of_inverse(precision: np.ndarray) -> np.ndarray:
@@ -324,3 +323,20 @@ def make_proposals(steps: list[Step]) -> Proposals:
         scale=np.array(scales),
         wanted=np.array(wanted),
     )
+
+
+def joined(alone: Proposals, drawn: Proposals) -> Proposals:
+    """Return the Proposals of two, of which only those of the second may be drawn to a center."""
+    table = np.concatenate([alone.table[:, :-1], drawn.table], axis=1)
+    count = len(alone.scale)
+    table[FIRST, count:] += len(alone.members)
+    table[FACTOR, count:] += len(alone.factors)
+    both = {name: np.concatenate([getattr(alone, name), getattr(drawn, name)])
+            for name in ("members", "factors", "touched", "scale", "wanted")}  # fmt: skip
+    cumulative = np.concatenate([alone.cumulative, alone.cumulative[-1] + drawn.cumulative])
+    return drawn._replace(table=table, cumulative=cumulative, **both)
+
+
+def adapted(steps: Proposals, walked: Proposals) -> Proposals:
+    """Return the Proposals with the scales of others that begin with them."""
+    return steps._replace(scale=walked.scale[: len(steps.scale)])
