@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
@@ -11,15 +12,16 @@ from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
-from derender.interface.scene import Scene
+from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
 from derender.results import posterior as kept
+from derender.results.table import SIDES, digits, extents_text
 from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
     from derender.interface.simulation import How
     from derender.physics.outcome import Chance, Outcome
 
-SIDES = ("length", "width", "height")
+MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's page
 
 
 class Structure(NamedTuple):
@@ -240,26 +242,52 @@ class Posterior(kept.Posterior):
 
     def plot_depth(self, ax: Any = None) -> Any:
         """Draw the observed depth into matplotlib axes, new ones by default, and return them."""
-        from derender.interface.display import plot_depth
-
-        return plot_depth(self, ax)
+        if self.image is None:
+            raise DerenderError("the posterior does not have its image", remedy="load the folder, not posterior.npz")
+        return plot_depth(self.image.depth, ax)
 
     def plot_sizes(self, ax: Any = None) -> Any:
-        """Draw each object's sizes with their 90 % ranges into matplotlib axes, and return them."""
-        from derender.interface.display import plot_sizes
-
-        return plot_sizes(self, ax)
+        """Draw length, width and height of each object with their 90 % ranges into matplotlib axes, and return them."""
+        axes, objects = axes_for(ax), self.objects
+        places = np.arange(len(objects))
+        for number, side in enumerate(SIDES):
+            sizes = [1000 * found.size[number] for found in objects]
+            errors = [1000 * found.size_error[number] for found in objects]
+            axes.errorbar(places + 0.2 * (number - 1), sizes, errors, fmt="o", capsize=3, label=side)
+        axes.set_xticks(places, [found.name for found in objects], rotation=30, ha="right")
+        axes.set_ylabel("mm, 90 % range")
+        axes.set_ylim(bottom=0)
+        axes.legend()
+        return axes
 
     def plot_structures(self, ax: Any = None) -> Any:
-        """Draw the structures' probabilities into matplotlib axes, and return them."""
-        from derender.interface.display import plot_structures
+        """Draw the structures' probabilities, the greatest on top, into matplotlib axes, and return them."""
+        from derender.report.tree_text import told_structures
 
-        return plot_structures(self, ax)
+        axes = axes_for(ax)
+        words = [words for _, words in told_structures(self)][:MOST_BARS]
+        shares = [each.probability for each in self.structures[: len(words)]]
+        axes.barh(np.arange(len(words))[::-1], shares, tick_label=words)
+        axes.set_xlim(0, 1)
+        axes.set_xlabel("probability")
+        return axes
 
     def _repr_html_(self) -> str:
-        from derender.interface.display import posterior_html
+        from derender.report import pictures
+        from derender.report.tree_text import told_structures
 
-        return posterior_html(self)
+        shown = ""
+        if self.image is not None:
+            depth = self.image.depth
+            shown = picture_html(pictures.paint(depth, *pictures.depth_limits(depth)), "observed depth")
+        rows = []
+        for found in self.objects:
+            ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
+            words = extents_text(found.size, ranges)
+            rows.append((found.name, found.type, words, found.parent, digits(found.probability)))
+        likely = "<br>".join(f"{share} {escape(words)}" for share, words in told_structures(self)[:MOST_LINES])
+        head = ("object", "type", "size ± half of the 90 % range, cm", "rests on", "p")
+        return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{table_html(head, rows)}</div>"
 
     def _camera(self) -> Camera:
         if self.camera is None:

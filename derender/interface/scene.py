@@ -1,6 +1,8 @@
 """A scene for use from Python: its graph, the camera that sees it, and what one does with them."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -9,6 +11,7 @@ import numpy as np
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior, document_text, write_document
+from derender.results.table import extents_text
 from derender.scene.graph import SceneGraph
 
 if TYPE_CHECKING:
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
     from derender.interface.simulation import Acts, Simulation
 
 WIDTH, HEIGHT = 160, 120  # pixels of a picture where a scene has no camera
+SHOWN_WIDTH = 240  # pixels of a picture in a notebook
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,11 +139,53 @@ class Scene:
 
     def plot_depth(self, ax: Any = None) -> Any:
         """Draw its depth image into matplotlib axes, new ones by default, and return them."""
-        from derender.interface.display import plot_depth
-
-        return plot_depth(self, ax)
+        return plot_depth(self.render().depth, ax)
 
     def _repr_html_(self) -> str:
-        from derender.interface.display import scene_html
+        rows = [
+            (name, self.graph.vertex(name).shape, extents_text(size), self.parents[name])
+            for name, size in self.sizes.items()
+        ]
+        return f"<div>{self.picture_html()}{table_html(('object', 'type', 'size, cm', 'rests on'), rows)}</div>"
 
-        return scene_html(self)
+    def picture_html(self) -> str:
+        """Return a small shaded picture of it for a page."""
+        from derender.report.pictures import shade
+
+        camera = self.camera or Camera.from_field_of_view(WIDTH, HEIGHT)
+        camera = camera.downscaled(max(1.0, camera.width / SHOWN_WIDTH))
+        return picture_html(shade(self.graph.solids(), camera, self.graph.solid_names), "the scene")
+
+
+def picture_html(pixels: np.ndarray, words: str) -> str:
+    """Return a small picture (H, W, 3) uint8 for a page that needs no network."""
+    from derender.report.pictures import png_uri
+
+    style = f"width:{SHOWN_WIDTH}px;margin-right:8px;display:inline-block"
+    return f'<img src="{png_uri(pixels)}" alt="{escape(words)}" style="{style}">'
+
+
+def table_html(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of plain texts."""
+    lines = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    inside = "".join(f"<tr>{line}</tr>" for line in ("".join(f"<th>{name}</th>" for name in head), *lines))
+    return f"<table>{inside}</table>"
+
+
+def axes_for(ax: Any) -> Any:
+    """Return matplotlib axes: those given, or new ones."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots()[1]
+
+
+def plot_depth(depth: np.ndarray, ax: Any = None) -> Any:
+    """Draw a depth image (H, W), metres, into matplotlib axes, and return them."""
+    axes = axes_for(ax)
+    shown = axes.imshow(np.ma.masked_invalid(depth), cmap="viridis_r", interpolation="nearest")
+    axes.figure.colorbar(shown, ax=axes, label="depth, m")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    return axes

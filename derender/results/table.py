@@ -112,10 +112,10 @@ def as_page(title: str, style: str, body: str, script: str) -> str:
     )
 
 
-def extents_text(size: Sequence[float], ranges: Sequence[Sequence[float]] | None = None) -> str:
+def extents_text(size: Iterable[float], ranges: Iterable[Iterable[float]] | None = None) -> str:
     """Return extents, metres, in centimetres, with half of their ranges (low, high) where there are any."""
     words = []
-    for value, (low, high) in zip(size, ranges or [(each, each) for each in size], strict=True):
+    for value, (low, high) in zip(size, ((each, each) for each in size) if ranges is None else ranges, strict=True):
         half = 50.0 * (high - low)
         places = 1 if half == 0.0 or half >= 0.05 else 2
         words.append(f"{100 * value:.{places}f}" + (f" ± {max(half, 0.01):.{places}f}" if half > 0.0 else ""))

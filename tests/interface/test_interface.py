@@ -215,6 +215,8 @@ def test_plots_go_into_ones_own_axes(posterior):
     for method, ax in zip(("plot_depth", "plot_sizes", "plot_structures"), axes, strict=True):
         assert getattr(posterior, method)(ax) is ax and ax.has_data()
     assert len(axes[1].get_xticklabels()) == len(posterior.objects)
+    drawn = [bar.get_width() for bar in axes[2].patches]
+    assert drawn == pytest.approx([each.probability for each in posterior.structures][: len(drawn)])
     assert posterior.best.plot_depth().has_data()
     plt.close("all")
 
