@@ -20,6 +20,7 @@ from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
 from derender.structures.alternatives import combinations, from_search, of_one_solid
+from derender.structures.bearers import by_bearer
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
     WARM,
@@ -83,7 +84,7 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
     kept = [each for each in kept if each[1] > -NEGLIGIBLE]
     # What is not reported keeps its share: of the others' weights it takes what is its own.
     weights, errors, intervals = shares(rng, [each[1] for each in kept], [each[3] for each in kept])
-    parts = []
+    parts, extras = [], {}
     for place, (trial, _, own, _) in enumerate(kept[:MOST_PARTS]):
         if place == 0 and len(trial.state):
             drawn = made.of(rng, trial)
@@ -94,13 +95,19 @@ def independent_parts(rng, first, energy, pool, settings, chains, draws, only_be
             drawn = chains_of(rng, trial, 1, max(draws // 5, 2))
         else:
             drawn = [only_draw(trial)]
-        part = structure_posterior(rng, trial, own, float(weights[place]), drawn)
+        states = [(trial.state, 1.0)]
+        if weights[place] > WORTH_DRAWING:
+            values = np.concatenate([each.values for each in drawn])
+            states = by_bearer(rng, trial.state, trial.chart, values, settings.believed.loose.friction)
         low, high = (float(end) for end in intervals[place])
+        for state, share in states:
+            part = structure_posterior(rng, trial._replace(state=state), own, float(weights[place]), drawn)
+            part = replace(part, weight_error=float(errors[place]), weight_interval=(low, high))
+            parts.append(part.scaled(share))
         if place == 0:
-            hidden = hidden_expected(rng, trial, settings.beliefs)
-            part = replace(part, extras={**part.extras, "hidden_expected": hidden, **shown_and_left(trial)})
-        parts.append(replace(part, weight_error=float(errors[place]), weight_interval=(low, high)))
-    return parts
+            extras = {"hidden_expected": hidden_expected(rng, trial, settings.beliefs), **shown_and_left(trial)}
+    parts.sort(key=lambda part: -part.weight)
+    return [replace(parts[0], extras={**parts[0].extras, **extras}), *parts[1:]]
 
 
 def shown_and_left(trial: Refined) -> dict[str, list[float] | int]:

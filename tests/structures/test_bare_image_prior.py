@@ -94,6 +94,7 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
         ("side: {log-normal: [85 mm, 0.45]}", "side: {uniform: [3 cm, 8 cm]}"),
         ("box: {poisson: 0.4}", "box: {poisson: 0.05}"),
         ("tipping: 0.01", "tipping: 0.5"),
+        ("friction: {log-normal: [0.35, 0.8]}", "friction: {uniform: [0.1, 0.2]}"),
         ("slack_seen: 2 mm", "slack_seen: 3 mm"),
         ("stranger: 0.05", "stranger: 0.2"),
         ("shared: {power: 1.5,", "shared: {power: 1.0,"),
@@ -106,6 +107,7 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
     document = read_document(tmp_path / "mine.yaml")
     beliefs = beliefs_of(document.prior, document.likelihood)
     loose = beliefs.loose
+    assert loose.friction.quantile(0.5) == pytest.approx(0.15)
     assert (loose.slack_seen, loose.stranger, loose.shared) == (0.003, 0.2, replace(Shared(), power=1.0))
     assert loose.things == Things(patch=0.04, hidden=0.3) and loose.missed == replace(Missed(), explained=0.9)
     assert loose.tipping == 0.5 and beliefs.sensor is document.likelihood

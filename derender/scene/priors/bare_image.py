@@ -14,7 +14,7 @@ from derender.scene.codec.yaml_tree import Section
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.priors.grammar import GrammarPrior
-from derender.scene.priors.reading import read_value
+from derender.scene.priors.reading import read_distribution, read_value
 from derender.scene.shapes import shapes
 
 
@@ -174,6 +174,7 @@ class Loose:
     overlap : metres by which solids may enter each other. faces : standard deviation in metres by which each face of a
         real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
     hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
+    friction : coefficient of one contact, on which hangs which of several supports bears most.
     missed : Missed, what a search may not have found.
     crowding : how many solids seen on a floor tell as much of how crowded it is as the number in `offspring`.
     stranger : probability that a solid is none of the known objects, where others than those may be.
@@ -191,6 +192,7 @@ class Loose:
     faces: float = 0.003
     hanging: float = 1e-13
     tipping: float = 0.01
+    friction: Distribution = field(default_factory=lambda: distributions["log-normal"](0.35, 0.8))
     missed: Missed = field(default_factory=Missed)
     crowding: float = 1.0
     stranger: float = 0.05
@@ -273,12 +275,14 @@ NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hangi
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
     section.allow("type", "offspring", "unit", "seen_from", "missed", "crowding", "stranger", "second_support",
-                  "shared", "existence", "things", "cartons", "floor", *NUMBERS)  # fmt: skip
+                  "shared", "existence", "things", "cartons", "floor", "friction", *NUMBERS)  # fmt: skip
     found: dict = {}
     for key, unit in NUMBERS.items():
         if key in section:
             upper = None if unit else 1.0
             found[key] = section[key].number(unit, lower=1e-300 if not unit else 1e-6, upper=upper)
+    if "friction" in section:
+        found["friction"] = read_distribution(section["friction"])
     if "unit" in section:
         found["unit"] = read_value(section["unit"], "m")
     if "seen_from" in section:

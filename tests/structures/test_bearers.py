@@ -1,0 +1,47 @@
+"""Who bears most of a board that leans: it hangs on the friction of its contacts, of which the prior's file speaks."""
+
+import numpy as np
+import pytest
+
+from derender.detection.solids.beliefs import Rules
+from derender.detection.solids.image import make_row
+from derender.detection.solids.polish import FREE, UPRIGHT
+from derender.detection.solids.state import FLOOR, State
+from derender.scene.distributions import distributions
+from derender.scene.priors.bare_image import Loose
+from derender.scene.solids import BOX
+from derender.structures.bearers import by_bearer
+from derender.structures.draws.chart import make_chart
+
+LONG, THICK, BLOCK = 0.17, 0.01, np.array([0.08, 0.12, 0.07])  # metres
+
+
+def leaning(foot):
+    """Return the State of a block and of a board that leans on its upper edge, its foot so far away (metres)."""
+    tilt = np.arctan2(BLOCK[2], foot)
+    along, normal = np.array([np.cos(tilt), 0, np.sin(tilt)]), np.array([-np.sin(tilt), 0, np.cos(tilt)])
+    centre = 0.5 * LONG * along + 0.5 * THICK * normal - [0.5 * BLOCK[0] + foot, 0, 0]
+    turn = np.column_stack([along, [0, 1, 0], normal])
+    block = make_row(BOX, np.eye(3), [0, 0, 0.5 * BLOCK[2]], BLOCK)
+    state = State().add(block, UPRIGHT, False, FLOOR, 0.0)
+    return state.add(make_row(BOX, turn, centre, [LONG, 0.07, THICK]), FREE, False, FLOOR, np.nan)
+
+
+def chances(foot, friction):
+    """Return {parent of the board: probability}."""
+    state = leaning(foot)
+    chart, values = make_chart(state, np.eye(4), Rules(0.001))
+    found = by_bearer(np.random.default_rng(0), state, chart, values[None], friction)
+    assert all(each.parents[0] == FLOOR for each, _ in found)
+    return {each.parents[1]: share for each, share in found}
+
+
+def test_a_parent_that_hangs_on_friction_is_open():
+    open_one = chances(0.09, Loose().friction)
+    assert 0.1 < open_one[FLOOR] < 0.9 and sum(open_one.values()) == pytest.approx(1.0)
+    assert chances(0.03, Loose().friction)[FLOOR] > 0.9  # a steep board stands on the floor by nearly any friction
+
+
+def test_the_friction_of_the_file_decides():
+    assert chances(0.09, distributions["uniform"](0.25, 0.3)) == {FLOOR: 1.0}
+    assert chances(0.09, distributions["uniform"](0.8, 0.9)) == {0: 1.0}
