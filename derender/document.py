@@ -26,9 +26,9 @@ from derender.scene.codec.yaml_tree import Node, Section, parse_yaml, read_yaml,
 from derender.scene.distributions import Distribution
 from derender.scene.graph import STANDARD_GRAVITY, SceneGraph
 from derender.scene.pose import from_quaternion, quaternion
+from derender.scene.priors.objects import QUATERNION, ROTATION, Value, draw, log_density
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.tree import Prior, TreePrior
-from derender.scene.priors.values import QUATERNION, ROTATION, Value, draw, log_density
 from derender.scene.shapes import shapes
 
 FORMAT = 1
@@ -201,7 +201,7 @@ def _read_camera(node: Node, folder: Path) -> Camera:
 def _read_likelihood(node: Node) -> LikelihoodPrior:
     """Read a likelihood's type and parameters, each a number or a distribution."""
     from derender.render.likelihoods import likelihoods
-    from derender.scene.priors.values import check_range
+    from derender.scene.priors.objects import check_range
 
     section = node.section()
     kind = section["type"].text(likelihoods)

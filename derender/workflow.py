@@ -149,7 +149,7 @@ def answer(
     warn: Say = silent,
 ) -> Outcome:
     """Infer what was asked and write it into a folder; started : when, of the monotonic clock, where that is told."""
-    from derender.sampling.workers import interruptible
+    from derender.sampling.chains import interruptible
 
     options, began = request.options, time.monotonic() if started is None else started
     keeps = names_objects(request.document) or options.method == "mcmc"  # checkpoints

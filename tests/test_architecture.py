@@ -90,7 +90,7 @@ def test_pyrender_and_mujoco_are_imported_in_one_place_each():
         for _, module in imports(path):
             if module.split(".")[0] in places:
                 places[module.split(".")[0]].add(name_of(path))
-    assert places["pyrender"] == places["OpenGL"] == {"derender.render.renderers.gl_platform"}
+    assert places["pyrender"] == places["OpenGL"] == {"derender.render.renderers.opengl"}
     assert all(place.startswith("derender.physics") for place in places["mujoco"])
 
 

@@ -15,7 +15,7 @@ from derender.batch.frames import Frame, Watch, find_frames
 from derender.batch.ledger import Ledger
 from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
 from derender.compilation.threads import THREADS_VARIABLE, safe_path
-from derender.sampling.workers import interruptible
+from derender.sampling.chains import interruptible
 
 LOOK = 0.2  # seconds between two looks at what is finished and at what has come
 GATHER = 2.0  # seconds between two writings of the tables while frames are in work
@@ -68,8 +68,6 @@ def infer_frames(
 ) -> Tally:
     """Infer every frame that has no result in the output folder yet, and write the tables.
 
-    Parameters
-    ----------
     arguments : files, folders and patterns. output : the folder of all results.
     crew_of : makes the crew, from the order and the output folder.
     watch : go on as frames come into the folders, until Ctrl-C.
@@ -78,9 +76,7 @@ def infer_frames(
     progress : called with (fraction done, words about the frames and the time left).
     warn : called with a line about files that are left out.
 
-    Raises
-    ------
-    DerenderError : no frame, or results of other options in the folder.
+    Raises DerenderError : no frame, or results of other options in the folder.
     """
     watcher = Watch(arguments, output) if watch else None
     frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)

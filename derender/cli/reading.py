@@ -88,7 +88,7 @@ def read_source(path: str, seed: int) -> Source:
     import numpy as np
 
     from derender.document import built_in_priors, read_document, read_prior_document
-    from derender.scene.priors.physical import is_drawn, with_drawn_matter
+    from derender.scene.priors.reading import is_drawn, with_drawn_matter
 
     folder = Path(path)
     if path != "-" and folder.is_dir():

@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.local_planes import local_planes
-from derender.detection.outline import ends_of
+from derender.detection.outline import ends_of, vertical_axis
 from derender.detection.search.bodies import APART, TIGHT
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
@@ -20,7 +20,6 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
 from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
-from derender.detection.symmetry import vertical_axis
 from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE

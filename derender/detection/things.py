@@ -15,7 +15,7 @@ from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
 from derender.detection.existence import LEAST_EXISTENCE, existence_of
 from derender.detection.local_planes import local_planes, separation
-from derender.detection.outline import ends_of
+from derender.detection.outline import ends_of, foot_radius, vertical_axis
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
@@ -27,7 +27,6 @@ from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, subset
 from derender.detection.solids.support import flat_top, share_over
-from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.results.explanation import smooth_surface
 from derender.scene.pose import rotation_z
 from derender.scene.priors.bare_image import Things

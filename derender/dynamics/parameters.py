@@ -13,8 +13,8 @@ from derender.dynamics.engine import Material
 from derender.registry import Parameter
 from derender.scene.codec.yaml_tree import Section, parse_yaml, read_yaml
 from derender.scene.distributions import Distribution
+from derender.scene.priors.objects import check_range
 from derender.scene.priors.reading import read_value
-from derender.scene.priors.values import check_range
 
 # Friction of dry household things on table tops is .2-.8, restitution may be any, a bounce takes one millisecond (wood)
 # to ten (rubber), and densities differ by a factor of three either way.

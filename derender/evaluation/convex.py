@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.scene.shapes.box import CORNERS
+from derender.scene.shapes.kinds import CORNERS
 
 PRISM_SIDES = 64
 SPHERE_FACES = 256

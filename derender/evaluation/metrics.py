@@ -12,7 +12,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.evaluation.convex import distance_to_surface, intersection_over_union, surface_points
-from derender.scene.shapes.box import ROTATIONS
+from derender.scene.shapes.kinds import ROTATIONS
 
 if TYPE_CHECKING:
     from derender.physics.bodies import Matter

@@ -146,7 +146,7 @@ def matter_of_graph(graph: "SceneGraph", rng: np.random.Generator | None = None)
 
     rng : draws what is a distribution; without it the means are taken.
     """
-    from derender.scene.priors.physical import drawn
+    from derender.scene.priors.reading import drawn
 
     solids = graph.solids()
     bodies = []

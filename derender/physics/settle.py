@@ -8,8 +8,8 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.verdict import Trajectory, at_rest, bearers
+from derender.scene.graph import ROOT, Contact, Vertex, nearest_contact
 from derender.scene.pose import inverse
-from derender.scene.vertex import ROOT, Contact, Vertex, nearest_contact
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph

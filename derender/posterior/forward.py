@@ -11,7 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import Document, LikelihoodPrior, document_text, write_document
 from derender.sampling.chains import SCENES, stream
 from derender.scene.graph import SceneGraph
-from derender.scene.priors.physical import with_drawn_matter
+from derender.scene.priors.reading import with_drawn_matter
 
 WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
 

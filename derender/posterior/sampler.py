@@ -12,8 +12,7 @@ import numpy as np
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.compiled.layout import Stretch
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
-from derender.posterior.pilots import ALONE, LOCAL, pilot_runs, shaped
-from derender.posterior.smc import systematic
+from derender.posterior.smc import ALONE, LOCAL, pilot_runs, shaped, systematic
 from derender.posterior.space import Space
 from derender.sampling.chains import Segment
 

@@ -1,23 +1,32 @@
-"""Sequential Monte Carlo by tempering (Del Moral, Doucet, Jasra 2006): populations of scenes of one structure.
+"""Tempered populations of scenes of one structure (Del Moral, Doucet, Jasra 2006), and pilot chains that begin there.
 
-They follow prior x likelihood^b: particles start from the prior, and b rises from 0 to 1 as far as the weights'
+Populations follow prior x likelihood^b: particles start from the prior, and b rises from 0 to 1 as far as the weights'
 effective number bears; at each stage particles are resampled and moved by a mixture of kernels. It finds the one mode
 that matters among many. The product of the mean weights estimates the evidence; adaptive stages bias it by O(1 / n).
+
+Pilots look together, before any draw is kept, for where the posterior is and how to walk on it. Populations find good
+places; restarts turn one object of the best at a time. From there each chain climbs a ladder of temperatures (Geyer
+1991): on the levels above the first the likelihood is raised to a power below one, narrow modes are wide there, and
+neighbours exchange their places by the Metropolis rule. What the first level has seen by the end fixes the tuning that
+every chain starts with. What one chain missed another found: only together do they know all modes.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.kernels.base import Part, first_tuning, rescale
+from derender.posterior.kernels.base import Part, Tuning, centre_of, covariance_of, first_tuning, rescale
 from derender.posterior.space import Space
+from derender.sampling.metropolis import log_threshold
 from derender.scene.priors.terms import MOST_TRIES
 
 if TYPE_CHECKING:
-    from derender.posterior.compiled.backend import CompiledBackend
-    from derender.posterior.compiled.interpreted import InterpretedBackend
+    from derender.posterior.compiled.backend import CompiledBackend, InterpretedBackend
+
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
 ROUNDING = 1e-6  # of log densities
@@ -168,3 +177,188 @@ def tempered(
 
     log_ratio = anneal(rng, densities[:, 1], advance, particles, share)
     return Population(values, densities, log_evidence + log_ratio, kept)
+
+
+LOCAL = ("drift", "slide", "turn")  # kernels that move a starting population
+ALONE = ("drift", "slide")  # kernels of a restart, which moves one object
+GOOD = 20.0  # nats below the best place found: as good a start
+START_STEPS = 40  # of the mixture, for each particle and temperature
+SHARE = 0.25  # of a starting population that a stage leaves: more particles and fewer stages find more
+ANGLES = 8  # at which a restart sets an object down
+HEATS = (0.03, 0.03, 0.06, 0.06, 0.12, 0.25, 0.5, 1.0)  # temperatures at which it then walks
+RESTART_STEPS, MOST_RESTARTS = 20, 3  # at each of them; and how often there are restarts from a better place
+LADDER = (1.0, 0.5, 0.25, 0.12, 0.06)
+STAGES = (10, 20, 40, 80)  # rounds of each; then all levels are fitted anew to what all chains saw in its later half
+STRETCH = 5  # rounds between two exchanges
+RISE = 3.0  # nats by which the mean log density still rises from one stage to the next: it has not arrived
+MOST_STAGES = 6
+COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level's, others', and from each hotter level
+
+
+class Found(NamedTuple):
+    """What pilots found. places : (n, P), typical ones; tuning : fitted to them."""
+
+    places: np.ndarray
+    tuning: Tuning
+
+
+class Climb(NamedTuple):
+    """One chain's stage. last : (R, P), where each level ended; seen : (R, n, P); density : mean log posterior of the
+    first level; scales : step scales of each level.
+    """
+
+    last: np.ndarray
+    seen: np.ndarray
+    density: float
+    scales: list[dict[str, float]]
+
+
+def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,
+        thin: int, population: int, particles: int) -> Found | None:  # fmt: skip
+    """Return what pilots found, or None where nothing possible was.
+
+    backends : one for each chain, of the mixture `parts`; movers : the same, of its local kernels only; singles : the
+        same, of those that move one object only, by its name.
+    thin : steps in a round. population, particles : of each start, see `smc.tempered`.
+    """
+
+    def each(work, *columns) -> list:
+        with ThreadPoolExecutor(jobs) as pool:
+            return list(pool.map(work, range(len(backends)), *columns))
+
+    def explore(number: int):
+        rng = np.random.default_rng([seed, 3, number])
+        parts = movers[number].parts
+        found = tempered(rng, space, movers[number], parts, population, START_STEPS, particles, LADDER[::-1], SHARE)
+        best = int(np.argmax(found.densities.sum(axis=1)))
+        values, densities = restarted(rng, space, singles[number], found.values[best], found.densities[best])
+        return found._replace(values=np.concatenate([found.values, values]),
+                              densities=np.concatenate([found.densities, densities]))  # fmt: skip
+
+    explored = each(explore)
+    densities = np.concatenate([found.densities.sum(axis=1) for found in explored])
+    good = densities > np.max(densities) - GOOD
+    if not good.any():
+        return None
+    pools = [np.concatenate([found.stops[-1 - r] for found in explored]) for r in range(len(LADDER))]
+    pools[0] = np.concatenate([found.values for found in explored])[good]
+    levels = [first_tuning(space, pools[0][0], temperature) for temperature in LADDER]
+    levels = refitted(space, levels, pools, [[{}]] * len(levels))
+    rngs = [np.random.default_rng([seed, 4, number]) for number in range(len(backends))]
+    starts = [np.array([pool[rng.integers(len(pool))] for pool in pools]) for rng in rngs]
+    stage, density, rising = 0, -math.inf, True
+    while stage < len(STAGES) or (rising and stage < MOST_STAGES):
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(backends[0].program, levels))
+        rounds = STAGES[min(stage, len(STAGES) - 1)]
+        climbs = each(lambda n, rng, start, rounds=rounds, levels=levels:
+                      climb(rng, backends[n], parts, levels, start, rounds, thin), rngs, starts)  # fmt: skip
+        starts = [one.last for one in climbs]
+        pools = [np.concatenate([one.seen[r] for one in climbs]) for r in range(len(levels))]
+        levels = refitted(space, levels, pools, [[one.scales[r] for one in climbs] for r in range(len(levels))])
+        stage, former, density = stage + 1, density, float(np.mean([one.density for one in climbs]))
+        rising = density > former + RISE
+    backends[0].program(levels[0])
+    return Found(pools[0], levels[0])
+
+
+def restarted(
+    rng: np.random.Generator, space: Space, singles: dict[str, Any], values: np.ndarray, density: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return better places (n, P) than `values`, and their densities (n, 2), where one object stands at another angle.
+
+    What is half hidden is easily taken for turned; a whole scene hardly comes out of that, where each of the others has
+    found its place beside it. Each object is set down at some angles and walks alone while it cools; of those that end
+    better the best is where the next restarts begin.
+    """
+    kept, densities = np.empty((0, len(values))), np.empty((0, 2))
+    for _ in range(MOST_RESTARTS):
+        ends = [end for name, backend in singles.items() for end in turned(rng, space, name, backend, values)]
+        better = [end for end in ends if end[1].sum() > density.sum() + RISE]
+        if not better:
+            break
+        kept = np.concatenate([kept, [end[0] for end in better]])
+        densities = np.concatenate([densities, [end[1] for end in better]])
+        values, density = max(better, key=lambda end: end[1].sum())
+    return kept, densities
+
+
+def turned(
+    rng: np.random.Generator, space: Space, name: str, backend: Any, values: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return where an object of `values` ends, and the densities there, set down at some angles."""
+    target, ends = backend.target, []
+    place, period = target.placement(values, name), target.placement_periods(name)[0]
+    for angle in place[0] + period * (np.arange(ANGLES) + rng.random()) / ANGLES:
+        put = target.put(values, {name: np.array([angle, *place[1:]])})
+        if put is None or target.log_prior(put[0]) == -math.inf:
+            continue
+        moved, tuning = put[0], first_tuning(space, put[0])
+        for heat in HEATS:
+            tuning = tuning._replace(temperature=heat)
+            stretch = backend.sweep(rng, moved, tuning, 1, RESTART_STEPS)
+            moved, densities = stretch.values[-1], stretch.densities[-1]
+            tuning = tuning._replace(scale=rescale(tuning.scale, backend.parts, stretch.counts, 3.0))
+        ends.append((moved, densities))
+    return ends
+
+
+def climb(
+    rng: np.random.Generator,
+    backend: Any,
+    parts: list[Part],
+    levels: list[Tuning],
+    start: np.ndarray,
+    rounds: int,
+    thin: int,
+) -> Climb:
+    """Walk on all levels from `start` (R, P) and let neighbours exchange places, with
+
+    log ratio = (temperature - temperature') * (log likelihood' - log likelihood).
+    """
+    places, logs = start.copy(), np.zeros((len(levels), 2))
+    seen: list[list[np.ndarray]] = [[] for _ in levels]
+    tunings, densities = list(levels), []
+    for turn in range(0, rounds, STRETCH):
+        gain = 3.0 / math.sqrt(1.0 + turn / STRETCH)
+        for r, tuning in enumerate(tunings):
+            stretch = backend.sweep(rng, places[r], tuning, STRETCH, thin, turn * thin)
+            places[r], logs[r] = stretch.values[-1], stretch.densities[-1]
+            tunings[r] = tuning._replace(scale=rescale(tuning.scale, parts, stretch.counts, gain))
+            seen[r].append(stretch.values)
+            if r == 0:
+                densities.append(stretch.densities.sum(axis=1).mean())
+        for r in range(len(levels) - 1):
+            log_ratio = (levels[r].temperature - levels[r + 1].temperature) * (logs[r + 1, 1] - logs[r, 1])
+            if log_threshold(rng) < log_ratio:
+                places[[r, r + 1]], logs[[r, r + 1]] = places[[r + 1, r]], logs[[r + 1, r]]
+    later = np.array([np.concatenate(one)[rounds // 2 :] for one in seen])
+    return Climb(places, later, float(np.mean(densities[len(densities) // 2 :])), [dict(t.scale) for t in tunings])
+
+
+def refitted(space: Space, levels: list[Tuning], pools: list[np.ndarray], scales: list[list]) -> list[Tuning]:
+    """Return the levels' tunings as fitted to the places (n, P) and step scales that all chains found on each.
+
+    A level's archive also takes places of the hotter ones: what they know of other modes comes down one object at a
+    time, which is far likelier than by an exchange of whole scenes.
+    """
+    result = []
+    for r, level in enumerate(levels):
+        archive = [spread_out(pools[r], HOT if r else COLD), *(spread_out(pool, BORROWED) for pool in pools[r + 1 :])]
+        names = {name for scale in scales[r] for name in scale}
+        means = {n: float(np.exp(np.mean([np.log(scale.get(n, 1.0)) for scale in scales[r]]))) for n in sorted(names)}
+        result.append(shaped(space, level._replace(scale=means, archive=np.concatenate(archive)), pools[r]))
+    return result
+
+
+def shaped(space: Space, tuning: Tuning, recent: np.ndarray) -> Tuning:
+    """Return the tuning with centre and covariance fitted to where chains have been of late."""
+    if len(recent) < 20:
+        return tuning
+    centre = centre_of(space, recent)
+    return tuning._replace(mean=centre, covariance=covariance_of(space, recent, centre))
+
+
+def spread_out(places: np.ndarray, most: int = COLD) -> np.ndarray:
+    """Return at most so many of the places, evenly spaced."""
+    return places[np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(int)]

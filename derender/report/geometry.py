@@ -6,7 +6,7 @@ import numpy as np
 
 from derender.scene import solids as kinds
 from derender.scene.pose import from_axes, inverse
-from derender.scene.shapes.box import box_mesh
+from derender.scene.shapes.kinds import box_mesh
 from derender.scene.solids import Solids
 
 SECTIONS = 48

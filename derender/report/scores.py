@@ -12,8 +12,8 @@ from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.graph import SceneGraph
+from derender.scene.priors.objects import QUATERNION
 from derender.scene.priors.tree import Prior, TreePrior
-from derender.scene.priors.values import QUATERNION
 from derender.scene.solids import PLANE
 
 BACKGROUND = "(background)"

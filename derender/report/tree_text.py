@@ -12,9 +12,8 @@ from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.bare_image import BareImagePrior
 from derender.scene.priors.grammar import GrammarPrior
-from derender.scene.priors.objects import ContactPrior
+from derender.scene.priors.objects import ROTATION, ContactPrior
 from derender.scene.priors.tree import TreePrior
-from derender.scene.priors.values import ROTATION
 from derender.scene.shapes import shapes
 
 ALTERNATIVE = 0.005  # another parent is named from this probability on

@@ -11,7 +11,7 @@ from derender.report import pictures
 from derender.report.contents import Report
 from derender.report.geometry import solid_mesh
 from derender.scene import solids as kinds
-from derender.scene.shapes.box import CORNERS
+from derender.scene.shapes.kinds import CORNERS
 from derender.scene.solids import Solids
 
 HERE = Path(__file__).parent

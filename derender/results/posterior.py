@@ -24,9 +24,8 @@ from derender.json_text import parse_json
 from derender.results.explanation import Explanation
 from derender.sampling import diagnostics
 from derender.scene.contacts import contacts
-from derender.scene.graph import ROOT, Constraint, Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, Constraint, Contact, SceneGraph, Vertex, is_name
 from derender.scene.shapes import shapes
-from derender.scene.vertex import is_name
 
 FORMAT = 1  # of posterior.npz
 AT_ONCE = 200  # scenes that are built before the first is used, where many are asked for

@@ -21,11 +21,10 @@ import numpy as np
 from derender.detection.solids.beliefs import Rules, bare_image
 from derender.errors import DerenderError
 from derender.results.posterior import StructurePosterior
-from derender.scene.graph import ROOT, SceneGraph
+from derender.scene.graph import ROOT, SceneGraph, Vertex, nearest_contact
 from derender.scene.pose import inverse
 from derender.scene.priors.bare_image import Loose, balances
 from derender.scene.shapes import shapes
-from derender.scene.vertex import Vertex, nearest_contact
 
 NEAREST_GAP, LARGEST_TILT = 0.010, np.radians(4.0)
 EDGE = 0.02  # share of the range of (u, v) within which outlines only graze each other

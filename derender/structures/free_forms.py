@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from derender.detection.leftovers import swaps
 from derender.detection.outline import convex_outline
-from derender.detection.rivals import swaps
 from derender.detection.search.bodies import APART
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
@@ -14,7 +14,7 @@ from derender.detection.solids.state import FLOOR, State, subset
 from derender.detection.things import Thing
 from derender.results.posterior import NINETY
 from derender.scene.priors.bare_image import Things
-from derender.scene.shapes.thing import encode_surface
+from derender.scene.shapes.mesh import encode_surface
 from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 from derender.structures.weighing import NEAR_ERROR
 

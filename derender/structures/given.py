@@ -25,13 +25,11 @@ from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Part
 from derender.posterior.sampler import MixtureSampler, Settings
-from derender.posterior.scene_space import period_of
 from derender.posterior.smc import tempered
-from derender.posterior.target import ObservedImage, SceneTarget, default_parts
+from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.sampling import workers
-from derender.sampling.chains import POPULATIONS, STRUCTURES, Plan, Record, child_seed, fingerprint, stream
+from derender.sampling.chains import POPULATIONS, STRUCTURES, Plan, Record, child_seed, fingerprint, run_chains, stream
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import bound_by, total_log_density
@@ -256,7 +254,7 @@ def infer_scene(
             done[chain] = steps
             tell(sum(done.values()) / total, "sampling")
 
-        outcome = workers.run(plan, jobs, total * settings.thin > SHORT, report)
+        outcome = run_chains(plan, jobs, total * settings.thin > SHORT, report)
         lost.update(outcome.lost)
         interrupted = interrupted or outcome.interrupted
         part = part_of(target, list(outcome.records.values()), mixed, weight)

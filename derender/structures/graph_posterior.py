@@ -35,8 +35,7 @@ from derender.structures.draws.refined import (
     view_of,
     with_sensor_refitted,
 )
-from derender.structures.hidden import hidden_expected
-from derender.structures.unexplained import SURELY, additions, nearer_than_explained, spots
+from derender.structures.unexplained import SURELY, additions, hidden_expected, nearer_than_explained, spots
 from derender.structures.unions import merges, recuts
 from derender.structures.weighing import Weighed, made_sure, surest, surest_of_each
 

@@ -25,9 +25,8 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.noise import spread_of
-from derender.detection.solids.beliefs import Beliefs
+from derender.detection.solids.beliefs import Beliefs, box_log_density
 from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, floating, periods_of, without
-from derender.detection.solids.sizes import box_log_density
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, SceneGraph, Vertex

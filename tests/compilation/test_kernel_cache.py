@@ -223,7 +223,7 @@ def test_stamps_follow_imports():
     files = reached(PACKAGE / "posterior" / "compiled" / "steps.py")
     names = {name.replace(os.sep, "/") for name in files}
     assert {"render/raycast/lanes.py", "render/raycast/lane_code.py", "scene/solids.py", "posterior/kernels/base.py",
-            "scene/distributions/angles.py"} <= names  # fmt: skip
+            "scene/distributions/continuous.py"} <= names  # fmt: skip
     assert "posterior/compiled/steps.py" not in reached(PACKAGE / "render" / "raycast" / "engine.py")
     assert source_stamp(PACKAGE / "scene" / "solids.py") != source_stamp(PACKAGE / "scene" / "pose.py")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from derender.detection.search.greedy import Settings
-from derender.detection.search.guesses import guess, guesses
 from derender.detection.search.observation import observe
+from derender.detection.search.places import guess, guesses
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import lowest, reach
 from derender.detection.solids.misfit import added_misfit

@@ -7,7 +7,7 @@ import pytest
 
 from derender.camera.depth_file import read_depth
 from derender.detection.estimate import point_estimate
-from derender.detection.floor_noise import drawn, neighbour_correlation, rounding_of
+from derender.detection.floor import drawn, neighbour_correlation, rounding_of
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings, Task, total_energy

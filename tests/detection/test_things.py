@@ -10,9 +10,9 @@ from table_scenes import CAMERA, TABLE, seen_on_the_table
 from derender.detection.compounds import adrift, falling, goes_on, hangs_on, held_by_another, neck, slope_of
 from derender.detection.estimate import point_estimate
 from derender.detection.existence import outstanding
-from derender.detection.leftovers import interior
+from derender.detection.leftovers import interior, swaps
 from derender.detection.local_planes import local_planes
-from derender.detection.rivals import swaps
+from derender.detection.outline import foot_radius, vertical_axis
 from derender.detection.search.bodies import APART
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
@@ -21,7 +21,6 @@ from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.symmetry import foot_radius, vertical_axis
 from derender.detection.things import Cost, clear_of_edges, made_thing
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json

@@ -7,8 +7,7 @@ import pytest
 from invariance import State, bound, verdict
 from small_scenes import SCENES, TOWER, SceneWorld
 
-from derender.posterior.compiled.backend import CompiledBackend, backend_of
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.backend import CompiledBackend, InterpretedBackend, backend_of
 from derender.posterior.compiled.model import NotCompiled
 from derender.posterior.kernels.base import first_tuning, kernels, mixture
 from derender.posterior.sampler import Settings

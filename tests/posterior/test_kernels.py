@@ -11,7 +11,7 @@ from invariance import bound, evaluate, steps_of, verdict
 from toy_worlds import WORLDS
 
 from derender.errors import DerenderError
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.compiled.layout import NEXT, NOW, OFFSET, PERIOD
 from derender.posterior.kernels.base import Tuning, kernels, mixture
 from derender.posterior.space import turn as turned

@@ -6,9 +6,8 @@ from small_scenes import SceneWorld
 from toy_worlds import World
 
 from derender import data_path
-from derender.posterior import pilots
-from derender.posterior.compiled.backend import backend_of
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior import smc
+from derender.posterior.compiled.backend import InterpretedBackend, backend_of
 from derender.posterior.kernels import mixture
 from derender.posterior.kernels.base import Tuning
 from derender.posterior.kernels.relocate import fitted, mixture_density
@@ -60,7 +59,7 @@ def test_restarts_turn_an_object_back():
         for name in ("blue", "green", "red", "yellow")
     }
     density = np.array(singles["red"].evaluate(wrong))
-    places, densities = pilots.restarted(np.random.default_rng(0), target.space, singles, wrong, density)
+    places, densities = smc.restarted(np.random.default_rng(0), target.space, singles, wrong, density)
     right = sum(singles["red"].evaluate(truth))
     assert density.sum() < right - 100.0
     assert densities.sum(axis=1).max() > right - 8.0
@@ -82,7 +81,7 @@ def test_pilots_find_the_tower_in_the_image(seed):
 def test_pilots_climb_until_the_density_has_settled(monkeypatch):
     """Stages go on while the mean log density rises, and end at the most of them."""
     counted = []
-    genuine = pilots.climb
+    genuine = smc.climb
 
     def rising(*arguments):
         counted.append(1)
@@ -91,9 +90,9 @@ def test_pilots_climb_until_the_density_has_settled(monkeypatch):
     world = two_modes()
     target = world.target(np.random.default_rng(1), np.array([0.6]))
     sampler = MixtureSampler(target, mixture(world.space, [{"drift": {}}]), thin=1)
-    monkeypatch.setattr(pilots, "climb", rising)
+    monkeypatch.setattr(smc, "climb", rising)
     sampler.prepared(2, chains=1, jobs=1)
-    assert len(counted) == pilots.MOST_STAGES
+    assert len(counted) == smc.MOST_STAGES
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -134,6 +133,6 @@ def test_neighbours_exchange_places_by_the_metropolis_rule(better):
     cold = Tuning(np.zeros(1), np.eye(1), {})
     start = np.array([[0.6], [0.3]])[:: 1 if better == 0 else -1]
     backend = InterpretedBackend(target, parts)
-    last = pilots.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
-                        pilots.STRETCH, 1).last  # fmt: skip
+    last = smc.climb(np.random.default_rng(0), backend, parts, [cold, cold._replace(temperature=0.1)], start,
+                        smc.STRETCH, 1).last  # fmt: skip
     np.testing.assert_allclose(last[:, 0], [0.6, 0.3], atol=1e-6)

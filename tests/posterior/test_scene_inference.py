@@ -100,7 +100,7 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     calls = iter(range(10_000))
     genuine = chains.run_chain
     monkeypatch.setattr(
-        "derender.sampling.workers.run_chain",
+        "derender.sampling.chains.run_chain",
         lambda plan, number, stop, progress: genuine(plan, number, lambda: next(calls) >= 3, progress),
     )
     infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path)

@@ -7,7 +7,7 @@ import pytest
 from toy_worlds import World
 
 from derender.posterior import smc
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels import mixture
 from derender.posterior.smc import from_prior, tempered
 from derender.posterior.space import Block, Unknown

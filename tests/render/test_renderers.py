@@ -11,7 +11,7 @@ import trimesh
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.renderers import RENDERERS, find_renderer, renderer_names
-from derender.render.renderers.gl_platform import choose_platform
+from derender.render.renderers.opengl import choose_platform
 from derender.render.renderers.preview import PLANE_COLOUR, default_colours, draw_preview
 from derender.scene.pose import random_rotation
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids

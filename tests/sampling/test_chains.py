@@ -11,7 +11,7 @@ import pytest
 from toy_samplers import Walk
 
 from derender.errors import DerenderError
-from derender.sampling import chains, workers
+from derender.sampling import chains
 from derender.sampling.chains import Plan, chain, run_chain, stream
 
 NEVER = lambda: False  # noqa: E731
@@ -42,7 +42,7 @@ def test_shape_of_a_chain(alone):
 
 @pytest.mark.parametrize("jobs, processes", [(1, True), (3, False), (3, True)])
 def test_same_draws_for_any_workers(alone, jobs, processes):
-    outcome = workers.run(plan(), jobs, processes)
+    outcome = chains.run_chains(plan(), jobs, processes)
     assert not outcome.lost and not outcome.interrupted
     for number, record in enumerate(alone):
         same(outcome.records[number], record)
@@ -67,10 +67,10 @@ def test_resume_can_ask_for_more(tmp_path):
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     run_chain(plan(folder=tmp_path, checkpoint_seconds=-1), 0, NEVER, SILENT)
     with pytest.raises(DerenderError, match="another image, prior, seed or settings"):
-        workers.run(plan(folder=tmp_path, run="other", resume=True))
+        chains.run_chains(plan(folder=tmp_path, run="other", resume=True))
     (tmp_path / "chain_0.npz").write_bytes(b"PK\x03\x04 torn")
     with pytest.raises(DerenderError, match="not a checkpoint"):
-        workers.run(plan(folder=tmp_path, resume=True))
+        chains.run_chains(plan(folder=tmp_path, resume=True))
 
 
 def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
@@ -78,7 +78,7 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, monkeypatch):
         older.setattr(chains, "FORMAT", 1)
         run_chain(plan(folder=tmp_path, checkpoint_seconds=-1), 0, NEVER, SILENT)
     with pytest.raises(DerenderError, match="another version of derender"):
-        workers.run(plan(folder=tmp_path, resume=True))
+        chains.run_chains(plan(folder=tmp_path, resume=True))
 
 
 def test_fingerprint_knows_where_parts_end():
@@ -87,20 +87,20 @@ def test_fingerprint_knows_where_parts_end():
 
 @pytest.mark.parametrize("manner", ["raise", "kill"])
 def test_one_dying_chain_does_not_lose_the_others(alone, manner):
-    outcome = workers.run(plan(sampler=Walk(doomed=(1,), manner=manner)), 2, processes=True)
+    outcome = chains.run_chains(plan(sampler=Walk(doomed=(1,), manner=manner)), 2, processes=True)
     assert list(outcome.records) == [0, 2, 3] and list(outcome.lost) == [1]
     assert ("doomed" if manner == "raise" else "died with exit status -9") in outcome.lost[1]
     same(outcome.records[3], alone[3])
 
 
 def test_in_threads_a_fault_loses_one_chain_only():
-    outcome = workers.run(plan(sampler=Walk(doomed=(2,))), 2, processes=False)
+    outcome = chains.run_chains(plan(sampler=Walk(doomed=(2,))), 2, processes=False)
     assert list(outcome.records) == [0, 1, 3] and "doomed" in outcome.lost[2]
 
 
 def test_all_chains_lost_is_an_error():
     with pytest.raises(RuntimeError, match="doomed"):
-        workers.run(plan(sampler=Walk(doomed=(0, 1, 2, 3))))
+        chains.run_chains(plan(sampler=Walk(doomed=(0, 1, 2, 3))))
 
 
 @pytest.mark.parametrize("jobs, processes", [(1, False), (2, False), (2, True)])
@@ -115,7 +115,7 @@ def test_control_c_keeps_what_there_is(tmp_path, jobs, processes):
 
     thread = threading.Thread(target=interrupt)
     thread.start()
-    outcome = workers.run(settings, jobs, processes, lambda number, done, total: done > 60 and first_draw.set())
+    outcome = chains.run_chains(settings, jobs, processes, lambda number, done, total: done > 60 and first_draw.set())
     thread.join()
     assert outcome.interrupted and outcome.records
     for number, record in outcome.records.items():

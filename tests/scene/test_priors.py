@@ -20,8 +20,7 @@ from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.objects import ContactPrior, ContactRule, ShapePrior
-from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot
-from derender.scene.priors.tree import TreeObject, TreePrior
+from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, TreeObject, TreePrior
 
 uniform = distributions["uniform"]
 ROOT = FixedRoot(np.eye(4))

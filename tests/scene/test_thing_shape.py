@@ -10,7 +10,7 @@ from derender.errors import DerenderError
 from derender.render.raycast.depth import render_depth
 from derender.scene.graph import Vertex
 from derender.scene.shapes import shapes
-from derender.scene.shapes.thing import decode_surface, encode_surface
+from derender.scene.shapes.mesh import decode_surface, encode_surface
 
 CAMERA = Camera.from_field_of_view(64, 48)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from derender import data_path
-from derender.detection.rivals import Swap
+from derender.detection.leftovers import Swap
 from derender.detection.search.greedy import Settings
 from derender.detection.solids.beliefs import BARE_IMAGE, Rules, bare_image, beliefs_of
 from derender.detection.solids.image import make_row

@@ -9,7 +9,7 @@ import pytest
 from invariance import bound, steps_of, verdict
 from small_scenes import OPENING, SceneWorld
 
-from derender.posterior.compiled.interpreted import InterpretedBackend
+from derender.posterior.compiled.backend import InterpretedBackend
 from derender.posterior.kernels.base import first_tuning, mixture
 from derender.posterior.target import SceneTarget
 

@@ -9,11 +9,10 @@ import pytest
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import settings_for
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.beliefs import Rules, bare_image
+from derender.detection.solids.beliefs import CUBE, Rules, bare_image, log_density_at
 from derender.detection.solids.image import ROW, make_row
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
-from derender.detection.solids.sizes import CUBE, log_density_at
 from derender.detection.solids.state import FLOOR, State
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.priors.bare_image import Shared

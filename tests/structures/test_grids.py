@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import lognorm
 
 from derender.camera.intrinsics import Camera
-from derender.detection.solids.beliefs import bare_image
+from derender.detection.solids.beliefs import bare_image, box_log_density
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row, render_floor_scene
 from derender.detection.solids.polish import UPRIGHT
-from derender.detection.solids.sizes import box_log_density
 from derender.detection.solids.state import FLOOR, State
 from derender.results.posterior import StructurePosterior
 from derender.scene.pose import rotation_x, rotation_z

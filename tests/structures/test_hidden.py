@@ -13,7 +13,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.scene.solids import BOX
 from derender.structures.draws.chart import make_chart
 from derender.structures.draws.sensor import Sensor, floor_depth, model_depth
-from derender.structures.hidden import drawn_extents, drawn_rows, hidden_expected, out_of_sight, rate_on_floor
+from derender.structures.unexplained import drawn_extents, drawn_rows, hidden_expected, out_of_sight, rate_on_floor
 
 VIEW = camera(96, 72)
 

@@ -16,9 +16,8 @@ from test_jumps import Twin
 
 from derender.scene.graph import ROOT
 from derender.scene.pose import random_rotation, rotation_angle, rotation_z, translation
-from derender.scene.priors.values import ROTATION
-from derender.structures.jumps.base import Vocabulary, moves
-from derender.structures.jumps.object_moves import Birth, Death
+from derender.scene.priors.objects import ROTATION
+from derender.structures.jumps.base import Birth, Death, Vocabulary, moves
 from derender.structures.jumps.proposal import (
     Hypothesis,
     HypothesisProposal,

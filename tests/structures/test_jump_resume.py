@@ -10,8 +10,7 @@ import pytest
 from test_jump_posterior import CAMERA, VALUES, observed
 
 from derender.errors import DerenderError
-from derender.sampling import workers
-from derender.sampling.chains import Plan, run_chain
+from derender.sampling.chains import Plan, run_chain, run_chains
 from derender.structures.jumps.chain import JumpSampler
 
 
@@ -88,7 +87,7 @@ def test_killed_at_random(whole, tmp_path):
 
 @pytest.mark.slow
 def test_any_number_of_jobs_draws_the_same(whole):
-    spread = workers.run(plan(), 2).records
+    spread = run_chains(plan(), 2).records
     assert spread.keys() == {0, 1}
     for number, record in enumerate(whole):
         same(spread[number], record)

@@ -7,7 +7,7 @@ import pytest
 from invariance import bound
 from jump_worlds import TEXTS, generator, prior_of
 
-from derender.scene.priors.values import ROTATION
+from derender.scene.priors.objects import ROTATION
 from derender.structures.jumps import mixture
 from derender.structures.jumps.base import Applied, Move, Target, Vocabulary, evaluate, log_proposal_ratio, moves, step
 

@@ -16,9 +16,8 @@ from scipy.stats import chi2
 from test_jump_posterior import CAMERA, TINY, VALUES, key_of, likelihood_of
 
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps.base import Target, Vocabulary, evaluate
+from derender.structures.jumps.base import Birth, BirthDeath, Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import walk
-from derender.structures.jumps.object_moves import Birth, BirthDeath
 
 STATES = 15  # of a chain besides the truth
 SEVERE = 4.5  # standard errors that pass; the twins are to fail by more

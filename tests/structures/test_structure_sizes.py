@@ -5,8 +5,7 @@ import pytest
 from scipy.stats import kstest
 from test_graph_posterior import camera, floor_pose, observe, row
 
-from derender.detection.solids.beliefs import Rules, bare_image
-from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at, sizes_of
+from derender.detection.solids.beliefs import CUBE, Rules, bare_image, box_log_density, log_density_at, sizes_of
 from derender.detection.solids.state import FLOOR, State
 from derender.document import read_prior_document
 from derender.scene.distributions import distributions

@@ -13,7 +13,6 @@ from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import inverse, rotation_angle, rotation_x, rotation_z, translation, twist_exp
 from derender.scene.solids import BOX
-from derender.structures.alignment import view_moved
 from derender.structures.draws.chart import SIZE, make_chart
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.metropolis import engine_of, evaluate, load, sample
@@ -21,7 +20,7 @@ from derender.structures.draws.refined import refined_at
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.infer import infer_structure
 from derender.structures.options import Frame, Options
-from derender.structures.together import averaged, shared
+from derender.structures.together import averaged, shared, view_moved
 
 UPRIGHT = 0
 BOTH = ("gaussian", "robust")

@@ -11,15 +11,14 @@ import numpy as np
 
 from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import Changed, Task, complexity, cube_of, greedy
-from derender.detection.search.guesses import guesses
-from derender.detection.search.places import Places, pick
+from derender.detection.search.places import Places, guesses, pick
 from derender.detection.search.surface import THINNEST, Hypothesis
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE, GUESSED, MOVED, UPRIGHT, turn
 from derender.detection.solids.state import FLOOR, State, held_out, polish_solid, run_polish
 from derender.detection.solids.support import LEAST_GAP, shadows_overlap, with_bottom
-from derender.scene.shapes.box import CORNERS
+from derender.scene.shapes.kinds import CORNERS
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 NEIGHBOURS = 0.06  # metres between boxes that may be one: the gap may be hidden behind another

@@ -8,6 +8,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.background import beyond_outline, joined_to_floor, main_part, standing_bodies, walls_behind
 from derender.detection.floor import (
+    GRAZING,
     LEVEL,
     MOST_NOISE,
     NO_PLANE,
@@ -18,14 +19,17 @@ from derender.detection.floor import (
     NoFloor,
     back_project,
     bend_of,
+    drawn,
     floor_beside,
     given_floor,
+    neighbour_correlation,
+    noise_map,
     pixel_noise,
     plane_through,
+    rounding_of,
     scale_of,
     sensor_deviation,
 )
-from derender.detection.floor_noise import GRAZING, drawn, neighbour_correlation, noise_map, rounding_of
 from derender.detection.floors import (
     WIDTHS,
     Candidate,

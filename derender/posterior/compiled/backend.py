@@ -1,20 +1,28 @@
-"""The compiled backend: a mixture on a scene's target without Python between the steps."""
+"""What runs a mixture on a target: the compiled sweep, without Python between the steps, or the same source by Python.
 
+Python runs it for models of which something has no compiled form, and takes the steps that redo the whole image.
+"""
+
+import math
 from collections import deque
+from collections.abc import Callable
 from copy import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import Kernel, interpreted
+from derender.posterior.compiled import steps
 from derender.posterior.compiled.evaluate import load
-from derender.posterior.compiled.interpreted import InterpretedBackend
-from derender.posterior.compiled.layout import DENSITY, NOW, PRIOR, STEPS, Chain, Kernels, Stretch
+from derender.posterior.compiled.layout import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.compiled.model import (
+    Calls,
     NotCompiled,
     calls_of,
     chain_of,
     held,
     kernels_of,
+    laws_of,
     model_of,
     objects_below,
     places_seen,
@@ -22,8 +30,165 @@ from derender.posterior.compiled.model import (
     taken_elsewhere,
 )
 from derender.posterior.compiled.steps import sweep
-from derender.posterior.kernels.base import Part, Tuning
+from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
+from derender.posterior.kernels.relocate import mixture_of
+from derender.posterior.space import Block
 from derender.posterior.target import SceneTarget
+
+NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only compiled functions read
+
+
+class _Engine(NamedTuple):
+    """What stands in place of the engine: a target to ask. parameters : None, there are no arrays to keep."""
+
+    target: Target
+    parameters: None = None
+
+
+class InterpretedBackend:
+    """Runs a mixture on any target, a few thousand steps a second: the compiled sweep's own source, not compiled.
+
+    What the compiled sweep asks of the engine is asked of the target here: densities, and where children stay
+    (`keep_children`) or objects are put down (`put`).
+
+    replaced : functions by name, in place of those that the sweep and the proposals call by that name.
+    """
+
+    def __init__(self, target: Target, parts: list[Part], cycle: bool = False, **replaced: Callable) -> None:
+        self.target, self.parts, self.cycle, self.replaced = target, parts, cycle, replaced
+        space, size = target.space, len(target.space.addresses)
+        self._called: list[Callable] = []
+        unknowns, laws = laws_of(space, getattr(target, "folds", {}), self._number_of)
+        self._model = Model(unknowns, laws, np.zeros((4, size), np.int64), NO_ARRAY, NO_ARRAY, NO_ARRAY, 0)
+        self._chain = Chain(
+            values=np.zeros((2, size + 2)), numbers=NO_ARRAY, pose=NO_ARRAY, marks=NO_ARRAY, moved_pose=NO_ARRAY,
+            moved_size=NO_ARRAY, tangents=np.zeros((2, max(int(space.directions[-1]), 3))),
+            relative=NO_ARRAY, flags=np.array([0, 0, cycle]),
+        )  # fmt: skip
+        self._calls = [self._calls_of(part) for part in parts]
+        own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
+        self._sweep = interpreted(steps.sweep, **(own | replaced))
+        self._tuned: tuple[Tuning, Kernels] | None = None
+
+    def twin(self) -> "InterpretedBackend":
+        return InterpretedBackend(self.target, self.parts, self.cycle, **self.replaced)
+
+    def evaluate(self, values: np.ndarray) -> tuple[float, float]:
+        """Return log prior and log likelihood; outside the prior's support the likelihood is not asked for."""
+        log_prior = self.target.log_prior(values)
+        return (log_prior, self.target.log_likelihood(values)) if log_prior > -math.inf else (-math.inf, -math.inf)
+
+    def program(self, tuning: Tuning) -> Kernels:
+        """Return the mixture's arrays under a tuning."""
+        if self._tuned is None or self._tuned[0] is not tuning:
+            target: Any = self.target
+            placing = {k: part.block.objects for k, part in enumerate(self.parts) if _places(part)}
+            seen = {name: target.placements(name, tuning.places) for names in placing.values() for name in names}
+            places = {k: mixture_of(target, names, seen).flat() for k, names in placing.items()}
+            self._tuned = tuning, kernels_of(self.target.space, self.parts, tuning, frozenset(), places, self._calls,
+                                             lambda objects: np.zeros((len(objects), 4), np.int64))  # fmt: skip
+        return self._tuned[1]
+
+    def sweep(
+        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
+        """Take draws * thin steps from `values`; keep every `thin`-th state."""
+        return self.walked(rng, np.array([*values, *self.evaluate(values)]), tuning, draws, thin, taken)
+
+    def walked(
+        self, rng: np.random.Generator, state: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
+    ) -> Stretch:
+        """Return what `sweep` does, from (P + 2,) values with their log prior and log likelihood."""
+        size = len(state) - 2
+        self._chain.values[:] = state
+        self._chain.flags[STEPS] = taken
+        kept, counts = np.empty((draws, size + 2)), np.zeros((len(self.parts), 2), np.int64)
+        self._sweep(rng, self._model, self.program(tuning), self._chain, _Engine(self.target), 0, draws, thin,
+                    tuning.temperature, kept, counts)  # fmt: skip
+        return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
+
+    def _call(self, number: int, *arguments: Any) -> float:
+        return self._called[number](*arguments)
+
+    def _number_of(self, kernel: Kernel, *types: Any) -> int:
+        """Return the number by which the sweep calls a kernel, interpreted."""
+        return self._numbered(interpreted(kernel, call_for_number=self._call, **self.replaced))
+
+    def _numbered(self, function: Callable) -> int:
+        self._called.append(function)
+        return len(self._called) - 1
+
+    def _calls_of(self, part: Part) -> Calls:
+        kind = kernels[part.type]
+        propose = self._number_of(kind.proposal)
+        if kind.form == PLACING:  # the target keeps the children
+            return Calls(
+                propose, place=self._numbered(lambda *arguments: self._put_down(part.block.objects, *arguments))
+            )
+        if kind.keeps_children:
+            return Calls(propose, keep=self._numbered(lambda *_: self._keep(part.block)), vertex=0)
+        return Calls(propose)
+
+    def _keep(self, block: Block) -> float:
+        """Give the children of what a block moved the contacts that keep them; return the log Jacobian."""
+        target: Any = self.target
+        now, moved = self._chain.values[:, :-2].copy()
+        kept = target.keep_children(now, moved, block) if target.log_prior(moved) > -math.inf else None
+        if kept is None:
+            return math.nan
+        self._chain.values[NEXT, :-2] = kept[0]
+        return kept[1]
+
+    def _put_down(
+        self,
+        objects: tuple[str, ...],
+        rng: np.random.Generator,
+        vertices: Any,
+        laws: np.ndarray,
+        numbers: Any,
+        pose: np.ndarray | None,
+        relative: Any,
+        there: Any,
+        put: np.ndarray,
+        base: int,
+        face: int,
+        thetas: np.ndarray,
+        places: np.ndarray,
+        propose_at: int,
+    ) -> float:
+        """Propose another place of some objects; return the log ratio with the log Jacobian of all contacts."""
+        target: Any = self.target
+        now, periods = self._chain.values[NOW, :-2].copy(), [target.placement_periods(name) for name in objects]
+        old = np.concatenate([target.placement(now, name) for name in objects])
+        new = np.empty(len(old))
+        log_ratio = self._call(propose_at, rng, places, np.concatenate(periods), old, new)
+        if math.isnan(log_ratio):
+            return math.nan
+        ends = np.cumsum([len(one) for one in periods])[:-1]
+        found = target.put(now, dict(zip(objects, np.split(new, ends), strict=True)))
+        if found is None:
+            return math.nan
+        self._chain.values[NEXT, :-2] = found[0]
+        return log_ratio + found[1]
+
+
+def _places(part: Part) -> bool:
+    return kernels[part.type].form == PLACING
+
+
+def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:
+    """Write log prior and log likelihood of the proposed values beside them."""
+    proposed, target = chain.values[NEXT], engine.target
+    values = proposed[:-2].copy()
+    proposed[PRIOR], proposed[DENSITY] = target.log_prior(values), -math.inf
+    if proposed[PRIOR] > -math.inf:
+        proposed[DENSITY] = target.log_likelihood(values)
+
+
+def _settle(model: Model, chain: Chain, engine: _Engine, accepted: bool) -> None:
+    """Make the proposed values the current ones, or forget them."""
+    source = NEXT if accepted else NOW
+    chain.values[1 - source] = chain.values[source]
 
 
 class LoadedTarget:

@@ -33,9 +33,9 @@ from derender.registry import Parameter
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.graph import SceneGraph, Vertex
-from derender.scene.priors.root import FreeRoot, LookedAtRoot
+from derender.scene.priors.tree import FreeRoot, LookedAtRoot
 from derender.scene.shapes import shapes
-from derender.scene.shapes.box import box_feature
+from derender.scene.shapes.kinds import box_feature
 from derender.scene.solids import MESH
 
 if TYPE_CHECKING:

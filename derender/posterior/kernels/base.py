@@ -7,7 +7,7 @@ A kernel type names its proposal: a compiled function that writes the proposed v
 to which the sweep adds the change of the log posterior and, where an object's children stay in the world, the log
 Jacobian of their contacts; the step is accepted with probability min(1, exp(log ratio)). There is one source of each
 proposal and of the sweep: numba compiles it, and Python runs the same text where a model has no compiled form
-(`compiled/interpreted.py`).
+(`compiled/backend.py`).
 
 Warm-up learns from where the chain has been: a centre, a covariance, a scale for each kernel. Then it stops.
 """

@@ -1,8 +1,8 @@
 """The library of likelihoods of depth images. A new one is a file with a class under `@likelihoods.register(name)`."""
 
-from derender.render.likelihoods.base import Likelihood, likelihoods
+from derender.render.likelihoods.pixelwise import Likelihood, likelihoods
 
 # The built-in types register themselves when they are imported.
-from derender.render.likelihoods import correlated, gaussian, robust  # isort: skip
+from derender.render.likelihoods import correlated, pixelwise  # isort: skip
 
-__all__ = ["Likelihood", "correlated", "gaussian", "likelihoods", "robust"]
+__all__ = ["Likelihood", "correlated", "likelihoods", "pixelwise"]

@@ -14,7 +14,7 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.registry import Parameter
-from derender.render.likelihoods.base import BACKGROUND, BLUR, SIGMA, Likelihood, blurred_depth, likelihoods
+from derender.render.likelihoods.pixelwise import BACKGROUND, BLUR, SIGMA, Likelihood, blurred_depth, likelihoods
 
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))

@@ -16,5 +16,5 @@ reciprocal, square_root, absolute, exponential, logarithm = late(
     "derender.render.raycast.lanes", "reciprocal", "square_root", "absolute", "exponential", "logarithm"
 )
 new_window, push, blur_window, blur_along_row = late(
-    "derender.render.raycast.lane_blur", "new_window", "push", "blur_window", "blur_along_row"
+    "derender.render.raycast.lanes", "new_window", "push", "blur_window", "blur_along_row"
 )

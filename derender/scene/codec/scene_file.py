@@ -18,29 +18,27 @@ from derender.registry import Registry, suggest
 from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
-from derender.scene.graph import STANDARD_GRAVITY
+from derender.scene.graph import STANDARD_GRAVITY, is_name
 from derender.scene.pose import from_quaternion
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.bare_image import BareImagePrior, MayTip, read_loose
 from derender.scene.priors.grammar import GrammarPrior
-from derender.scene.priors.objects import ON, TOP, ContactPrior, ContactRule, ShapePrior
-from derender.scene.priors.physical import PHYSICAL, read_physical
+from derender.scene.priors.objects import ON, QUATERNION, TOP, ContactPrior, ContactRule, ShapePrior
 from derender.scene.priors.reading import (
+    PHYSICAL,
     read_categorical,
     read_contact_values,
     read_count,
     read_face,
+    read_physical,
     read_rotation,
     read_rules,
     read_shape,
     read_value,
 )
-from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, RootPrior
 from derender.scene.priors.terms import RestsOn, Term, read_terms
-from derender.scene.priors.tree import ROOT, Prior, TreeObject, TreePrior
-from derender.scene.priors.values import QUATERNION
+from derender.scene.priors.tree import ROOT, FixedRoot, FreeRoot, LookedAtRoot, Prior, RootPrior, TreeObject, TreePrior
 from derender.scene.shapes import shapes
-from derender.scene.vertex import is_name
 
 structures: Registry["Structure"] = Registry("structure", "derender.structures")
 

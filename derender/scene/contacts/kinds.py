@@ -1,18 +1,212 @@
-"""The contact types: a free pose under a frame (the paper's `6dof`), and those on a flat face.
+"""What a contact offers, choices, parameters, the pose they give and the way back; and the types of contact.
 
-On a face another face is flush with it, a sphere's point, a cylinder's side, a box's edge or corner touches it.
+There is a free pose under a frame (the paper's `6dof`). On a flat face another face is flush with it, a sphere's point,
+a cylinder's side, a box's edge or corner touches it.
 """
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from derender.compilation.cache import interpreted
 from derender.errors import DerenderError
-from derender.registry import Parameter
-from derender.scene.contacts.base import ContactType, Inverse, SurfaceContact, contacts
-from derender.scene.pose import from_quaternion, quaternion
+from derender.registry import Parameter, Registry, suggest
+from derender.scene import polygon
+from derender.scene.contacts import compiled
+from derender.scene.contacts.compiled import FEATURE_CODES
+from derender.scene.polygon import sides
+from derender.scene.pose import from_axes, from_quaternion, inverse, quaternion, rotation_angle, translation
+from derender.scene.shapes import Body, Shape
+
+contacts: Registry["ContactType"] = Registry("contact", "derender.contacts")
+
+# Turns a frame by pi about x: the child's outward normal meets the parent's head on.
+FLIP = from_axes((1, 0, 0), (0, -1, 0), (0, 0, -1))
+
+
+offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interpreted(polygon.uv_from_offset)
+rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.chart_of)
+
+
+class Inverse(NamedTuple):
+    """The contact nearest to a pose.
+
+    Attributes
+    ----------
+    phi : the free parameters by name, within their ranges; theta in [0, 2 pi), see `fold`.
+    slack : the slack parameters by name (gap, tilts, the angle of what is round) that reproduce the pose.
+    outside : metres by which the two outlines miss each other; 0 where they touch.
+    angle : radians by which the rotation cannot be reproduced; 0 where the contact can take this rotation.
+    With `outside` and `angle` 0 the pose is reproduced exactly by {**phi, **slack}.
+    """
+
+    phi: dict[str, float]
+    slack: dict[str, float]
+    outside: float
+    angle: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters, free ones and slack, by name."""
+        return {**self.phi, **self.slack}
+
+
+class ContactType:
+    """One contact type. Subclasses are registered as `@contacts.register("face-to-face")`; one instance serves all.
+
+    `parent_face` and `child_face` are names of features; both are None for a contact without faces (`6dof`).
+    `values` maps parameter names to numbers; what is missing has its default.
+    """
+
+    name: str = ""
+    compiled_code: ClassVar[int | None] = None  # its number in contacts.compiled; None: only the readable form exists
+
+    def choices(self, parent: Shape, child: Shape) -> list[tuple[str | None, str | None]]:
+        """Return the finite set C_{s,t} of Eqs. 2-3: the pairs of features that can meet; empty if none can."""
+        raise NotImplementedError
+
+    def parameters(
+        self, parent: Shape, child: Shape, parent_face: str | None, child_face: str | None
+    ) -> tuple[Parameter, ...]:
+        """Return the parameters Phi_c in the order of the compiled form, slack included."""
+        raise NotImplementedError
+
+    def relative_pose(
+        self, values: Mapping[str, float], parent: Body, child: Body, parent_face: str | None, child_face: str | None
+    ) -> np.ndarray:
+        """Return the (4, 4) pose of the child in the parent's object axes: f_c of Eq. 1 without z_parent."""
+        raise NotImplementedError
+
+    def invert(
+        self, relative: np.ndarray, parent: Body, child: Body, parent_face: str | None, child_face: str | None
+    ) -> Inverse:
+        """Return the contact of these two features that is nearest to the (4, 4) pose of child in parent."""
+        raise NotImplementedError
+
+    def free_parameters(
+        self, parent: Shape, child: Shape, parent_face: str | None, child_face: str | None
+    ) -> tuple[Parameter, ...]:
+        """Return the parameters that are degrees of freedom of the ideal contact."""
+        return tuple(p for p in self.parameters(parent, child, parent_face, child_face) if not p.slack)
+
+    def default_choice(self, parent: Shape, child: Shape, where: object = None) -> tuple[str | None, str | None]:
+        """Return the pair of features meant where a file names none: on top of the parent, bottom of the child."""
+        choices = self.choices(parent, child)
+        if not choices:
+            raise DerenderError(
+                f"a {child.name} cannot be in {self.name} contact with a {parent.name}",
+                where,
+                suggest(None, [other for other in contacts if contacts[other].choices(parent, child)] or ["6dof"]),
+            )
+        # sorted() is stable and True sorts last: the parent's +z first, then what has -z in its name.
+        return min(choices, key=lambda pair: (pair[0] != "+z", "-z" not in str(pair[1])))
+
+    def check(
+        self,
+        values: Mapping[str, float],
+        parent: Shape,
+        child: Shape,
+        parent_face: str | None,
+        child_face: str | None,
+        where: object = None,
+    ) -> None:
+        """Raise DerenderError unless the faces exist, every name is known and every number is in its range."""
+        choices = self.choices(parent, child)
+        if not choices:
+            self.default_choice(parent, child, where)
+        for label, face, faces in (
+            ("parent_face", parent_face, [pair[0] for pair in choices]),
+            ("child_face", child_face, [pair[1] for pair in choices]),
+        ):
+            if face not in faces:
+                shape = parent.name if label == "parent_face" else child.name
+                what = f"{label} {face!r} of a {shape} cannot be in {self.name} contact"
+                raise DerenderError(what, where, suggest(face, set(faces)))
+        known = {p.name: p for p in self.parameters(parent, child, parent_face, child_face)}
+        for name, value in values.items():
+            if name not in known:
+                raise DerenderError(f"{self.name} contact has no parameter {name!r}", where, suggest(name, known))
+            lower, upper = known[name].lower, known[name].upper
+            if known[name].period is not None:  # an angle may be written a turn away
+                lower, upper = -math.inf, math.inf
+            if not (math.isfinite(value) and lower <= value <= upper):
+                what = f"{name} of the {self.name} contact is {value:g}"
+                raise DerenderError(what, where, f"it must lie in [{lower:g}, {upper:g}]")
+
+
+class SurfaceContact(ContactType):
+    """A contact between the parent's flat face and a feature of the child: all but `6dof`.
+
+    z_child = z_parent . F_parent . T(x, y, gap + lift) . Rz(theta) . turn . diag(1, -1, -1) . F_child^-1
+
+    (x, y) is (u, v) of Figure 2 between bounded outlines. `turn` is what each type adds: a tilt, a lean; its charts are
+    in `compiled`. Slots of every surface contact: theta, u or x, v or y, gap, and two angles of the type's own.
+    """
+
+    child_features: ClassVar[str] = "face_names"
+    angles: ClassVar[tuple[Parameter, Parameter]]  # the type's own two
+
+    def choices(self, parent: Shape, child: Shape) -> list[tuple[str | None, str | None]]:
+        if not parent.bounded and not child.bounded:
+            return []
+        return [(a, b) for a in parent.face_names for b in getattr(child, self.child_features)]
+
+    def rotation(self, theta: float, first: float, second: float, child_face: str) -> np.ndarray:
+        """Return the (4, 4) rotation Rz(theta) . turn."""
+        pose = np.eye(4)
+        numbers = rotation_by(self.compiled_code, FEATURE_CODES[child_face], theta, first, second)
+        pose[:3, :3] = np.reshape(numbers, (3, 3))
+        return pose
+
+    def parameters(self, parent: Any, child: Any, parent_face: Any, child_face: Any) -> tuple[Parameter, ...]:
+        # A plane under a cube is as symmetric as the cube: the bounded one of the two decides (Eq. 3).
+        order = child.face_order(child_face) if child.bounded else parent.face_order(parent_face)
+        free = math.isfinite(order)
+        period = math.tau / order if free else math.tau
+        theta = Parameter("theta", "rad", 0.0, period, 0.0, period, slack=not free)
+        if parent.bounded and child.bounded:
+            offsets = (Parameter("u", "", 0.0, 1.0, 0.5), Parameter("v", "", 0.0, 1.0, 0.5))
+        else:
+            offsets = (Parameter("x", "m", default=0.0), Parameter("y", "m", default=0.0))
+        return (theta, *offsets, Parameter("gap", "m", default=0.0, slack=True), *self.angles)
+
+    def relative_pose(self, values, parent, child, parent_face, child_face):
+        on, by = parent.face(parent_face), child.face(child_face)
+        theta = values.get("theta", 0.0)
+        if on.outline.bounded and by.outline.bounded:
+            u, v = values.get("u", 0.5), values.get("v", 0.5)
+            x, y = offset_from_uv(u, v, theta, *sides(on.outline, by.outline))
+        else:
+            x, y = values.get("x", 0.0), values.get("y", 0.0)
+        first, second = (values.get(angle.name, angle.default) for angle in self.angles)
+        return (
+            on.frame
+            @ translation(x, y, values.get("gap", 0.0) + by.lift)
+            @ self.rotation(theta, first, second, child_face)
+            @ FLIP
+            @ inverse(by.frame)
+        )
+
+    def invert(self, relative: np.ndarray, parent: Any, child: Any, parent_face: Any, child_face: Any) -> Inverse:
+        on, by = parent.face(parent_face), child.face(child_face)
+        meeting = inverse(on.frame) @ relative @ by.frame @ FLIP
+        theta, first, second = map(float, chart_of(self.compiled_code, FEATURE_CODES[child_face], meeting[:3, :3]))
+        angle = rotation_angle(meeting, self.rotation(theta, first, second, child_face))
+        x, y, height = (float(part) for part in meeting[:3, 3])
+        outside = 0.0
+        if on.outline.bounded and by.outline.bounded:
+            u, v, outside = uv_from_offset(x, y, theta, *sides(on.outline, by.outline))
+            offsets = (u, v)
+        else:
+            offsets = (x, y)
+        parameters = self.parameters(parent.shape, child.shape, parent_face, child_face)
+        phi, slack = {}, {}
+        for parameter, value in zip(parameters, (theta, *offsets, height - by.lift, first, second), strict=True):
+            (slack if parameter.slack else phi)[parameter.name] = value
+        return Inverse(phi, slack, outside, angle if angle > 1e-12 else 0.0)
+
 
 POSITION = tuple(Parameter(name, "m", default=0.0) for name in "xyz")
 ROTATION = tuple(Parameter(name, "", default=float(name == "qw")) for name in ("qw", "qx", "qy", "qz"))

@@ -8,7 +8,7 @@ True
 2.65926
 """
 
-from derender.scene.distributions import angles, continuous, discrete  # noqa: F401 - registered by being imported
+from derender.scene.distributions import continuous, discrete  # noqa: F401 - registered by being imported
 from derender.scene.distributions.base import ROW, Distribution, distributions
 from derender.scene.distributions.discrete import Categorical
 

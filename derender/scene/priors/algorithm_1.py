@@ -9,11 +9,9 @@ import numpy as np
 
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph, Vertex
-from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, top_face
-from derender.scene.priors.root import RootPrior
+from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, fault, top_face
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
-from derender.scene.priors.tree import ROOT, Prior, seat, vertex_addresses
-from derender.scene.priors.values import fault
+from derender.scene.priors.tree import ROOT, Prior, RootPrior, seat, vertex_addresses
 
 
 @dataclass(frozen=True)

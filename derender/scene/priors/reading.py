@@ -1,17 +1,38 @@
-"""Reading numbers, distributions, shapes and contacts from the nodes of a scene file."""
+"""Reading numbers, distributions, shapes, contacts, and what objects are made of, from the nodes of a scene file.
 
-from collections.abc import Iterable
+    red: {shape: ..., density: 700, friction: {uniform: [0.2, 0.6]}, elasticity: 0.3, velocity: [0.5, 0, 0]}
+
+An image says nothing of such numbers, so that they are no unknowns of inference: a distribution is kept as it is
+written, and drawn from wherever the scene is sampled or simulated.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from derender.errors import DerenderError
 from derender.registry import Parameter, suggest
 from derender.scene.codec.yaml_tree import Item, List, Node, Section
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution, distributions
-from derender.scene.priors.objects import ON, RESTING, TOP, ContactRule, ShapePrior, check_places
-from derender.scene.priors.values import QUATERNION, ROTATION, Value, unit_quaternion
+from derender.scene.graph import SceneGraph
+from derender.scene.priors.objects import (
+    ON,
+    QUATERNION,
+    RESTING,
+    ROTATION,
+    TOP,
+    ContactRule,
+    ShapePrior,
+    Value,
+    check_places,
+    check_range,
+    unit_quaternion,
+)
 from derender.scene.shapes import shapes
 
 
@@ -234,3 +255,69 @@ def contact_parameters(kind: str) -> dict[str, Parameter]:
                     for parameter in contacts[each].parameters(shapes[parent], shapes[child], *faces):
                         found.setdefault(parameter.name, parameter)
     return found
+
+
+NUMBERS = {
+    "mass": Parameter("mass", "kg", 1e-9, 1e9),
+    "density": Parameter("density", "", 1e-6, 1e9),  # kg / m^3
+    "friction": Parameter("friction", "", 0.0, 1e3),
+    "elasticity": Parameter("elasticity", "", 0.0, 0.99),
+}
+# Velocities in the axes of the root, per second.
+VECTORS = {"velocity": "m", "angular_velocity": "rad"}
+PHYSICAL = (*NUMBERS, *VECTORS, "fixed")
+
+
+def read_physical(node: Node) -> dict[str, Any]:
+    """Read what an object is made of and how it moves, as plain data; {} where nothing is said."""
+    if not isinstance(node, Section):
+        return {}
+    if "mass" in node and "density" in node:
+        raise node["density"].fault("both mass and density are given", "give one of them")
+    found: dict[str, Any] = {}
+    for key, parameter in NUMBERS.items():
+        if key in node:
+            value = read_value(node[key], parameter.unit)
+            check_range(value, parameter, node[key])
+            found[key] = _plain(value)
+    for key, unit in VECTORS.items():
+        if key in node:
+            found[key] = [_plain(read_value(item, unit)) for item in node[key].sequence(3)]
+    if "fixed" in node:
+        found["fixed"] = node["fixed"].boolean()
+    return found
+
+
+def drawn(options: Mapping[str, Any], rng: np.random.Generator | None) -> dict[str, Any]:
+    """Return an object's options with numbers in place of distributions: draws, or their means without `rng`."""
+    found = dict(options)
+    for key in (*NUMBERS, *VECTORS):
+        if key in found:
+            value = found[key]
+            is_vector = isinstance(value, list | tuple)
+            found[key] = [_number(item, rng) for item in value] if is_vector else _number(value, rng)
+    return found
+
+
+def is_drawn(options: Mapping[str, Any]) -> bool:
+    """Return whether one of an object's physical numbers is a distribution."""
+    values = [options[key] for key in (*NUMBERS, *VECTORS) if key in options]
+    flat = [item for value in values for item in (value if isinstance(value, list) else [value])]
+    return any(isinstance(item, Mapping) for item in flat)
+
+
+def with_drawn_matter(graph: SceneGraph, rng: np.random.Generator) -> SceneGraph:
+    """Return the graph with every mass, friction ... drawn."""
+    return replace(graph, vertices=tuple(replace(v, options=drawn(v.options, rng)) for v in graph.vertices))
+
+
+def _plain(value: float | Distribution) -> Any:
+    return {value.name: list(value.parameters)} if isinstance(value, Distribution) else value
+
+
+def _number(value: Any, rng: np.random.Generator | None) -> float:
+    if not isinstance(value, Mapping):
+        return float(value)
+    ((name, parameters),) = value.items()
+    distribution = distributions[name](*parameters)
+    return float(distribution.mean() if rng is None else distribution.sample(rng))  # type: ignore[union-attr]

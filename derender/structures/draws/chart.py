@@ -11,11 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.solids.beliefs import IMPOSSIBLE, MOST, Beliefs, Rules, bare_image
+from derender.detection.solids.beliefs import (
+    CUBE,
+    IMPOSSIBLE,
+    MOST,
+    Beliefs,
+    Rules,
+    bare_image,
+    box_log_density,
+    log_density_at,
+)
 from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE
-from derender.detection.solids.sizes import CUBE, box_log_density, log_density_at
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import TOUCHING, flat_top, shadows_overlap
 from derender.scene.solids import BOX, CYLINDER, SPHERE

@@ -11,7 +11,7 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
-from derender.scene.priors.values import QUATERNION, ROTATION
+from derender.scene.priors.objects import QUATERNION, ROTATION
 from derender.scene.shapes import Body, shapes
 from derender.structures.jumps.base import Vocabulary
 

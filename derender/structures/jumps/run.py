@@ -20,11 +20,10 @@ from derender.detection.solids.beliefs import any_sensor
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import Posterior
-from derender.sampling import workers
-from derender.sampling.chains import Plan, fingerprint
+from derender.sampling.chains import Plan, fingerprint, run_chains
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.priors.root import FixedRoot, FreeRoot, LookedAtRoot, written
-from derender.scene.shapes.box import ROTATIONS
+from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written
+from derender.scene.shapes.kinds import ROTATIONS
 from derender.structures.jumps.base import Target, Vocabulary
 from derender.structures.jumps.chain import JumpSampler, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, vertex_of
@@ -221,7 +220,7 @@ def infer_by_jumps(
         if progress:
             progress(sum(done.values()) / total, "jumping")
 
-    outcome = workers.run(plan, options.jobs or 1, True, report)
+    outcome = run_chains(plan, options.jobs or 1, True, report)
     found = [sampler.draws(record) for record in outcome.records.values() if record.drawn]
     if not found:
         raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""The box and the cube, with their faces, edges and corners; and the open box: a tote, a bin, a carton without lid."""
+"""The shapes that formulas draw: box, cube, cylinder, sphere; frame and plane, without extent; open box, frustum."""
 
 from itertools import permutations, product
 from typing import Any
@@ -7,12 +7,14 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.registry import Parameter
+from derender.scene.pose import from_axes, rotation_z
 from derender.scene.shapes.base import (
     AXES,
     FACE_NAMES,
     NONE,
     POINT,
     SIDES,
+    UNBOUNDED,
     Face,
     Options,
     Outline,
@@ -22,7 +24,7 @@ from derender.scene.shapes.base import (
     box_face,
     shapes,
 )
-from derender.scene.solids import BOX
+from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
 
 # An edge is named by the two faces that meet in it, a corner by the three: "+x-z", "+x+y-z".
 EDGE_NAMES = tuple(
@@ -199,3 +201,166 @@ class OpenBox(Shape):
         length, width, height, wall = psi
         if not wall < min(0.5 * length, 0.5 * width, height):
             raise DerenderError(f"walls of {wall:g} m leave no room in it", where, "give a thinner wall")
+
+
+SECTIONS = 128  # of the mesh: its sagitta is 0.03 % of the radius
+RADIUS, HEIGHT = (Parameter(name, "m", 0.0, np.inf) for name in ("radius", "height"))
+
+
+@shapes.register("cylinder")
+class Cylinder(Shape):
+    """A cylinder about its z axis, by radius and height; it stands on +z or -z, or lies on its side."""
+
+    parameters = (RADIUS, HEIGHT)
+    solid_kind = CYLINDER
+    face_names = ("+z", "-z")
+    side_names = ("side",)
+    symmetry = Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")
+
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
+        radius, height = psi
+        return np.array([2.0 * radius, 2.0 * radius, height], dtype=float)
+
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
+        return np.array([0.25 * (size[0] + size[1]), size[2]], dtype=float)
+
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
+        radius, height = float(psi[0]), float(psi[1])
+        if name == "side":  # x along the axis, z towards the line that touches where `roll` is 0
+            return Face(from_axes((0, 0, 1), (0, -1, 0), (1, 0, 0)), Outline(height, 0.0, 0.0), radius)
+        return Face(super().face(name, psi).frame, Outline(0.0, 0.0, radius))
+
+    def face_order(self, name: str) -> float:
+        return 2 if name == "side" else np.inf
+
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
+        import trimesh
+
+        return trimesh.creation.cylinder(radius=float(psi[0]), height=float(psi[1]), sections=SECTIONS)
+
+
+@shapes.register("sphere")
+class Sphere(Shape):
+    """A sphere, by its radius. It touches a face in a point, by whichever of its own points is there."""
+
+    parameters = (RADIUS,)
+    solid_kind = SPHERE
+    point_names = ("surface",)
+    order = np.inf
+    symmetry = Symmetry(np.eye(3)[None], "all")
+
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
+        return np.full(3, 2.0 * float(psi[0]))
+
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
+        return np.array([0.5 * float(np.mean(size))])
+
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
+        if name not in self.point_names:
+            raise self.no_such_face(name)
+        return Face(np.eye(4), POINT, float(psi[0]))
+
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
+        import trimesh
+
+        return trimesh.creation.icosphere(subdivisions=4, radius=float(psi[0]))
+
+
+@shapes.register("frustum")
+class Frustum(Shape):
+    """A round solid about its z axis, by the radius of its wide end -z, its height, and the radius of +z over that.
+
+    A `taper` of 0.01 is a cone and 0.99 nearly a cylinder; a cup, which widens upwards, stands on its +z.
+    """
+
+    parameters = (RADIUS, HEIGHT, Parameter("taper", "", 0.0, 1.0, 0.5))
+    form_parameters = ("taper",)
+    face_names = ("+z", "-z")
+    order = np.inf
+    symmetry = Symmetry(np.eye(3)[None], "z")
+
+    def size(self, psi: Psi, options: Options = NONE) -> np.ndarray:
+        return np.array([2.0 * psi[0], 2.0 * psi[0], psi[1]], dtype=float)
+
+    def psi_from_size(self, size: np.ndarray, options: Options = NONE) -> np.ndarray:
+        return np.array([0.25 * (size[0] + size[1]), size[2], self.parameters[2].default], dtype=float)
+
+    def face(self, name: str, psi: Psi, options: Options = NONE) -> Face:
+        radius = float(psi[0]) * (1.0 if name == "-z" else float(psi[2]))
+        return Face(super().face(name, psi).frame, Outline(0.0, 0.0, radius))
+
+    def mesh(self, psi: Psi, options: Options = NONE) -> Any:
+        import trimesh
+
+        radius, height, taper = psi
+        profile = [(0.0, -0.5 * height), (radius, -0.5 * height), (taper * radius, 0.5 * height), (0.0, 0.5 * height)]
+        return trimesh.creation.revolve(profile, sections=SECTIONS)
+
+
+@shapes.register("frame")
+class Frame(Shape):
+    """A coordinate frame: no surface, no parameters; others float in it by `6dof`."""
+
+    solid_kind = None
+    bounded = False
+
+    def size(self, psi: Psi = (), options: Options = NONE) -> None:
+        return None
+
+    def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
+        import trimesh
+
+        return trimesh.Trimesh()
+
+
+DRAWN_SIDE = 20.0  # metres; of the square that stands for the plane in exports and previews
+THICKNESS = 1e-5  # metres of the sheet as which a bounded plane is drawn: nothing that a depth image shows
+
+
+@shapes.register("plane")
+class Plane(Shape):
+    """The plane z = 0 of its own axes, with the faces +z and -z (the paper's 1 and 0).
+
+    Options: `patch` [x, y, length, width, turn], metres and radians: the rectangle of it that is there, by its middle
+    and the turn of its length from x. Contacts take it as unbounded all the same; it is drawn, and bears, as far as it
+    is there.
+    """
+
+    solid_kind = PLANE
+    bounded = False
+    face_names = ("+z", "-z")
+    options = ("patch",)
+    order = np.inf
+    symmetry = Symmetry(np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0])]), "z")
+
+    def drawn(self, psi: Psi, options: Options = NONE) -> tuple[int | None, np.ndarray, np.ndarray | None]:
+        if not options.get("patch"):
+            return super().drawn(psi, options)
+        x, y, length, width, turn = options["patch"]
+        pose = rotation_z(turn)
+        pose[:2, 3] = x, y
+        return BOX, np.array([length, width, THICKNESS]), pose
+
+    def check(self, psi: Psi, options: Options = NONE, where: object = None) -> None:
+        patch = options.get("patch")
+        if patch is None:
+            return
+        numbers = isinstance(patch, list | tuple) and all(isinstance(number, int | float) for number in patch)
+        if not numbers or len(patch) != 5 or not np.isfinite(patch).all() or min(patch[2:4]) <= 0.0:
+            remedy = "write [x, y, length, width, turn] in metres and radians, length and width above 0"
+            raise DerenderError("the patch of the plane is none", where, remedy)
+
+    def size(self, psi: Psi = (), options: Options = NONE) -> None:
+        return None
+
+    def face(self, name: str, psi: Psi = (), options: Options = NONE) -> Face:
+        if name not in self.face_names:
+            raise self.no_such_face(name)
+        return Face(box_face(name, (0.0, 0.0, 0.0)).frame, UNBOUNDED)
+
+    def mesh(self, psi: Psi = (), options: Options = NONE) -> Any:
+        import trimesh
+
+        half = DRAWN_SIDE / 2
+        corners = [[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]]
+        return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)

@@ -1,0 +1,210 @@
+"""What a likelihood of depth images is; and those of pixels that err each for itself: normal (Eq. 6), and a mixture."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from derender.errors import DerenderError
+from derender.registry import Parameter, Registry
+from derender.render.blur import blur
+
+likelihoods: Registry["Likelihood"] = Registry("likelihood", "derender.likelihoods")
+
+SIGMA = Parameter("sigma", "m", 1e-6, 10.0, 0.005)
+BLUR = Parameter("blur", "", 0.0, 5.0, 0.0)
+BACKGROUND = Parameter("background", "m", 0.01, 1000.0, 10.0)
+
+
+class Likelihood:
+    """A type of likelihood: pixels are independent given the clean depth image of the scene (Eq. 6).
+
+    Everywhere `depth` is the clean (H, W) depth in metres, NaN where no surface is hit; `observed` an (H, W) image, NaN
+    (or 0, or infinite) where nothing returned; `values` numbers by parameter name, defaults where they say nothing.
+
+    The clean image ends at a wall at depth `background`: what lies beyond it, or hits nothing, has that depth. So the
+    model image is finite everywhere, and Eq. 6 a density over whole images.
+
+    Attributes
+    ----------
+    name : registered name.
+    parameters : the numbers that a file can give, or distributions over them.
+    code : which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED).
+    of_image : names of the numbers on which `beside` depends.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    code: int
+    of_image: tuple[str, ...] = ()
+
+    def complete(self, values: Mapping[str, float] | None) -> dict[str, float]:
+        """Return a number for every parameter.
+
+        Raises
+        ------
+        DerenderError : an unknown name, or a number out of range.
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        result = {name: float(parameter.default or 0.0) for name, parameter in known.items()}
+        for name, value in (values or {}).items():
+            if name not in known:
+                raise DerenderError(
+                    f"a {self.name} likelihood has no {name!r}", "likelihood", "it has " + ", ".join(known)
+                )
+            parameter = known[name]
+            if not parameter.lower <= value <= parameter.upper:
+                raise DerenderError(
+                    f"{name} is {value:g}",
+                    f"likelihood.{name}",
+                    f"it lies in [{parameter.lower:g}, {parameter.upper:g}]",
+                )
+            result[name] = float(value)
+        self.check(result)
+        return result
+
+    def check(self, values: Mapping[str, float]) -> None:
+        """Raise a DerenderError where complete values do not fit together."""
+
+    def row(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the engine's numbers: sigma, background, a place to fill, then the type's own."""
+        raise NotImplementedError
+
+    def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray | None:
+        """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""
+        return None
+
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        """Return the log density of each pixel, (H, W) float64; 0 where it says nothing: the readable reference."""
+        raise NotImplementedError
+
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        """Draw an observed image: (H, W) float64, NaN where nothing returns."""
+        raise NotImplementedError
+
+    def log_density(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None) -> float:
+        """Return the log density of an observed image."""
+        return math.fsum(self.per_pixel(observed, depth, values).ravel())
+
+
+def with_wall(depth: np.ndarray, background: float) -> np.ndarray:
+    """Return the clean depth in front of the wall: no pixel is missing, none is deeper than `background`."""
+    return np.fmin(np.where(np.isnan(depth), np.inf, depth), background)
+
+
+def blurred_depth(depth: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    """Return the blurred model image b(d) of Eq. 6, with the wall."""
+    return blur(with_wall(depth, values["background"]), values["blur"])
+
+
+def has_return(observed: np.ndarray) -> np.ndarray:
+    """Return where a pixel holds a depth: positive and finite."""
+    return np.isfinite(observed) & (observed > 0)
+
+
+@likelihoods.register("gaussian")
+class Gaussian(Likelihood):
+    """Norm(observed; b(d), sigma) in every pixel with a return; a pixel without one is evidence of nothing."""
+
+    parameters = (SIGMA, BLUR, BACKGROUND)
+    code = 0
+
+    def row(self, values: Mapping[str, float]) -> np.ndarray:
+        return np.array([values["sigma"], values["background"], 0.0])
+
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        values = self.complete(values)
+        seen = has_return(observed)
+        spread = values["sigma"]
+        residual = np.where(seen, observed, 0.0) - blurred_depth(depth, values)
+        density = -0.5 * (residual / spread) ** 2 - math.log(spread) - 0.5 * math.log(2.0 * math.pi)
+        return np.where(seen, density, 0.0)
+
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        values = self.complete(values)
+        return blurred_depth(depth, values) + rng.normal(scale=values["sigma"], size=depth.shape)
+
+
+RATE = (1e-30, 1.0 - 1e-12)  # of a share: its logarithm and that of the rest are finite; {uniform: [0, 1]} fits in
+
+
+@likelihoods.register("robust")
+class Robust(Likelihood):
+    """With m the blurred depth and d the clean one, a pixel
+
+        has no return with probability q = `missing_edge` at an edge, else `missing`;
+        otherwise its density is (1 - outlier) Norm(m, sigma + sigma_growth m^2) + outlier Uniform(near, far).
+
+    An edge is a pixel at which the second difference of d along the row or the column is more than `edge_step`:
+    surfaces that are flat in space, at whatever slant, have next to none. A pixel's value is a depth or "no return", so
+    missing pixels count: a hole where the scene has no edge is evidence.
+
+    A pixel may show what is no part of the scene: background, or a thing of no known form. Nothing is known of such a
+    surface but that it is where it was seen, unless the scene hides it. Such a pixel holds minus that depth, and its
+    density is the one above with min(m, that depth) in place of m: solids behind it make no difference, and those
+    before it are as improbable as they would be before any other surface.
+    """
+
+    parameters = (
+        SIGMA,
+        BLUR,
+        BACKGROUND,
+        Parameter("sigma_growth", "1/m", 0.0, 1.0, 0.0),
+        Parameter("outlier", "", *RATE, 0.02),
+        Parameter("near", "m", 0.0, 1000.0, 0.1),
+        Parameter("far", "m", 0.0, 1000.0, 10.0),
+        Parameter("missing", "", *RATE, 0.02),
+        Parameter("missing_edge", "", *RATE, 0.3),
+        Parameter("edge_step", "m", 1e-4, 100.0, 0.02),
+    )
+    code = 1
+
+    def check(self, values: Mapping[str, float]) -> None:
+        if not values["near"] < values["far"]:
+            raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
+
+    def row(self, values: Mapping[str, float]) -> np.ndarray:
+        names = ("sigma_growth", "outlier", "near", "far", "missing", "missing_edge", "edge_step")
+        return np.array([values["sigma"], values["background"], 0.0, *(values[name] for name in names)])
+
+    def missing_rate(self, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
+        """Return the probability of no return, (H, W)."""
+        padded = np.pad(with_wall(depth, values["background"]), 1, mode="edge")
+        middle = 2.0 * padded[1:-1, 1:-1]
+        along = np.abs(padded[1:-1, :-2] + padded[1:-1, 2:] - middle)
+        down = np.abs(padded[:-2, 1:-1] + padded[2:, 1:-1] - middle)
+        edge = np.maximum(along, down) > values["edge_step"]
+        return np.where(edge, values["missing_edge"], values["missing"])
+
+    def per_pixel(
+        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        values = self.complete(values)
+        value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
+        seen, model, missing = value > 0.0, blurred_depth(depth, values), self.missing_rate(depth, values)
+        model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
+        spread = values["sigma"] + values["sigma_growth"] * model**2
+        surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+        inside = (value >= values["near"]) & (value <= values["far"])
+        floor = values["outlier"] / (values["far"] - values["near"])
+        returned = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
+        return np.where(seen, np.log((1.0 - missing) * returned), np.log(missing))
+
+    def sample(
+        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        values = self.complete(values)
+        model, missing = blurred_depth(depth, values), self.missing_rate(depth, values)
+        spread = values["sigma"] + values["sigma_growth"] * model**2
+        result = model + spread * rng.standard_normal(depth.shape)
+        outliers = rng.random(depth.shape) < values["outlier"]
+        result[outliers] = rng.uniform(values["near"], values["far"], size=int(outliers.sum()))
+        return np.where((rng.random(depth.shape) < missing) | (result <= 0.0), np.nan, result)
