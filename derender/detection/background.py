@@ -58,8 +58,6 @@ def standing_bodies(
 ) -> np.ndarray:
     """Return (H, W) bool: pixels of `above` that stand on the support.
 
-    Parameters
-    ----------
     points : (H, W, 3) float64, floor frame, lengths as above. above : (H, W) bool, pixels over the support's plane.
     beyond : (H, W) metres by which points lie beyond the outline of its visible part, negative over it.
     good : (H, W) bool, pixels with a depth.
@@ -254,8 +252,6 @@ def joined_to_floor(
 ) -> np.ndarray:
     """Return (H, W) bool: pixels beyond the floor's outline that belong to an object which fills the image.
 
-    Parameters
-    ----------
     points : (H, W, 3) float64, floor frame. above : (H, W) bool, pixels that stand over the floor's plane.
     inside : (H, W) bool, pixels within the outline of the visible floor. footprint : (H, W) metres across a pixel.
     camera_height : metres over the floor.
@@ -313,8 +309,6 @@ def wall_behind(
 ) -> np.ndarray:
     """Return (H, W) bool: pixels on a wall or behind it; none where there is no wall.
 
-    Parameters
-    ----------
     points : (H, W, 3) float64, floor frame. good : (H, W) bool, pixels with a depth. above : those over the floor.
     sigma : (H, W) metres of noise. origin : (3,) the camera's centre, floor frame.
     """

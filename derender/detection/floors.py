@@ -58,8 +58,6 @@ BACKDROP, SIDE = 0.3, 0.2  # least shares of the pixels, and of three of the ima
 class Candidate(NamedTuple):
     """A plane that may be the floor.
 
-    Attributes
-    ----------
     normal, offset : normal . p = offset, in camera axes, towards the camera. near : metres off it that lie on it.
     odds : nats, what its share of the pixels says of it, and how it lies.
     """
@@ -75,8 +73,6 @@ def find_floor(depth: np.ndarray, camera: Camera | dict[str, float],
                believed: Floors | None = None) -> Floor:  # fmt: skip
     """Find the plane that most likely is the floor: a large one that faces the image's upper edge.
 
-    Parameters
-    ----------
     depth : (H, W) float metres, NaN = no return.
     gravity : (3,) in camera axes, the direction in which things fall, where the camera knows it: only a level plane
         is a floor then, if there is one.

@@ -30,8 +30,6 @@ def freestanding(
 ) -> list[np.ndarray]:
     """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first.
 
-    Parameters
-    ----------
     points : (H, W, 3) float64, an upright frame. good : (H, W) bool, pixels with a depth that may be a piece's.
     jump : (H, W) metres between neighbours of one piece, at most. footprint : (H, W) metres across a pixel.
     origin : (3,) the camera's centre.

@@ -140,8 +140,6 @@ SURE = (1.0, 0.0)  # probability and error: whether something is there is not as
 class Swap(NamedTuple):
     """What may be there instead of something that was found.
 
-    Attributes
-    ----------
     place : index of the Observation's thing, or of the State's solid, that it takes the place of.
     odds : nats against that, 0 at most. instead : State of which the last is the solid; or the Thing.
     """

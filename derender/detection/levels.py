@@ -31,8 +31,6 @@ STEP = 0.03  # metres over or under the main plane, at least: less may be its ow
 class Level(NamedTuple):
     """A level plane, as it is first seen.
 
-    Attributes
-    ----------
     normal, offset : of the plane in camera axes, towards the camera: normal . p = offset.
     mask : (h, w) bool, pixels of the reduced image that show it.
     """

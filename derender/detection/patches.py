@@ -115,8 +115,6 @@ def reassign(points, mask, label, normal, offset, tolerance, jump, rounds):
 class Patches(NamedTuple):
     """Planar pieces of the surface above the floor.
 
-    Attributes
-    ----------
     label : (H, W) int32, patch of each pixel or -1.
     normal : (P, 3) float64 unit, towards the camera; offset : (P,) float64: normal . point.
     pixels : (P,) int64, how many; centre : (P, 3) float64.
@@ -217,8 +215,6 @@ def find_patches(
 ) -> Patches:
     """Segment the surface into planar patches.
 
-    Parameters
-    ----------
     points : (H, W, 3) float64, floor frame (any finite numbers where mask is False).
     mask : (H, W) bool, pixels to segment; sigma : (H, W) noise in metres; footprint : (H, W) size of a pixel in metres.
     """

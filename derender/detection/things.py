@@ -54,8 +54,6 @@ BENEATH = 0.5  # share of a thing's points over a solid's top from which on it s
 class Thing(NamedTuple):
     """A free-form thing.
 
-    Attributes
-    ----------
     mask : (H, W) bool, the pixels that show it.
     row : (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on.
     parent : FLOOR, or the index of the solid that it stands on.

@@ -18,8 +18,6 @@ from derender.scene.distributions import Distribution
 class Unknown(NamedTuple):
     """A number (or rotation) that inference has to find.
 
-    Attributes
-    ----------
     address : such as "red.contact.theta".
     distribution : its prior.
     period : of an angle, or None.
@@ -38,8 +36,6 @@ class Unknown(NamedTuple):
 class Block(NamedTuple):
     """Unknowns that move together: the contact of one edge, the shape of one object, the likelihood, or all.
 
-    Attributes
-    ----------
     name : such as "red.contact", "red.shape", "likelihood", "all"; of several blocks "red.contact+blue.contact".
     unknowns : indices of its unknowns.
     """
@@ -56,8 +52,6 @@ class Block(NamedTuple):
 class Space:
     """The unknowns with their prior and geometry. Immutable.
 
-    Attributes
-    ----------
     unknowns : tuple of Unknown; their priors are independent.
     blocks : tuple of Block, a partition of the unknowns.
     addresses : one for each of the P values; those of "a.contact.quat_wxyz" are "a.contact.qw" to "qz".

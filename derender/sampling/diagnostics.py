@@ -63,8 +63,6 @@ def unwrap(draws: np.ndarray, period: float | None) -> np.ndarray:
 
     A chain at theta near 0 and near one period is at one place; taken as a plain number it seems to have two modes.
 
-    Parameters
-    ----------
     draws : (...) float.
     period : of the parameter, or None for one that lives on a line: then `draws` come back as they are.
     """

@@ -49,8 +49,6 @@ def evidence(
 ) -> Evidence:
     """Return the Evidence of a density over R^D.
 
-    Parameters
-    ----------
     target : log densities (m,) of points (m, D).
     draws : (n, D), of the density, in the order of a chain; log_density : (n,), there.
     count : points that are drawn of the fitted density, for each half.

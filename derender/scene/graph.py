@@ -34,8 +34,6 @@ def is_name(name: object) -> bool:
 class Contact:
     """How a vertex touches its parent: c_i and phi_i.
 
-    Attributes
-    ----------
     type : registered contact type.
     parent_face, child_face : names of the features that touch, or None (`6dof`).
     values : phi by name, slack included where it is not zero; what is missing has its default.
@@ -57,8 +55,6 @@ class Contact:
 class Vertex:
     """One object: s_i, psi_i, pi(i), c_i, phi_i.
 
-    Attributes
-    ----------
     name : unique in the graph; not "root".
     shape : registered shape type.
     parameters : psi by name.
@@ -166,8 +162,6 @@ ROOT_BODY = Body(shapes["frame"])
 class Constraint:
     """An undirected relation between two objects.
 
-    Attributes
-    ----------
     first, second : names of vertices; their order says nothing.
     type : "does-not-touch".
     margin : metres that must be left between their surfaces.
@@ -188,8 +182,6 @@ class Constraint:
 class SceneGraph:
     """A scene: the root's pose and the vertices, parents before children.
 
-    Attributes
-    ----------
     root_pose : (4, 4) float64, root to camera.
     vertices : the objects, in order.
     gravity : (3,) the pull of gravity in root axes, in units of STANDARD_GRAVITY.

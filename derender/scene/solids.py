@@ -10,8 +10,6 @@ PLANE, BOX, SPHERE, CYLINDER, MESH = range(5)
 class Solids(NamedTuple):
     """Posed solids of a scene, in the order of its vertices.
 
-    Attributes
-    ----------
     kind : (N,) int32, one of PLANE, BOX, SPHERE, CYLINDER, MESH.
     pose : (N, 4, 4) float64, object to camera.
     size : (N, 3) float64, full extents in metres along the object's axes (sphere: three diameters;

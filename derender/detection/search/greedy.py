@@ -34,8 +34,6 @@ REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 class Settings(NamedTuple):
     """What the search is allowed.
 
-    Attributes
-    ----------
     shapes : names of the shapes that may occur.
     max_objects : how many solids there may be.
     price : nats that a solid must gain to be believed.

@@ -63,8 +63,6 @@ SAME = 0.5  # of a plane's pixels that are another's too, from which on it is th
 class Rival(NamedTuple):
     """A plane that may be the floor instead.
 
-    Attributes
-    ----------
     plane : a, b, c, d of a x + b y + c z + d = 0, camera axes, (a, b, c) towards the camera. probability : that it is.
     """
 
@@ -75,8 +73,6 @@ class Rival(NamedTuple):
 class Observation(NamedTuple):
     """A depth image made ready for the search.
 
-    Attributes
-    ----------
     image : Image in the floor frame, at working resolution.
     floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
     footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
@@ -133,8 +129,6 @@ class Observation(NamedTuple):
 class Support(NamedTuple):
     """A plane that is taken for the floor because another one, or others, are so already.
 
-    Attributes
-    ----------
     normal, offset : of the plane at first sight, in camera axes: normal . p = offset.
     others : (H, W) bool, pixels of the image as it came that show the others or what stands on them; None: there are
         none, and it was the floor of the image in another resolution.

@@ -28,8 +28,6 @@ NEAR = 2  # pixels from a bad one to the solids that share it
 class Places(NamedTuple):
     """Where the image is badly explained.
 
-    Attributes
-    ----------
     blame : (N + 1,) bad pixels about each solid (last: about none, as many as bodies have).
     pairs : (N + 1, N + 1) how many bad pixels two solids share.
     beside : (N + 1, N + 1) how many neighbouring pixels show two solids.
@@ -133,8 +131,6 @@ def guesses(
 ) -> list[Hypothesis]:
     """Return a Hypothesis of each way that the shapes allow: the best of GUESSES.
 
-    Parameters
-    ----------
     points : (N, 3) float64, floor frame, that the solid shows. bottom : height on which it stands.
     depth, misfit : (H, W) of the scene without it.
     """

@@ -14,8 +14,6 @@ THINNEST = 0.008
 class Hypothesis(NamedTuple):
     """A solid that may be in the scene.
 
-    Attributes
-    ----------
     row : (ROW,) float64, see solids/image.py.
     form : UPRIGHT (its own z axis is the floor's) or FREE.
     cube : whether its edges are equal by construction.

@@ -26,8 +26,6 @@ LEAST_TAP = 1e-3  # what the blur brings over from further away is left out of t
 class Image(NamedTuple):
     """What the compiled functions need to know of the observation.
 
-    Attributes
-    ----------
     depth : (H, W) float64 metres, 0 where nothing returned or the pixel is left out of account.
     weight : (H, W) float64, 1 / (2 sigma^2) of each pixel, 0 where left out.
     direction : (H, W, 3) float64, ray per metre of depth, floor axes.
@@ -56,8 +54,6 @@ def make_image(
 ) -> Image:
     """Return the Image of an observation.
 
-    Parameters
-    ----------
     depth : (H, W) float metres, NaN or 0 = no return.
     sigma : (H, W) float or float, standard deviation of the noise in metres.
     camera : anything with fx, fy, cx, cy as attributes or a dict of them.

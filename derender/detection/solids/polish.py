@@ -203,8 +203,6 @@ def polish(
 ):
     """Return (row, energy, misfit change) of the best solid found in `rounds` tries.
 
-    Parameters
-    ----------
     start : (ROW,) the solid; form : UPRIGHT or FREE; cube : keep its edges equal.
     others : (N, ROW) solids in the scene, `skip` the one among them that is this one (or -1).
     depth, misfit : (H, W) of the scene without this solid.
@@ -273,8 +271,6 @@ def walk(
     name and place), and has Jacobian one in (centre, size, Haar's measure of the rotation): proposals are symmetric, so
     the log acceptance ratio is the difference of energies alone.
 
-    Parameters
-    ----------
     scale : (WALK_MOVES,) float64, standard deviation of each kind of step; changed in place if `adapt` (in a warm-up).
     temper : what the misfit is divided by: the number of pixels that tell as much as one independent one.
     """

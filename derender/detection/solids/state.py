@@ -21,8 +21,6 @@ NOTHING = np.empty(0)
 class State:
     """Solids over a floor, in the floor frame.
 
-    Attributes
-    ----------
     rows : (N, ROW) float64, see image.py.
     forms : UPRIGHT or FREE for each solid.
     cubes : whether each solid's edges are equal.

@@ -99,8 +99,6 @@ def shares_of_load(
 ) -> dict[int, float]:
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
-    Parameters
-    ----------
     rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
     friction : (N + 1,) coefficients of its contacts with each of the others, that with the floor last; None: FRICTION.
     """

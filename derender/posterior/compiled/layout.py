@@ -26,8 +26,6 @@ PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
 class Model(NamedTuple):
     """The prior and where each value goes. U unknowns, P values, D directions, N vertices.
 
-    Attributes
-    ----------
     unknowns : (5, U + 1) int64: whether it is a rotation, first value, first direction (the last column ends these
         two), and the addresses of the prior's kernels (prior.py).
     laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
@@ -51,8 +49,6 @@ class Model(NamedTuple):
 class Kernels(NamedTuple):
     """The mixture. K kernels; the unknowns and factors of kernel k are slices of flat arrays.
 
-    Attributes
-    ----------
     table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
         vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
         keeps them and of what puts objects down.
@@ -72,8 +68,6 @@ class Kernels(NamedTuple):
 class Chain(NamedTuple):
     """The state of one chain and its scratch space. Where the first axis is 2: NOW, NEXT (proposed).
 
-    Attributes
-    ----------
     values : (2, P + 2) float64: the values, then the log prior and the log likelihood.
     numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
     pose : (2, N + 1, 4, 4) float64, object to camera; the root's comes last.

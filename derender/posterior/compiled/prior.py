@@ -121,9 +121,7 @@ def table_of(constraints: tuple[Any, ...], graph: SceneGraph) -> np.ndarray:
 
     Vertices are numbered as in the graph. A hard term has the scale 0.
 
-    Raises
-    ------
-    NotImplementedError : a term has no compiled form.
+    Raises NotImplementedError : a term has no compiled form.
     """
     names = list(graph.names)
     rows: list[tuple[float, ...]] = []

@@ -42,8 +42,6 @@ class Target(Protocol):
 class Tuning(NamedTuple):
     """What warm-up learns, and what is fixed afterwards.
 
-    Attributes
-    ----------
     mean : (P,) float64, a typical place.
     covariance : (D, D) float64, of the posterior in tangent directions around it.
     scale : step scale by kernel name; 1 where a name is missing.
@@ -66,8 +64,6 @@ class Tuning(NamedTuple):
 class KernelType:
     """A registered family of kernels, chosen by name in `inference: {kernels: [{NAME: {weight: 0.2}}, ...]}`.
 
-    Attributes
-    ----------
     name : in the registry.
     options : the options that YAML may set, with their defaults; all numbers.
     per_block : whether there is one kernel for each block of the space, or a single one for all unknowns.
@@ -135,8 +131,6 @@ def mixture(
 ) -> list[Part]:
     """Return the parts of a mixture given as data; an entry's weight is shared by its blocks according to their size.
 
-    Parameters
-    ----------
     entries : such as [{"resimulate": {"weight": 0.2}}, {"drift": None}].
 
     Raises
@@ -188,8 +182,6 @@ def first_tuning(space: Space, values: np.ndarray, temperature: float = 1.0) -> 
 def centre_of(space: Space, history: np.ndarray) -> np.ndarray:
     """Return (P,) a typical place: means on lines; on circles and rotations the mean step from the last place.
 
-    Parameters
-    ----------
     history : (n, P) float, places in the order of the chain.
     """
     last = history[-1]
@@ -210,8 +202,6 @@ def covariance_of(space: Space, history: np.ndarray, centre: np.ndarray) -> np.n
 def rescale(scale: Mapping[str, float], parts: list[Part], counts: np.ndarray, gain: float) -> dict[str, float]:
     """Return the kernels' scales after a stretch: up where more steps were accepted than wanted, down where fewer.
 
-    Parameters
-    ----------
     counts : (K, 2), steps and accepted ones in the stretch, in the order of `parts`.
     gain : how far log scale goes for an acceptance rate that is wrong by 1.
     """

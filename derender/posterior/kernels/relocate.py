@@ -30,8 +30,6 @@ class PlaceMixture(NamedTuple):
 
     A place is D numbers, lengths and angles, such as (angle, x, y) of each of some objects.
 
-    Attributes
-    ----------
     centres : (K, D) float64.
     factors : (K, D, D) float64, lower triangular. inverses : theirs.
     periods : (D,) float64, of angles, which live on circles; 0 of lengths.

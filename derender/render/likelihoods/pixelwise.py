@@ -25,8 +25,6 @@ class Likelihood:
     The clean image ends at a wall at depth `background`: what lies beyond it, or hits nothing, has that depth. So the
     model image is finite everywhere, and Eq. 6 a density over whole images.
 
-    Attributes
-    ----------
     name : registered name.
     parameters : the numbers that a file can give, or distributions over them.
     code : which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED).
@@ -41,9 +39,7 @@ class Likelihood:
     def complete(self, values: Mapping[str, float] | None) -> dict[str, float]:
         """Return a number for every parameter.
 
-        Raises
-        ------
-        DerenderError : an unknown name, or a number out of range.
+        Raises DerenderError : an unknown name, or a number out of range.
         """
         known = {parameter.name: parameter for parameter in self.parameters}
         result = {name: float(parameter.default or 0.0) for name, parameter in known.items()}

@@ -241,8 +241,6 @@ def draw_antialiased(canvas, kinds, poses, sizes, background, window):
     solid that has moved or grown since was or is, and their neighbours, whose marks it may change. The result is the
     same to the last bit. `forget` makes it draw everything, as a change of kinds or background requires.
 
-    Parameters
-    ----------
     canvas : Canvas, written. kinds : (N,) int32, poses : (N, 4, 4), sizes : (N, 3) float64, as in Solids.
     background : depth in metres of a wall behind everything: what hits nothing, or lies beyond, has this depth.
     window : (4,) int64, first column, end column, first row, end row. Outside it nothing changes.

@@ -25,8 +25,6 @@ SPARE = 1 << 14  # and so many more
 class Pieces(NamedTuple):
     """Scratch for one pixel cut into convex polygons, in pixels from its centre.
 
-    Attributes
-    ----------
     corner : (PIECES, CORNERS, 2) float64, corners in order. edge : (PIECES, CORNERS) int64, what the edge from this
         corner to the next is: -1, or twice the number of a line of an outline, one more on its outer side.
     corners, code : (PIECES,) int64. plane : (PIECES, 3) float64, inverse depth at the centre and its slopes, of flat
@@ -47,8 +45,6 @@ class Pieces(NamedTuple):
 class Canvas(NamedTuple):
     """Arrays of one antialiased rendering, made by `new_canvas` and written by `draw_antialiased`.
 
-    Attributes
-    ----------
     camera : (4,) float64 fx, fy, cx, cy.
     prepared : (N, PREPARED), rectangle : (N, 4) int64, of every solid; the rectangle one pixel wider than its centres'.
     lines : (N LINES, LINE) float64, outlines, LINES of each solid; line_counts : (N, 2) int64, see `draw_outline`.

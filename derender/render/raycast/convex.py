@@ -179,8 +179,6 @@ def _prepare_round(pose, radius, half, camera, width, height, prepared, rectangl
 def prepare_solid(kind, pose, size, camera, width, height, prepared, rectangle):
     """Turn one posed solid into its bounds on inverse depth and the rectangle outside which it cannot show.
 
-    Parameters
-    ----------
     kind : PLANE, BOX, SPHERE, CYLINDER or MESH (of a mesh only the rectangle is found).
     pose : (4, 4) float64, object to camera. size : (3,) float64, full extents.
     camera : (>= 4,) float64, fx, fy, cx, cy, ... width, height : int.

@@ -103,8 +103,6 @@ def render_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render the depth image of posed solids by casting a ray through every pixel centre.
 
-    Parameters
-    ----------
     solids : Solids.
     camera : Camera (fx, fy, cx, cy, width, height; the centre of pixel (i, j) is at image coordinates (i, j)).
     antialias : n casts n x n rays a pixel on a regular grid and averages their depths.

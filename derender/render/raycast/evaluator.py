@@ -26,20 +26,14 @@ from derender.scene.solids import Solids
 class DepthEvaluator:
     """Evaluates scenes against one observed image. Each chain has its own.
 
-    Parameters
-    ----------
     camera : Camera.
     observed : (height, width) metres; NaN, 0 or infinite where nothing returned.
     likelihood : registered name.
     values : the likelihood's numbers by name; what is left out has its default.
 
-    Attributes
-    ----------
     state : EngineState of the scene loaded last; None before.
 
-    Raises
-    ------
-    DerenderError : an image of another size than the camera's, or likelihood values out of range.
+    Raises DerenderError : an image of another size than the camera's, or likelihood values out of range.
     """
 
     def __init__(

@@ -85,8 +85,6 @@ def _fill_clipped(buffer, points, triangle, camera, rectangle):
 def draw_mesh(buffer, vertices, triangles, first, end, size, extents, pose, camera, rectangle, points):
     """Raise an inverse-depth image to a mesh's inside a rectangle.
 
-    Parameters
-    ----------
     buffer : (>= rows, >= columns) float32 or float64 inverse depth, 0 or more, raised in place.
     vertices : (V, 3) float64, object axes. triangles : (T, 3) int32: those of all meshes, one after the other.
     first, end : (2,) int64, where this mesh's vertices and triangles start and end; triangles count from its first.

@@ -30,8 +30,6 @@ DRAW, RECORD = range(2)
 class Misfit(NamedTuple):
     """Arrays for comparing one observed image with scenes of one structure.
 
-    Attributes
-    ----------
     canvas : Canvas. records : Records. kinds : (N,) int32.
     observed : (H, W) float64 metres, any number where missing. precision : (H, W) float64, 1 / sigma^2, 0 where
         missing.

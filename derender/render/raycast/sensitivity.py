@@ -35,8 +35,6 @@ class Records(NamedTuple):
     """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form .
     motion[solid].
 
-    Attributes
-    ----------
     pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `filled[0]`
         are filled.
     filled : (1,) int64, how many are.
@@ -172,8 +170,6 @@ def _add_border(forms, slot, solid, edge, code, x0, y0, x1, y1, lines, prepared,
 def record(canvas, records, kinds, poses, sizes, active, background, window, edges):
     """Record how the antialiased depths in a window depend on the motions of the active solids.
 
-    Parameters
-    ----------
     canvas : Canvas as `draw_antialiased` has left it for the same solids, background and window.
     records : Records, overwritten. active : (N,) bool, the solids whose motion matters.
     edges : bool; False leaves the occlusion edges out (the misleading derivative, for comparison).

@@ -25,8 +25,6 @@ _VERSION = re.compile(r"[0-9]+(\.[0-9]+){2,}")  # text to them all: other writer
 class Node:
     """A place in a file.
 
-    Attributes
-    ----------
     file : name of the file, for messages.
     line : int, from 1.
     address : str, dotted path from the top, such as "objects.red.side".
@@ -77,8 +75,6 @@ class Node:
 class Item(Node):
     """A single value.
 
-    Attributes
-    ----------
     raw : str, the text as it stands in the file.
     quoted : bool, it stood in quotes: text, whatever it looks like.
     """
@@ -271,9 +267,7 @@ _WITH_UNIT = re.compile(r"(.*?)\s*([A-Za-z%°]+)")
 def parse_number(text: str, unit: str = "") -> float:
     """Return the number that `text` says, in the base unit `unit` ("m", "rad", "kg", "s", "px" or "" for none).
 
-    Raises
-    ------
-    DerenderError : if it is no finite number in strict notation, or its unit does not fit.
+    Raises DerenderError : if it is no finite number in strict notation, or its unit does not fit.
     """
     factor = 1.0
     digits = text.strip()

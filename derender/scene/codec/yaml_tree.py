@@ -28,9 +28,7 @@ MOST_DEPTH = 32
 def read_yaml(path: str | Path) -> Section:
     """Read one strict YAML file; its top must be a section.
 
-    Raises
-    ------
-    DerenderError : one line with file, line, address and remedy, for anything wrong with it.
+    Raises DerenderError : one line with file, line, address and remedy, for anything wrong with it.
     """
     path = Path(path)
     try:

@@ -33,8 +33,6 @@ rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.
 class Inverse(NamedTuple):
     """The contact nearest to a pose.
 
-    Attributes
-    ----------
     phi : the free parameters by name, within their ranges; theta in [0, 2 pi), see `fold`.
     slack : the slack parameters by name (gap, tilts, the angle of what is round) that reproduce the pose.
     outside : metres by which the two outlines miss each other; 0 where they touch.

@@ -40,13 +40,9 @@ class Distribution:
     size : how many numbers a value has (1; a rotation's quaternion: 4).
     discrete : the density is with respect to the counting measure.
 
-    Attributes
-    ----------
     parameters : tuple of float. row : (4,) float, what `density` and `draw` read.
 
-    Raises
-    ------
-    DerenderError : parameters that the family cannot have.
+    Raises DerenderError : parameters that the family cannot have.
     """
 
     name: str = ""

@@ -15,8 +15,6 @@ from derender.scene.distributions.base import Distribution, distributions
 class Categorical:
     """Choices with weights: {choice: weight, ...}, or a list of equally likely ones; weight zero is no choice.
 
-    Attributes
-    ----------
     probabilities : dict of choice to probability, in the order given.
     """
 

@@ -22,8 +22,6 @@ from derender.scene.shapes import shapes
 class Existence:
     """How probable it is that a free-form thing is an object, not clutter or a piece of one, by how much it explains.
 
-    Attributes
-    ----------
     even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see
         detection.existence; nats count with the square of that. steep : power with which the odds grow with the nats.
     most : the most that is said. error : standard error of that; error_at_even : at even odds.
@@ -47,8 +45,6 @@ class Existence:
 class Missed:
     """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
 
-    Attributes
-    ----------
     settled : of an image, where two searches agreed, nothing is left unexplained, and what was found was weighed
         against others (`--method map` does not). open : where not. no_floor : where nothing was found to stand on.
     sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
@@ -75,8 +71,6 @@ class Missed:
 class Things:
     """What is believed of free-form things: of their surfaces, and of their extents.
 
-    Attributes
-    ----------
     patch : metres over which a usual thing's surface bends little. wide : metres across the front of a usual thing;
         what is larger bends over ways that are as much longer. number : nats of what each patch says beyond what its
         neighbours tell. edge : nats against a concave edge within one thing as long as a patch.
@@ -103,8 +97,6 @@ class Shared:
 
     Draws and weights are under the likelihood `correlated` there (data/sensors/any.yaml where no file says another).
 
-    Attributes
-    ----------
     power : of (1 + r) / (1 - r), r being the correlation of neighbours' errors on the floor: so many pixels are one.
     least : correlation below which they count as independent. most : the most that is believed of a correlation.
     columns : of an image in which that holds; the pixels of one of more tell as much as those of one of so many.
@@ -120,8 +112,6 @@ class Shared:
 class Floors:
     """What is believed of the plane that is the floor, see `detection.floors`.
 
-    Attributes
-    ----------
     height : of the camera over it in the middle; spread : factor by which one in three is lower or higher.
     aside, upside_down : how often a camera is held on either side or upside down, against upright. ceiling : against
         floors seen upright, what faces down more steeply than a wall and is no ceiling. faced : planes that the camera
@@ -149,8 +139,6 @@ class Floors:
 class Cartons:
     """What is believed of equal cartons stacked in a grid, see `structures.grids`.
 
-    Attributes
-    ----------
     probability : that a box is such a grid. most : of them in a row, n being as likely as 1 / n.
     extent : distribution over each extent of a carton, in metres whatever the unit is. gap : metres, the widest.
     """
@@ -165,8 +153,6 @@ class Cartons:
 class Loose:
     """What an image's solids do besides what a tree of exact contacts says.
 
-    Attributes
-    ----------
     unit : metres, a number or distribution: of all lengths in the file. seen_from : units from the camera, least and
         most, to most of what it sees.
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
@@ -208,8 +194,6 @@ class Loose:
 class MayTip:
     """What would fall off its parent, did no friction hold it, is that many times less probable.
 
-    Parameters
-    ----------
     probability : that factor, for each object.
     """
 

@@ -43,9 +43,7 @@ def check_range(value: Value, parameter: Parameter, place: Node | None = None, s
 
     A `strict` range does not hold its ends.
 
-    Raises
-    ------
-    DerenderError : at `place`.
+    Raises DerenderError : at `place`.
     """
     if parameter.period is not None or parameter.name in ROTATION:
         return

@@ -31,8 +31,6 @@ class Term(Protocol):
     `read`, a class method, returns the term that a node of the file describes (None: no more was said than its name);
     names : the objects that it may speak of.
 
-    Attributes
-    ----------
     name : as it stands under `constraints:`.
     """
 
@@ -84,8 +82,6 @@ class NoOverlap:
 
     It does not matter whether an edge joins them.
 
-    Parameters
-    ----------
     depth : metres by which two solids may enter each other: contacts hold only to rounding and to the prior's slack.
     scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
     """
@@ -120,8 +116,6 @@ class NoOverlap:
 class DoesNotTouch:
     """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`.
 
-    Parameters
-    ----------
     relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
     """
 
@@ -159,8 +153,6 @@ class RestsOn:
     -(residual / slack)^2 / 2, see `separation.rest_residual`: up is the normal of the face that it rests on, so its
     other support ends at the same height and lies below it.
 
-    Parameters
-    ----------
     name, support : of the two. slack : metres.
     """
 

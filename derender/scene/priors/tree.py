@@ -84,8 +84,6 @@ class FixedRoot:
 class FreeRoot:
     """Position x, y, z (metres, numbers or distributions) and a rotation (a quaternion, or uniform over all).
 
-    Parameters
-    ----------
     position : three values.
     rotation : (4,) unit quaternion (w, x, y, z), or the distribution uniform-rotation.
     """
@@ -128,8 +126,6 @@ class LookedAtRoot:
     With z_root up, camera to root is pose = Rz(roll) T(0, 0, distance) Rx(pi/2 + elevation) Rz(azimuth): at azimuth 0
     the root's x points to the right of the image and its y away from the camera.
 
-    Parameters
-    ----------
     distance : metres, positive.  elevation, azimuth, roll : radians.  Each a number or a distribution.
     """
 

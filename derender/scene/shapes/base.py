@@ -44,8 +44,6 @@ UNBOUNDED = Outline(math.inf, math.inf, 0.0)
 class Face(NamedTuple):
     """A feature of a solid by which it can touch: a flat face, a side, an edge, a corner, or a sphere's any point.
 
-    Attributes
-    ----------
     frame : (4, 4) float64 in object axes; z along the outward normal, x along the outline's length.
     outline : where it touches, in the frame's x-y plane.
     lift : distance from the frame's origin to the touching place along z: 0 for faces, the radius for what rolls.
@@ -59,8 +57,6 @@ class Face(NamedTuple):
 class Symmetry(NamedTuple):
     """The rotations that leave a solid as it is.
 
-    Attributes
-    ----------
     rotations : (K, 3, 3) float64, a finite group in object axes, the identity first.
     axis : "z" where any rotation about z may follow, "all" where any rotation may, else None.
     """
@@ -151,8 +147,6 @@ class Shape:
 class Body(NamedTuple):
     """A shape with its numbers: what a contact needs to know of each of the two solids.
 
-    Attributes
-    ----------
     shape : the registered shape.
     psi : (P,) float64, its parameters.
     options : what else the file says.

@@ -30,8 +30,6 @@ LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written
 class LoadedMesh(NamedTuple):
     """A mesh as loaded, at scale 1.
 
-    Attributes
-    ----------
     vertices : (V, 3) float64, in the axes of the oriented box, its centre the origin; not writeable.
     triangles : (T, 3) int32; not writeable.
     extents : (3,) float64 of the oriented box.
@@ -182,8 +180,6 @@ PLACE = ("position", "quat_wxyz")
 class Assembly(NamedTuple):
     """The parts of a compound put together, at scale 1, about the centre of their box.
 
-    Attributes
-    ----------
     vertices : (V, 3) float64, metres. triangles : (T, 3) int32. extents : (3,) float64, metres.
     corners : for each part (C, 3) float64, metres, of its convex hull.
     """

@@ -44,8 +44,6 @@ EIGHT_PI_SQUARED = 8.0 * np.pi**2
 class Chart(NamedTuple):
     """Which numbers of a structure are free.
 
-    Attributes
-    ----------
     flags : (N, 6) int64, see KIND ... ; the parent is FLOOR or an index; EQUAL: whether it is a cube; ALONE: whether
         nothing but its parent, a solid, bears it.
     slots : (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none.

@@ -39,8 +39,6 @@ HAIR = 1e-5  # metres and radians, of differences of the prior's distances
 class Curvature:
     """What small moves do to the images.
 
-    Parameters
-    ----------
     views : Views at `values`; they are there again after each call. chart : Chart. sensor : Sensor.
     values : (D,) coordinates of a mode.
     """
@@ -97,8 +95,6 @@ class ImageCurvature:
 def write_derivatives(engine, chart, values, into, members, apart, touched, weight, images):
     """Write the blurred image's derivatives by some coordinates: differences of two renders on either side.
 
-    Parameters
-    ----------
     engine : EngineState at `values` (D,), as it is again afterwards. into : (4, 4), see Sensor.
     members : (n,) int64, the coordinates. apart : (n,), how far to either side. touched : (n, 1 + N) bool, which of the
         floor and the solids each moves.

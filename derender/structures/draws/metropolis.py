@@ -85,8 +85,6 @@ def walk(rng, views, chart, values, prior, likelihood, proposals, temperature, g
          scratch):  # fmt: skip
     """Take `steps` Metropolis steps from `values` (D,), changed in place; keep every `thin`-th.
 
-    Parameters
-    ----------
     views : Views of the floor (solid 0) and the N solids, at `values`.
     prior, likelihood : their logs there.
     temperature : exponent of the likelihood. gain : of the adaptation of proposals.scale; 0: none.

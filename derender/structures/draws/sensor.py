@@ -46,8 +46,6 @@ NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
 class Sensor(NamedTuple):
     """A likelihood bound to an image, or to several of one scene that stands still: then their product.
 
-    Attributes
-    ----------
     camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it
         shows what is no part of the scene, see `Robust`.
     likelihood : of render.likelihoods; values : all its numbers.

@@ -69,8 +69,6 @@ UNSEEN_WEIGHT, UNSEEN_SHARE = 0.15, 0.75  # weight of each such side, and of all
 class Proposals(NamedTuple):
     """Steps to choose from. M of them.
 
-    Attributes
-    ----------
     table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns, begin of its pull or -1.
     members : flat int64, coordinates. factors : flat float64, matrices row by row.
     pulls : (K, D) float64, one below the other. center : (D,) float64.

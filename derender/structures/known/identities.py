@@ -40,8 +40,6 @@ SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter ea
 class Placed:
     """One solid of the answer.
 
-    Attributes
-    ----------
     known : the object that it is, None for a solid of unknown sizes.
     row : (ROW,) of its proxy: its rotation and centre are the object's own.
     anchor : index of the solid of the first search that stood there.
@@ -61,8 +59,6 @@ class Placed:
 class Placement:
     """Puts known objects into one image.
 
-    Parameters
-    ----------
     rng, image, settings : as in search. state : what the first search found.
     library : Known objects. others : whether solids that are none of them may be there.
     """

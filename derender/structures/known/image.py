@@ -171,8 +171,6 @@ def walk_known(
     its own reverse with the sign changed and keeps Lebesgue x Haar, so the log acceptance ratio is the difference of
     energies alone.
 
-    Parameters
-    ----------
     proxy, size : kind and (3,) extents of what stands for it against `others` (N, ROW), of which `skip` is left out.
     depth, misfit : (H, W) of the scene without it. base : height that its lowest point is held to, NaN for none.
     scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place where `adapt`.

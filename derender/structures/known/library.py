@@ -29,8 +29,6 @@ PROXIES = {BOX: BOX, MESH: BOX, CYLINDER: CYLINDER, SPHERE: SPHERE}
 class Known:
     """One object of a library.
 
-    Attributes
-    ----------
     name : of the object. shape : registered shape type; parameters : psi by name; options : a mesh's file.
     count : how many of it there may be.
     """

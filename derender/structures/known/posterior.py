@@ -49,8 +49,6 @@ def known_posterior(
 
     What one object is tells nothing of what another is: the weight of a structure is the product of its identities'.
 
-    Parameters
-    ----------
     state : what the search for solids of unknown sizes found. library : Known objects.
     others : whether solids that are none of them may be there.
 
