@@ -16,8 +16,9 @@ probability spreads over all numbers of parts that the prior has.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -78,23 +79,22 @@ def shown(
     """
     from scipy.ndimage import binary_erosion
 
-    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    ray = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(depth.shape)], axis=-1)
+    good = np.isfinite(depth) & binary_erosion(mask, iterations=RIM)
+    rows, columns = np.nonzero(good)
+    ray = np.column_stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))])
     inner = inverse(pose)
     way, origin = ray @ inner[:3, :3].T, inner[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         enter = np.min([(end - origin) / way for end in (-0.5 * size, 0.5 * size)], axis=0)
-    normal = enter.argmax(axis=-1)
-    hit = np.take_along_axis(enter, normal[..., None], axis=-1)[..., 0]
+    normal = enter.argmax(axis=1)
+    hit, across = (np.take_along_axis(each, normal[:, None], axis=1) for each in (enter, way))
     # along a face the place moves by the ray's turn, its part across the face taken out by a change of depth
-    across = np.take_along_axis(way, normal[..., None], axis=-1)
-    step = np.zeros((*depth.shape, 3))
+    step = np.zeros((len(rows), 3))
     for turn in (inner[:3, 0] / camera.fx, inner[:3, 1] / camera.fy):
-        step += np.abs(hit[..., None] * (turn - way * turn[normal][..., None] / across))
-    place = origin + hit[..., None] * way + 0.5 * size
-    good = np.isfinite(depth) & binary_erosion(mask, iterations=RIM)
-    deeper, noise = of_faces(place[good], normal[good], (depth - hit)[good], sigma[good])
-    return Shown(place[good], step[good], np.abs(way[good]), normal[good], deeper, noise)
+        step += np.abs(hit * (turn - way * turn[normal][:, None] / across))
+    place = origin + hit * way + 0.5 * size
+    deeper, noise = of_faces(place, normal, depth[good] - hit[:, 0], sigma[good])
+    return Shown(place, step, np.abs(way), normal, deeper, noise)
 
 
 def of_faces(
@@ -176,12 +176,17 @@ def with_grids(parts: Sequence[StructurePosterior], image: Image, beliefs: Belie
     found = []
     for part in parts:
         graph, _ = part.best()
-        divided = [part]
+        divided, index = [part], cache(partial(index_of, graph, image.camera))
         for names in bodies_of(graph, blocks_of(graph), beliefs.loose.cartons.gap / image.unit, FLUSH / image.unit):
-            grids = grids_of(graph, names, image, beliefs)
+            grids = grids_of(graph, names, image, beliefs, index)
             divided = [piece for whole in divided for piece in divide(whole, names, grids)]
         found += divided
     return sorted(found, key=lambda part: -part.weight)
+
+
+def index_of(graph: SceneGraph, camera: Camera) -> np.ndarray:
+    """Return (H, W) which of a graph's solids each pixel shows."""
+    return render_depth(graph.solids(), camera)[1]
 
 
 def bodies_of(graph: SceneGraph, names: Sequence[str], gap: float, flush: float) -> list[tuple[str, ...]]:
@@ -228,28 +233,31 @@ def blocks_of(graph: SceneGraph) -> list[str]:
     ]  # fmt: skip
 
 
-def grids_of(graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs) -> list[Grid]:
+def grids_of(
+    graph: SceneGraph, names: Sequence[str], image: Image, beliefs: Beliefs, index: Callable[[], np.ndarray]
+) -> list[Grid]:
     """Return the Grids that a box, or some that are flush, may be; none where all are too improbable before.
 
-    The odds are against the boxes as they were found, whose seams all of the grids have.
+    The odds are against the boxes as they were found, whose seams all of the grids have. index : see `index_of`.
     """
     cartons, (pose, size) = beliefs.loose.cartons, hull_of(graph, names)
     before, cuts = odds_before(graph, names, cartons, beliefs, image.unit), cuts_of(graph, names)
     if max(before.values(), default=-np.inf) < LEAST_ODDS:
         return []
-    index = render_depth(graph.solids(), image.camera)[1]
-    mask = np.isin(index, [list(graph.solid_names).index(name) for name in names])
+    mask = np.isin(index(), [list(graph.solid_names).index(name) for name in names])
     seen = shown(image.depth, image.sigma, image.camera, pose, size, mask)
     widest = cartons.gap / image.unit
     gains = [[seam_gain(seen, axis, size[axis], number, widest) / image.temper if number > 1 else np.zeros(1)
               for number in range(1, cartons.most + 1)] for axis in range(3)]  # fmt: skip
+    mean = [[mean_gain(gain) for gain in own] for own in gains]
+    best = [[GAPS[gain.argmax()] for gain in own] for own in gains]
     coarsest = {axis: min(parts[axis] for parts in before) for axis, _ in cuts}
-    known = sum(mean_gain(gains[axis][number - 1]) for axis, number in coarsest.items())
+    known = sum(mean[axis][number - 1] for axis, number in coarsest.items())
     found = []
     for parts, odds in before.items():
-        chosen = [gains[axis][number - 1] for axis, number in enumerate(parts)]
-        odds += sum(mean_gain(gain) for gain in chosen) - known
-        found.append(Grid(parts, odds, widest * GAPS[[int(gain.argmax()) for gain in chosen]]))
+        chosen = [(axis, number - 1) for axis, number in enumerate(parts)]
+        odds += sum(mean[axis][k] for axis, k in chosen) - known
+        found.append(Grid(parts, odds, widest * np.array([best[axis][k] for axis, k in chosen])))
     return found
 
 
