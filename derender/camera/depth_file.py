@@ -31,6 +31,7 @@ from derender.camera.image_files import (
     encode_png,
     encode_tiff,
     read_bytes,
+    read_numbers,
     recognise,
 )
 from derender.camera.intrinsics import FALLBACK_FIELD_OF_VIEW, MOST_PIXELS, Camera, unit_vector
@@ -334,7 +335,10 @@ def without_doubtful(depth: np.ndarray, path: str | Path, confidence: str, least
         if not found:
             raise DerenderError(f"no map is called {stem}", confidence, "give the folder of this image's maps")
         place = found[0]
-    values = _map(place)
+    values = read_numbers(place, "the confidence map", "give a grey .png or .tiff, or a .npy")
+    values = values[..., 0] if values.ndim == 3 else values
+    if values.ndim != 2:
+        raise DerenderError("the map is no picture", place, "a map is height x width")
     if values.shape != depth.shape:
         what = f"the map is {values.shape[1]} x {values.shape[0]} pixels, the image {depth.shape[1]} x {depth.shape[0]}"
         raise DerenderError(what, place, "give the map of this image")
@@ -342,22 +346,3 @@ def without_doubtful(depth: np.ndarray, path: str | Path, confidence: str, least
     if not np.isfinite(kept).any():
         raise DerenderError(f"no pixel has a confidence of {least:g}", place, "give less with --least-confidence")
     return kept
-
-
-def _map(path: Path) -> np.ndarray:
-    """Return a map of confidence (H, W) from a .npy or a grey picture."""
-    data = read_bytes(path, MOST_BYTES, "the confidence map", "check the path")
-    try:
-        if data.startswith(b"\x93NUMPY"):
-            values = np.load(path, allow_pickle=False)
-        else:
-            import imageio.v3 as imageio
-
-            values = imageio.imread(data)
-    except (OSError, ValueError, SyntaxError) as error:
-        raise DerenderError("not a map that derender knows", path, "give a grey .png or .tiff, or a .npy") from error
-    if values.ndim == 3:
-        values = values[..., 0]
-    if values.ndim != 2:
-        raise DerenderError("the map is no picture", path, "a map is height x width")
-    return values

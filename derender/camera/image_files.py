@@ -295,20 +295,41 @@ def _decode_picture(data: bytes) -> Decoded:
 
 def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes:
     """Return the bytes of a 16-bit .png in units of `depth_scale` mm; DerenderError where a depth does not fit."""
-    import imageio.v3 as imageio
-
     units = np.round(depth.astype(np.float64) * (1000 / depth_scale))
     if units.max(initial=0) >= SATURATED:
         what = f"{depth.max():.4g} m does not fit into 16 bits of {depth_scale:g} mm"
         raise DerenderError(what, path, "write .npz, .npy, .tiff or .exr, or a camera with a larger depth_scale")
-    return imageio.imwrite("<bytes>", units.astype(np.uint16), extension=".png", plugin="pillow")
+    return png_bytes(units.astype(np.uint16))
 
 
 def encode_tiff(depth: np.ndarray) -> bytes:
     """Return the bytes of a float32 .tiff."""
-    import imageio.v3 as imageio
+    from PIL import Image
 
-    return imageio.imwrite("<bytes>", depth, extension=".tiff", plugin="pillow")
+    stream = io.BytesIO()
+    Image.fromarray(depth).save(stream, "TIFF")
+    return stream.getvalue()
+
+
+def read_numbers(path: str | Path, what: str, remedy: str) -> np.ndarray:
+    """Return the numbers of a map or of labels: of an .npy, of `label` in an .npz, or of a picture whose colours count
+    for nothing; (H, W), or (H, W, channels) of a picture that has several.
+
+    Raises DerenderError : it cannot be read, or is neither. what, remedy : what it should be, and what would be right.
+    """
+    from PIL import Image
+
+    data = read_bytes(path, MOST_BYTES, what, "check the path")
+    try:
+        if data.startswith(b"\x93NUMPY"):
+            return _load_npy(data)
+        if data.startswith(b"PK"):
+            with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+                return arrays["label"]
+        with silence():
+            return np.asarray(Image.open(io.BytesIO(data)))
+    except (*DAMAGE, DerenderError, Image.DecompressionBombError) as fault:
+        raise DerenderError(f"this is no {what.removeprefix('the ')}", path, remedy) from fault
 
 
 def _decode_exr(data: bytes) -> Decoded:

@@ -184,9 +184,9 @@ def _picture(engine: Any, solids: "Solids", names: Any, camera: Any) -> np.ndarr
 
 
 def _write_picture(target: str, picture: np.ndarray) -> None:
-    import imageio.v3 as imageio
+    from PIL import Image
 
     from derender.atomic import atomic_path
 
     with atomic_path(target) as temporary:
-        imageio.imwrite(temporary, picture)
+        Image.fromarray(picture).save(temporary)

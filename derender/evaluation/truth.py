@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.camera.image_files import read_numbers
 from derender.errors import DerenderError
 from derender.json_text import parse_json
 
@@ -195,20 +196,7 @@ def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
 
     Raises DerenderError : no such picture, or one of several channels.
     """
-    path = Path(path)
-    try:
-        if path.suffix == ".npy":
-            labels = np.load(path, allow_pickle=False)
-        elif path.suffix == ".npz":
-            labels = np.load(path, allow_pickle=False)["label"]
-        else:
-            import imageio.v3 as imageio
-
-            labels = imageio.imread(path, plugin="pillow")
-    except FileNotFoundError:
-        raise DerenderError("there is no such file", path, "check the path") from None
-    except (OSError, ValueError, KeyError, EOFError) as fault:
-        raise DerenderError("this is no label image", path, "a picture of one channel, one number an object") from fault
+    labels = read_numbers(path, "the label image", "give a picture of one channel, one number an object")
     if labels.ndim != 2:
         raise DerenderError(f"a label image has one channel, not {labels.shape[2:]}", path)
     return labels.astype(np.int64) // divisor

@@ -118,7 +118,10 @@ def test_label_images(tmp_path):
     labels = np.array([[0, 10, 21], [22, 30, 30]], dtype=np.uint8)
     Image.fromarray(labels).save(tmp_path / "label.png")
     np.save(tmp_path / "label.npy", labels)
-    for name in ("label.png", "label.npy"):
+    coloured = Image.fromarray(labels)
+    coloured.putpalette(list(range(256)) * 3)
+    coloured.save(tmp_path / "palette.png")  # numbers of colours are labels too
+    for name in ("label.png", "label.npy", "palette.png"):
         np.testing.assert_array_equal(read_labels(tmp_path / name, divisor=10), [[0, 1, 2], [2, 3, 3]])
     Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "colour.png")
     (tmp_path / "empty.png").write_bytes(b"")
