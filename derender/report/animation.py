@@ -53,7 +53,7 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
     """
     path = Path(path)
     if path.suffix.lower() == ".glb":
-        from derender.report.glb import glb_bytes
+        from derender.report.export import glb_bytes
 
         with atomic_path(path) as temporary:
             temporary.write_bytes(glb_bytes(graph, trajectory))

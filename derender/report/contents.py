@@ -127,7 +127,7 @@ def downloads(title: str, graph: "SceneGraph", scene: Mapping[str, Any], method:
 
     method : with which it was inferred; of one draw there are no ranges.
     """
-    from derender.report.glb import glb_bytes
+    from derender.report.export import glb_bytes
     from derender.results.table import as_csv, rows_of
 
     judged = {"trusted": scene.get("trusted", True), "doubts": scene.get("doubts", ())}

@@ -1,10 +1,11 @@
-"""Scenes in the formats of other programs, by suffix; glTF's is in `glb.py`.
+"""Scenes in the formats of other programs, by suffix: glTF, OBJ, MJCF, URDF, BOP's and rerun's.
 
 An exporter takes (graph, path, camera) and returns the files to write, bytes by name, the first of which is the one
 asked for; others (a material library, meshes) go beside it.
 """
 
 import json
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,13 @@ from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.bodies import DENSITY
+from derender.physics.verdict import Trajectory
 from derender.report.geometry import plane_patch, solid_mesh, upright_pose
-from derender.report.glb import glb_bytes
 from derender.report.pictures import colours_of
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene import solids as kinds
 from derender.scene.graph import SceneGraph
+from derender.scene.pose import quaternion, rotation_x
 
 MILLIMETRES = 1000.0
 PLANE_THICKNESS = 0.01  # metres, of the box that stands for a plane in URDF
@@ -220,6 +222,107 @@ EXPORTERS: dict[str, Callable[[SceneGraph, Path, Camera | None], dict[str, bytes
     ".urdf": export_urdf,
     ".json": export_bop,
 }
+
+
+# glTF by hand, since the format is short: a JSON chunk and a chunk of numbers. It has y up and metres.
+FLOAT = 5126
+
+
+def glb_bytes(graph: SceneGraph, trajectory: Trajectory | None = None) -> bytes:
+    """Return the scene as the bytes of a GLB.
+
+    trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
+    """
+    solids, names = graph.solids(), graph.solid_names
+    colours = colours_of(solids, graph.solid_names) / 255
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"derender {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [],
+        "meshes": [],
+        "materials": [],
+        "accessors": [],
+        "bufferViews": [],
+    }
+    data = bytearray()
+    poses = graph.poses()
+    up = rotation_x(-np.pi / 2) @ upright_pose(graph)
+    tree["nodes"].append({"name": "root", "matrix": _column_major(up @ poses["root"]), "children": []})
+    numbers = {"root": 0}
+    for vertex in graph.vertices:
+        relative = graph.relative_pose(vertex.name)
+        number = numbers[vertex.name] = len(tree["nodes"])
+        node: dict[str, Any] = {"name": vertex.name, "matrix": _column_major(relative)}
+        tree["nodes"].append(node)
+        tree["nodes"][numbers[vertex.parent]].setdefault("children", []).append(number)
+        gone = trajectory is not None and vertex.shape != "plane" and vertex.name not in trajectory.names
+        if vertex.name in names and not gone:
+            index = names.index(vertex.name)
+            node["mesh"] = len(tree["meshes"])
+            _add_mesh(tree, data, vertex.name, *solid_mesh(solids, index), colours[index])
+    if trajectory is not None:
+        _add_animation(tree, data, graph, trajectory, numbers)
+    tree["buffers"] = [{"byteLength": len(data)}]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(data), 0x004E4942) + bytes(data)
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body
+
+
+def _add_mesh(
+    tree: dict, data: bytearray, name: str, vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray
+) -> None:
+    # Every triangle has vertices of its own and no normals are given: glTF then asks for flat shading.
+    points = _add_values(tree, data, vertices[triangles].reshape(-1, 3), "VEC3")
+    material = {"baseColorFactor": [*_linear(colour), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    primitive = {"attributes": {"POSITION": points}, "material": len(tree["materials"])}
+    tree["materials"].append({"name": name, "pbrMetallicRoughness": material, "doubleSided": True})
+    tree["meshes"].append({"name": name, "primitives": [primitive]})
+
+
+def _add_animation(tree: dict, data: bytearray, graph: SceneGraph, trajectory: Trajectory, numbers: dict) -> None:
+    """Move each body's node: its pose in its parent's axes at each time, as a translation and a quaternion."""
+    poses = {name: np.tile(pose, (len(trajectory.times), 1, 1)) for name, pose in graph.poses().items()}
+    poses |= {name: trajectory.poses[:, k] for k, name in enumerate(trajectory.names)}
+    times = _add_values(tree, data, trajectory.times, "SCALAR")
+    channels: list[dict] = []
+    samplers: list[dict] = []
+    for vertex in graph.vertices:
+        if vertex.name not in trajectory.names and vertex.parent not in trajectory.names:
+            continue
+        relative = np.linalg.inv(poses[vertex.parent]) @ poses[vertex.name]
+        turns = np.array([quaternion(pose) for pose in relative])[:, [1, 2, 3, 0]]
+        for k in range(1, len(turns)):  # the shorter way round from each frame to the next
+            if turns[k] @ turns[k - 1] < 0:
+                turns[k] *= -1.0
+        node = tree["nodes"][numbers[vertex.name]]
+        del node["matrix"]
+        node |= {"translation": relative[0, :3, 3].tolist(), "rotation": turns[0].tolist()}
+        for key, values, kind in (("translation", relative[:, :3, 3], "VEC3"), ("rotation", turns, "VEC4")):
+            channels.append({"sampler": len(samplers), "target": {"node": numbers[vertex.name], "path": key}})
+            output = _add_values(tree, data, values, kind)
+            samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+    tree["animations"] = [{"name": "physics", "channels": channels, "samplers": samplers}]
+
+
+def _add_values(tree: dict, data: bytearray, values: np.ndarray, kind: str) -> int:
+    """Append numbers and return the number of their accessor."""
+    values = np.ascontiguousarray(values, dtype="<f4").reshape(len(values), -1)
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes})
+    entry = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": FLOAT, "count": len(values), "type": kind}
+    tree["accessors"].append(entry | {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()})
+    data += values.tobytes()
+    return len(tree["accessors"]) - 1
+
+
+def _linear(colour: np.ndarray) -> list[float]:
+    """Return an sRGB colour as linear light, as glTF wants it."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4).tolist()
+
+
+def _column_major(pose: np.ndarray) -> list[float]:
+    return np.asarray(pose, float).T.ravel().tolist()
 
 
 MOST_SCENES = 200  # draws of a chain that are shown as solids: its numbers are all there
