@@ -8,7 +8,7 @@ import json
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,14 +17,15 @@ from derender import __version__
 from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.physics.bodies import DENSITY
-from derender.physics.verdict import Trajectory
 from derender.report.geometry import plane_patch, solid_mesh, upright_pose
 from derender.report.pictures import colours_of
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene import solids as kinds
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import quaternion, rotation_x
+
+if TYPE_CHECKING:
+    from derender.physics.verdict import Trajectory
 
 MILLIMETRES = 1000.0
 PLANE_THICKNESS = 0.01  # metres, of the box that stands for a plane in URDF
@@ -157,6 +158,8 @@ def roll_pitch_yaw(pose: np.ndarray) -> tuple[float, float, float]:
 
 
 def _add_inertia(link: Any, kind: int, size: np.ndarray, options: Any) -> None:
+    from derender.physics.bodies import DENSITY
+
     a, b, c = size
     volume = float(np.prod(size)) * {kinds.SPHERE: np.pi / 6, kinds.CYLINDER: np.pi / 4}.get(kind, 1.0)
     mass = options.get("mass") or volume * options.get("density", DENSITY)
@@ -228,7 +231,7 @@ EXPORTERS: dict[str, Callable[[SceneGraph, Path, Camera | None], dict[str, bytes
 FLOAT = 5126
 
 
-def glb_bytes(graph: SceneGraph, trajectory: Trajectory | None = None) -> bytes:
+def glb_bytes(graph: SceneGraph, trajectory: "Trajectory | None" = None) -> bytes:
     """Return the scene as the bytes of a GLB.
 
     trajectory : moves its bodies, as an animation; objects that it does not name, nor planes, are left out.
@@ -281,7 +284,7 @@ def _add_mesh(
     tree["meshes"].append({"name": name, "primitives": [primitive]})
 
 
-def _add_animation(tree: dict, data: bytearray, graph: SceneGraph, trajectory: Trajectory, numbers: dict) -> None:
+def _add_animation(tree: dict, data: bytearray, graph: SceneGraph, trajectory: "Trajectory", numbers: dict) -> None:
     """Move each body's node: its pose in its parent's axes at each time, as a translation and a quaternion."""
     poses = {name: np.tile(pose, (len(trajectory.times), 1, 1)) for name, pose in graph.poses().items()}
     poses |= {name: trajectory.poses[:, k] for k, name in enumerate(trajectory.names)}

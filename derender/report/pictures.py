@@ -5,16 +5,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from derender.atomic import atomic_path
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
-from derender.physics.next_view import NextView
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.solids import Solids
+
+if TYPE_CHECKING:
+    from derender.physics.next_view import NextView
 
 MISSING = np.array([58, 58, 64], dtype=np.uint8)
 LEVELS = 255  # colours of a map: with that of what is missing they make a palette
@@ -123,7 +126,7 @@ HERE, BEST = (40, 40, 40), (214, 80, 70)  # colours of the marks at the camera t
 MARK = 5  # pixels, radius
 
 
-def write_picture(path: Path, graph: SceneGraph, camera: Camera, views: Sequence[NextView], about: str) -> None:
+def write_picture(path: Path, graph: SceneGraph, camera: Camera, views: "Sequence[NextView]", about: str) -> None:
     """Write a PNG: left the scene from the best of `views`, right the map of all, the more nats the darker.
 
     On the map the scene is in the middle and seen from above, the camera that was there below it; the farther from the
@@ -138,7 +141,7 @@ def write_picture(path: Path, graph: SceneGraph, camera: Camera, views: Sequence
         temporary.write_bytes(png_bytes(np.hstack([scene[..., :3], chart])))
 
 
-def polar_map(views: Sequence[NextView], about: str, side: int) -> np.ndarray:
+def polar_map(views: "Sequence[NextView]", about: str, side: int) -> np.ndarray:
     """Return (side, side, 3) uint8, each pixel coloured as the candidate nearest to it on the map."""
     places = np.array([place_of(view.turn, view.elevation, side) for view in views])
     rows, columns = np.mgrid[:side, :side]
