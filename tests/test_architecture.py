@@ -21,7 +21,7 @@ ROOMS = (
     "structures", "physics", "dynamics", "evaluation", "report", "tracking", "workflow", "interface", "batch", "cli",
 )  # fmt: skip
 HEAVY = {"arviz", "llvmlite", "matplotlib", "mujoco", "networkx", "numba", "numpy", "OpenEXR", "OpenGL", "pandas"}
-HEAVY |= {"PIL", "pyrender", "rich", "scipy", "trimesh", "yaml"}
+HEAVY |= {"PIL", "pyrender", "scipy", "trimesh", "yaml"}
 
 
 def room(module):

@@ -1,6 +1,5 @@
 """derender infer: a depth image in, a posterior over scene graphs out; of many images a table of all; or a film."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
@@ -287,10 +286,8 @@ def _one(
             image, wanted, prior, output, reading, gradient, command_line(), page is not False,
             progress=bar, say=talk.say, warn=talk.warn, frames=frames, poses=poses,
         )  # fmt: skip
-    if sys.stdout.isatty():
-        outcome.print_rich()
-    else:
-        click.echo(outcome.table())
+    for line, doubtful in outcome.lines():
+        click.secho(line, fg="red" if doubtful else None)  # in colour on a terminal alone
     talk.detail(outcome.details())
     talk.say(f"wrote {outcome.folder}/")
     if outcome.interrupted:

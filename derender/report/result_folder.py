@@ -54,11 +54,16 @@ class Outcome:
         lines = [f"p {probability:{wide}}  {words}" for probability, words in told]
         return [*lines, *hidden_words(self.posterior)]
 
-    def table(self) -> str:
-        """Return the table, and what rests on what, as plain text."""
+    def lines(self) -> list[tuple[str, bool]]:
+        """Return what rests on what, and the table of the unknowns, in lines; and whether a line's row is doubtful."""
         from derender.report.tables import parameter_table
+        from derender.results.trust import doubtful
 
-        return "\n".join([*self.structures(), *([parameter_table(self.rows)] if self.rows else [])])
+        told = [(line, False) for line in self.structures()]
+        if self.rows:
+            head, *others = parameter_table(self.rows).split("\n")
+            told += [(head, False), *zip(others, map(doubtful, self.rows), strict=True)]
+        return told
 
     def verdict(self) -> list[str]:
         """Return whether the result is to be trusted, in lines."""
@@ -69,25 +74,6 @@ class Outcome:
     def details(self) -> str:
         """Return what was found of the sensor, and how long it took, in a line."""
         return ", ".join([*(f"{name} {words}" for name, words in self.sensor.items()), f"{self.seconds:.2f} s"])
-
-    def print_rich(self) -> None:
-        """Print the same with colours on a terminal: doubtful rows in red."""
-        from rich.console import Console
-        from rich.table import Table
-
-        from derender.report.tables import cells, columns
-        from derender.results.trust import doubtful
-
-        console = Console()
-        for line in self.structures():
-            console.print(line, highlight=False)
-        if self.rows:
-            table = Table(*columns(self.rows), box=None, pad_edge=False, padding=(0, 2, 0, 0))  # fits into 80 columns
-            for column in table.columns[1:]:
-                column.justify = "right"
-            for row in self.rows:
-                table.add_row(*cells(row), style="red" if doubtful(row) else None)
-            console.print(table)
 
 
 def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likelihood: LikelihoodPrior,

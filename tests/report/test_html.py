@@ -17,6 +17,7 @@ from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables
 from derender.report.contents import Report
 from derender.report.html import page
+from derender.report.result_folder import Outcome
 from derender.report.tables import cells, parameter_rows, unit_of
 from derender.report.tree_text import scene_lines, structure_words
 from derender.results import trust
@@ -226,6 +227,10 @@ def test_doubtful_chains_are_marked():
         tables.parameter_rows(["a.x", "b.contact.theta"], np.concatenate([good] * 2, axis=2))
     )
     assert len(lines.splitlines()) == 3 and "b.contact.theta (°)" in lines
+    rows = tables.parameter_rows(["a.x", "b.x"], np.concatenate([good, apart], axis=2))
+    told = Outcome.lines(SimpleNamespace(structures=lambda: ["p .93  a on floor"], rows=rows))  # type: ignore[arg-type]
+    assert [(line.split()[0], doubt) for line, doubt in told] == [
+        ("p", False), ("address", False), ("a.x", False), ("b.x", True)]  # fmt: skip
 
 
 def test_of_a_single_draw_there_is_its_value_alone(report):
