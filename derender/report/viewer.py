@@ -17,9 +17,9 @@ from derender.scene.solids import Solids
 HERE = Path(__file__).parent
 SHOWN_POINTS = 12_000
 STILL = 320  # columns, about, of the picture that stands in where a browser draws nothing in three dimensions
-# The greatest contact force is half as long as the greatest extent of a solid, and a tenth of that wide at its tail.
-FORCE_LENGTH, FORCE_WIDTH = 0.5, 0.1
-FORCE_COLOUR = (200, 30, 60)
+# The greatest contact force is as long as the greatest extent of a solid, and a tenth of that wide at its tail.
+FORCE_LENGTH, FORCE_WIDTH = 1.0, 0.1
+FORCE_COLOUR = (200, 0, 170)  # which no object is named after
 
 
 def viewer_html(report: Report, colours: np.ndarray) -> str:
