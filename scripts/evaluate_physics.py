@@ -16,7 +16,7 @@ from derender.physics.bodies import Body, Matter
 from derender.physics.intervention import Push, intervention
 from derender.physics.outcome import simulate_scene
 from derender.physics.simulate import Rollout, judge, simulate
-from derender.physics.statics import judge_statics
+from derender.physics.statics import Equilibrium
 from derender.scene.pose import quaternion, rotation_z, translation
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -117,12 +117,12 @@ def report_towers(count):
         print("| towers | no folder of real frames here |")
         return
     matters = [tower_matter(tower) for tower in towers]
-    still = [judge_statics(matter, margin=True) for matter in matters]
+    still = [Equilibrium(matter) for matter in matters]
     plain = [judge(simulate(matter, early=True)).stable for matter in matters]
     truth = [tower["stable"] for tower in towers]
     for name, found in (("mujoco", plain), ("statics", [each.stands for each in still])):
         print(f"| towers of 10 blocks right, {name} | {sum(np.equal(found, truth))} of {len(truth)} |", flush=True)
-    wide = [k for k, each in enumerate(still) if not each.stands or each.margin >= 0.01]
+    wide = [k for k, each in enumerate(still) if not each.stands or each.margin()[0] >= 0.01]
     for name, step in (("half", 0.005), ("double", 0.02)):
         changed = sum(judge(simulate(matters[k], early=True, timestep=step)).stable != plain[k] for k in wide)
         print(f"| verdicts changed at {name} the step, margin at least .01 g | {changed} of {len(wide)} |", flush=True)
@@ -171,7 +171,7 @@ def report_speed():
     rng = np.random.default_rng(0)
     ten = stack(10, rng)
     found = {n: seconds(lambda n=n: judge(simulate(stack(n, rng), early=True)), 9) for n in (3, 10, 30)}
-    statics = {n: seconds(lambda n=n: judge_statics(stack(n, rng)), 15) for n in (3, 10, 30)}
+    statics = {n: seconds(lambda n=n: Equilibrium(stack(n, rng)), 15) for n in (3, 10, 30)}
     cubes = [box(f"c{k}", [0.1] * 3, translation(0.2 * (k % 10), 0.2 * (k // 10), 0.05)) for k in range(100)]
     one = seconds(lambda: judge(simulate(scene(cubes[0]), early=True)), 15)
     many = seconds(lambda: judge(simulate(scene(*cubes), early=True)), 5)
@@ -180,14 +180,14 @@ def report_speed():
     print(f"| mujoco over statics, stacks of 3, 10, 30 | {', '.join(f'{found[n] / statics[n]:.0f}' for n in found)} |")
     if towers:
         slow = seconds(lambda: [judge(simulate(each, early=True)) for each in towers], 1)
-        quick = seconds(lambda: [judge_statics(each) for each in towers], 5)
+        quick = seconds(lambda: [Equilibrium(each) for each in towers], 5)
         print(f"| statics, real tower of 10, ms of processor | {1e3 * quick / len(towers):.2f} |")
         print(f"| mujoco over statics, real towers | {slow / quick:.0f} |")
     four, push = stack(4, rng), intervention(push=["b3:+x:0.5N@0.1s"])
     calls = [seconds(lambda told=told: simulate_scene(four, **told), 9)
              for told in ({"engine": "statics"}, {}, {"what": push})]  # fmt: skip
     print(f"| calls a second, stack of 4: statics, mujoco, a push | {', '.join(f'{1 / each:.0f}' for each in calls)} |")
-    margin = seconds(lambda: judge_statics(ten, margin=True), 9)
+    margin = seconds(lambda: Equilibrium(ten).margin(), 9)
     print(f"| statics with its margin, stack of 10, ms of processor | {1e3 * margin:.2f} |")
     print(f"| 30 blocks over 3, mujoco, statics | {found[30] / found[3]:.1f}, {statics[30] / statics[3]:.1f} |")
     print(f"| 100 separate cubes over one | {many / one:.1f} |", flush=True)

@@ -17,7 +17,7 @@ from derender.physics.bodies import Body, Matter
 from derender.physics.constraint import assume_stable
 from derender.physics.outcome import probability
 from derender.physics.simulate import judge, simulate
-from derender.physics.statics import judge_statics
+from derender.physics.statics import Equilibrium
 from derender.scene.solids import PLANE
 from derender.structures.infer import infer_structure
 
@@ -34,7 +34,7 @@ def made_tower(rng, wanted):
         blocks = enumerate(zip(tower[1], tower[2], strict=True))
         bodies = [Body(f"block_{k}", "box", size, pose) for k, (size, pose) in blocks]
         matter = Matter((FLOOR, *bodies), np.array([0.0, 0.0, -9.81]), ())
-        verdict = judge_statics(matter, margin=True)
+        verdict = Equilibrium(matter)
         if not wanted(verdict) or judge(simulate(matter, early=True)).stable != verdict.stands:
             continue
         scene = photograph(rng, *tower)
@@ -74,7 +74,7 @@ def open_tower(k, options):
     The first row is without the assumption that it stands, the second with it; a hit is a true coordinate inside the
     90 % interval.
     """
-    scene = made_tower(np.random.default_rng([142, k]), lambda verdict: 0 < (verdict.margin or 0) < NEAR_EDGE)
+    scene = made_tower(np.random.default_rng([142, k]), lambda verdict: 0 < verdict.margin()[0] < NEAR_EDGE)
     posterior = inferred(scene, k, options)
     truth = np.array([item["pose"][:3, 3] for item in scene["objects"]])
     graphs = posterior.graphs(np.random.default_rng(k), DRAWS)

@@ -125,14 +125,33 @@ class Matter(NamedTuple):
     gravity: np.ndarray
     supports: tuple[tuple[str, str], ...]
 
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) unit vector against gravity; zeros where there is none."""
+        return -self.gravity / (float(np.linalg.norm(self.gravity)) or 1.0)
+
+    @property
+    def strength(self) -> float:
+        """Of gravity, m / s^2, the standard one where there is none: forces and times are judged by it."""
+        return float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY
+
+    @property
+    def unit(self) -> float:
+        """The smallest extent among the bodies, metres: contacts are near or far in terms of it."""
+        return min((float(min(body.size)) for body in self.bodies if body.kind != "plane"), default=0.1)
+
+    @property
+    def period(self) -> float:
+        """Seconds of the order in which a body of that extent falls by it."""
+        return float(np.sqrt(self.unit / self.strength))
+
 
 def leans(matter: Matter) -> bool:
     """Return whether a floor or a body's faces are off the level, so that friction decides whether it stays."""
-    strength = float(np.linalg.norm(matter.gravity))
-    if strength == 0.0:
+    if not np.any(matter.gravity):
         return False
     for body in matter.bodies:
-        upright = np.abs(matter.gravity @ body.pose[:3, :3]) / strength
+        upright = np.abs(matter.up @ body.pose[:3, :3])
         if body.kind != "sphere" and (upright[2] if body.kind == "plane" else upright.max()) < UPRIGHT:
             return True
     return False

@@ -13,7 +13,7 @@ import numpy as np
 
 from derender.errors import DerenderError
 from derender.physics.bodies import matter_of_graph
-from derender.physics.statics import judge_statics
+from derender.physics.statics import Equilibrium
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import term_types
@@ -32,7 +32,7 @@ class Stands:
     name: str
 
     def log_density(self, graph: SceneGraph) -> float:
-        return 0.0 if judge_statics(matter_of_graph(graph)).stands else -math.inf
+        return 0.0 if Equilibrium(matter_of_graph(graph)).stands else -math.inf
 
     @classmethod
     def read(cls, node: "Node | None", names: tuple[str, ...]) -> "Stands":
@@ -76,7 +76,7 @@ def _standing(part: StructurePosterior) -> np.ndarray:
     """Return (chains, draws) bool: which draws stand."""
     chains, draws = part.log_density.shape
     return np.array(
-        [[judge_statics(matter_of_graph(part.graph_at(c, d))).stands for d in range(draws)] for c in range(chains)]
+        [[Equilibrium(matter_of_graph(part.graph_at(c, d))).stands for d in range(draws)] for c in range(chains)]
     )
 
 

@@ -1,9 +1,9 @@
 """Where bodies touch: the contact patch of each pair, by clipping the polygons that two convex bodies show each other.
 
-For a pair the direction of least overlap is found among the normals of their faces and the products of their edges
-(the separating axes of two boxes; Gottschalk 1996). Along it each body has an outermost feature: a face, an edge or a
-corner, within a tolerance. The two features, projected along the direction, are clipped against each other
-(Sutherland and Hodgman 1974); the corners of what both share are the points that carry force.
+For a pair the direction of least overlap is found among the axes of `separation` and the normals of meshes' faces.
+Along it each body has an outermost feature: a face, an edge or a corner, within a tolerance. The two features,
+projected along the direction, are clipped against each other (Sutherland and Hodgman 1974); the corners of what both
+share are the points that carry force.
 """
 
 import math
@@ -11,12 +11,12 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.scene.separation import nearest_point, reach
+from derender.scene.separation import FLAT_AXES, ROUND_AXES, flat_axis, reach, round_axis
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE
 
 MOST_CORNERS = 64  # of a feature; a rim is drawn with 24, and clipping adds one corner a side
 RIM = 24
-MOST_AXES = 256
+FACES = 6  # of the flat axes, those before the products of edges
 # A cylinder lies on its side where the contact's normal is within this cosine of its rim's plane.
 LYING = 0.1
 # An edge's direction must part two bodies this much better (share of the shorter extent) before a face's yields to it:
@@ -199,56 +199,27 @@ def between_segments(a, b, c, d):
 
 
 @njit(cache=True, nogil=True)
-def directions(kind, pose, normals, first, last, out, count):
-    """Append the normals of a body's faces to `out` (A, 3), opposite ones once, and return the new count."""
-    if kind == BOX:
-        for k in range(3):
-            out[count] = pose[:3, k]
-            count += 1
-    elif kind == CYLINDER:
-        out[count] = pose[:3, 2]
-        count += 1
-    elif kind == MESH:
-        for k in range(first, last):
-            if count < MOST_AXES - 16:
-                out[count] = normals[k]
-                count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
 def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j):
     """Return the unit vector (3,) from j to i along which two bodies overlap least, and the gap along it, metres."""
-    axes = np.empty((MOST_AXES, 3))
-    count = directions(kind[i], pose[i], normals, normal_start[i], normal_start[i + 1], axes, 0)
-    own = count
-    count = directions(kind[j], pose[j], normals, normal_start[j], normal_start[j + 1], axes, count)
-    apart = pose[i, :3, 3] - pose[j, :3, 3]
-    for a, b in ((i, j), (j, i)):
-        if kind[a] == SPHERE:
-            away = apart.copy()
-            if kind[b] == BOX or kind[b] == CYLINDER:
-                x, y, z = nearest_point(kind[b], pose[b], size[b], pose[a, 0, 3], pose[a, 1, 3], pose[a, 2, 3])
-                away = pose[a, :3, 3] - np.array([x, y, z])
-            axes[count] = away
-            count += 1
-        if kind[a] == CYLINDER:
-            axis = pose[a, :3, 2].copy()
-            axes[count] = apart - (apart[0] * axis[0] + apart[1] * axis[1] + apart[2] * axis[2]) * axis
-            count += 1
-    faces = count
-    if kind[i] != MESH and kind[j] != MESH and kind[i] != SPHERE and kind[j] != SPHERE:
-        for a in range(own):
-            for b in range(own, own + (3 if kind[j] == BOX else 1)):
-                axes[count] = np.cross(axes[a], axes[b])
-                count += 1
     best, gap = np.zeros(3), -math.inf
-    for k in range(count):
-        length = math.sqrt(axes[k, 0] ** 2 + axes[k, 1] ** 2 + axes[k, 2] ** 2)
+    apart = pose[i, :3, 3] - pose[j, :3, 3]
+    flat = kind[i] == BOX and kind[j] == BOX
+    usual = FLAT_AXES if flat else FLAT_AXES + ROUND_AXES
+    own = normal_start[i + 1] - normal_start[i]
+    for k in range(usual + own + normal_start[j + 1] - normal_start[j]):
+        if k < FLAT_AXES:
+            x, y, z = flat_axis(k, pose[i], pose[j])
+        elif k < usual:
+            x, y, z = round_axis(k - FLAT_AXES, kind[i], pose[i], size[i], kind[j], pose[j], size[j])
+        else:
+            face = k - usual + (normal_start[i] if k < usual + own else normal_start[j] - own)
+            x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
+        length = math.sqrt(x * x + y * y + z * z)
         if length < 1e-6:
             continue
-        x, y, z = axes[k, 0] / length, axes[k, 1] / length, axes[k, 2] / length
+        x, y, z = x / length, y / length, z / length
         between = x * apart[0] + y * apart[1] + z * apart[2]
+        handicap = FACE_PREFERENCE * min(size[i].min(), size[j].min()) if FACES <= k < FLAT_AXES else 0.0
         # a hull's faces look one way only, but its opposite may be as good
         for sign in (1.0, -1.0):
             sx, sy, sz = sign * x, sign * y, sign * z
@@ -259,9 +230,6 @@ def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_
                 - support(kind[i], pose[i], size[i], vertices, vertex_start[i], vertex_start[i + 1], -sx, -sy, -sz)
                 - support(kind[j], pose[j], size[j], vertices, vertex_start[j], vertex_start[j + 1], sx, sy, sz)
             )
-            handicap = 0.0
-            if k >= faces:
-                handicap = FACE_PREFERENCE * min(size[i].min(), size[j].min())
             if found - handicap > gap:
                 gap = found
                 best[0], best[1], best[2] = sx, sy, sz

@@ -70,8 +70,7 @@ class Disturbance(NamedTuple):
 
 def tilted(matter: Matter, angle: float, direction: np.ndarray) -> Matter:
     """Return a scene on a floor that is lowered on one side: gravity leans over towards `direction` by radians."""
-    down = matter.gravity / np.linalg.norm(matter.gravity)
-    axis = np.cross(down, direction)
+    axis = np.cross(-matter.up, direction)
     turned = from_rotation_vector(angle * axis / np.linalg.norm(axis))[:3, :3] @ matter.gravity
     return matter._replace(gravity=turned)
 

@@ -19,9 +19,7 @@ import numpy as np
 from derender.errors import DerenderError
 from derender.physics.bodies import FRICTION, Body, Matter, leans
 from derender.physics.materials import bounce_damping, clamped_masses, pair_frictions
-from derender.physics.mujoco_shapes import shape_of
-from derender.physics.statics import ROLLING, WIDEST_GAP, WIDEST_GAP_METRES, plane_is_below, unit_of_length
-from derender.scene.graph import STANDARD_GRAVITY
+from derender.physics.statics import ROLLING, plane_is_below, widest_gap
 from derender.scene.pose import quaternion, rotation_x
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
@@ -68,6 +66,10 @@ WITHIN_REACH = 1.0
 SLEEPING = 2e-5
 # The smallest extent is taken for the unit unless the greatest is more than this many times greater.
 MOST_EXTENT = 1000.0
+# MuJoCo now and then reports a cylinder that stands exactly flat on a plane as sunk in by its radius (the direction
+# to its deepest point is then a difference of equal numbers), and throws it into the air. Upright ones are prisms.
+PRISM_SIDES = 32
+
 BROKEN = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # Its warnings would go to a file in the working folder; they are read from `data.warning`.
@@ -125,8 +127,8 @@ class World:
         self.names = [body.name for body in matter.bodies]
         self.moving = [index for index, body in enumerate(matter.bodies) if body.moves]
         extents = [float(np.max(body.size)) for body in matter.bodies if body.kind != "plane"]
-        self.length = max(unit_of_length(matter), max(extents, default=0.0) / MOST_EXTENT)
-        period = float(np.sqrt(self.length / (np.linalg.norm(matter.gravity) or STANDARD_GRAVITY)))
+        self.length = max(matter.unit, max(extents, default=0.0) / MOST_EXTENT)
+        period = float(np.sqrt(self.length / matter.strength))
         masses = clamped_masses(matter.bodies)
         self.units = units or Units(self.length, period, float(masses.max(initial=0.0)) or 1.0)
         # the scene's own scales in the engine's units
@@ -315,7 +317,7 @@ class World:
 
     def _stands(self, cylinder: Body) -> bool:
         """Return whether a cylinder is upright rather than lying on its side."""
-        return abs(float(cylinder.pose[:3, 2] @ self.matter.gravity)) > 0.7 * float(np.linalg.norm(self.matter.gravity))
+        return abs(float(cylinder.pose[:3, 2] @ self.matter.up)) > 0.7
 
     def _add_pairs(self, spec: Any) -> None:
         """Give pairs of bodies contacts of their own: all of them, or those that are within reach of each other."""
@@ -366,7 +368,7 @@ class World:
     def _rest_as_they_are(self) -> None:
         """Let each pair that touches by the graph, or overlaps, rest at its present distance."""
         joined = {frozenset(pair) for pair in self.matter.supports}
-        widest = max(WIDEST_GAP * self.length, WIDEST_GAP_METRES) / self.units.length
+        widest = widest_gap(self.length) / self.units.length
         self.model.pair_margin[:] = 0.0
         centre, reach = self.data.geom_xpos, self.model.geom_rbound
         flat = self.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -397,3 +399,31 @@ class World:
             self.data.qvel[6 * k : 6 * k + 3] = straight[k] * self.units.time / self.units.length + np.cross(turn, arm)
             self.data.qvel[6 * k + 3 : 6 * k + 6] = self.data.xmat[number].reshape(3, 3).T @ turn
         mujoco.mj_forward(self.model, self.data)
+
+
+def prism(size: np.ndarray) -> np.ndarray:
+    """Return the corners (2 * PRISM_SIDES, 3) of the prism that stands for an upright cylinder."""
+    angle = 2 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
+    ring = np.column_stack([0.5 * np.cos(angle), 0.5 * np.sin(angle)])
+    return np.vstack([np.column_stack([ring, np.full(PRISM_SIDES, z)]) for z in (-0.5, 0.5)]) * size
+
+
+def shape_of(spec: Any, body: Body, unit: float, upright: bool) -> dict[str, Any]:
+    """Return the arguments of `add_geom` for a body's shape; a mesh is added to the model first.
+
+    unit : the engine's length in metres. upright : whether a cylinder stands on its end.
+    """
+    half = 0.5 * np.asarray(body.size) / unit
+    if body.kind == "plane":
+        return {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.01]}
+    if body.kind == "sphere":
+        return {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [half[0], 0, 0]}
+    if body.kind == "cylinder" and not upright:
+        return {"type": mujoco.mjtGeom.mjGEOM_CYLINDER, "size": [half[0], half[2], 0]}
+    if body.kind in ("cylinder", "mesh"):
+        mesh = spec.add_mesh(name=f"{body.name}_mesh")
+        vertices = body.vertices if body.kind == "mesh" else prism(body.size)
+        mesh.uservert = (np.asarray(vertices, float) / unit).ravel().tolist()
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
+    return {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": half}

@@ -19,7 +19,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.bodies import matter_of_graph
-from derender.physics.statics import judge_statics
+from derender.physics.statics import Equilibrium
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.results.posterior import Posterior
@@ -78,7 +78,7 @@ def next_views(
     targets = {
         "sizes": size_table(best, graphs),
         "structure": structure_table(posterior, graphs),
-        "stable": np.array([[float(judge_statics(matter_of_graph(graph)).stands) for graph in graphs]]),
+        "stable": np.array([[float(Equilibrium(matter_of_graph(graph)).stands) for graph in graphs]]),
     }
     floors = {"sizes": KNOWN, "structure": SURE, "stable": SURE}
     small = camera.downscaled(max(1.0, camera.width / LARGEST))

@@ -224,7 +224,7 @@ def probability(
 
 def upright_axes(matter: Matter) -> np.ndarray:
     """Return axes (3, 3), as columns, whose z points up: the floor's where there is one."""
-    up = -matter.gravity / (float(np.linalg.norm(matter.gravity)) or 1.0)
+    up = matter.up
     floor = next((body for body in matter.bodies if body.kind == "plane"), None)
     along = np.array([1.0, 0.0, 0.0]) if floor is None else floor.pose[:3, 0]
     if abs(along @ up) > 0.9:

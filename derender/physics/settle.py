@@ -34,15 +34,15 @@ def settled_graph(graph: "SceneGraph", trajectory: Trajectory, matter: Matter) -
     end = at_rest(trajectory, matter)
     poses = {**graph.poses(), **{body.name: body.pose for body in end.bodies}}
     on = bearers(end)
-    up = -matter.gravity / (float(np.linalg.norm(matter.gravity)) or 1.0)
     there = {body.name for body in end.bodies}
     moving = {body.name for body in end.bodies if body.moves}
     still = [v for v in graph.vertices if v.name not in moving and (v.name in there or v.shape == "frame")]
-    waiting = sorted((v for v in graph.vertices if v.name in moving), key=lambda v: float(poses[v.name][:3, 3] @ up))
+    waiting = [v for v in graph.vertices if v.name in moving]
+    waiting.sort(key=lambda vertex: float(poses[vertex.name][:3, 3] @ matter.up))
     placed = {vertex.name: vertex for vertex in still}
     for vertex in waiting:
         choices = [name for name in on[vertex.name] if name in placed]
-        choices.sort(key=lambda name: (name != vertex.parent, -float(poses[name][:3, 3] @ up)))
+        choices.sort(key=lambda name: (name != vertex.parent, -float(poses[name][:3, 3] @ matter.up)))
         new = replace(vertex, parent=ROOT, supports=(), contact=_floating(graph, poses[vertex.name]))
         for parent in choices:
             contact = _contact(inverse(poses[parent]) @ poses[vertex.name], placed[parent].body, vertex.body)

@@ -17,7 +17,6 @@ from derender.physics.bodies import Matter
 from derender.physics.intervention import Disturbance, Push
 from derender.physics.mujoco_model import BOUNCING_TIMESTEP, MOVING_TIMESTEP, World
 from derender.physics.verdict import DISPLACEMENT_TOLERANCE, Fate, Trajectory, Verdict, judge, save_trajectory
-from derender.scene.graph import STANDARD_GRAVITY
 
 __all__ = ["DURATION", "Trajectory", "Verdict", "judge", "save_trajectory", "simulate"]
 
@@ -147,11 +146,7 @@ class Rollout:
         self.matter = matter
         self._moving = [body for body in matter.bodies if body.moves]
         self.names = tuple(body.name for body in self._moving)
-        share = None
-        if timestep is not None:
-            extents = [float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"]
-            strength = float(np.linalg.norm(matter.gravity)) or STANDARD_GRAVITY
-            share = timestep / float(np.sqrt(min(extents, default=0.1) / strength))
+        share = None if timestep is None else timestep / matter.period
         bouncy = any(body.elasticity for body in matter.bodies)
         self._world = World(
             matter, keep_contacts, share or (BOUNCING_TIMESTEP if bouncy else MOVING_TIMESTEP), moving=True

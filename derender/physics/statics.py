@@ -15,7 +15,6 @@ from derender.physics.bodies import Body, Matter
 from derender.physics.contact_points import across, all_contacts
 from derender.physics.materials import clamped_masses, pair_frictions
 from derender.scene import solids as kinds
-from derender.scene.graph import STANDARD_GRAVITY
 
 KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
 # Bodies without a contact in the graph touch where they are no further apart than this share of the smallest extent.
@@ -65,27 +64,9 @@ class ContactForce(NamedTuple):
     force: tuple[float, float, float]
 
 
-class StaticVerdict(NamedTuple):
-    """Whether a scene can be at rest.
-
-    Attributes
-    ----------
-    stands : whether contact forces can balance every weight.
-    unbalanced : names of the bodies whose weight they cannot, and by which share of it.
-    margin : the least horizontal acceleration, in g, that topples or slides something; 0 where nothing holds the scene,
-        None where it was not asked for.
-    direction : (3,) unit vector in which that acceleration acts on the bodies, or None.
-    """
-
-    stands: bool
-    unbalanced: dict[str, float]
-    margin: float | None = None
-    direction: tuple[float, float, float] | None = None
-
-
-def unit_of_length(matter: Matter) -> float:
-    """Return the smallest extent among the bodies, metres: contacts are near or far in terms of it."""
-    return min((float(min(body.size)) for body in matter.bodies if body.kind != "plane"), default=0.1)
+def widest_gap(unit: float) -> float:
+    """Return the metres by which a contact of the graph may be open; unit : the smallest extent, metres."""
+    return max(WIDEST_GAP * unit, WIDEST_GAP_METRES)
 
 
 def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
@@ -119,12 +100,12 @@ def find_contacts(matter: Matter, near: float | None = None) -> Contacts:
     joined = np.zeros((len(number), len(number)), dtype=bool)
     for child, parent in matter.supports:
         joined[number[child], number[parent]] = joined[number[parent], number[child]] = True
-    length = unit_of_length(matter)
+    length = matter.unit
     flush = np.array([NEAR * length, min(FLUSH * length, FLUSH_METRES)])
     nearest = NEAR * length if near is None else near
     first, second, *where = all_contacts(
         kind, pose, size, np.concatenate(vertices), vertex_start, np.concatenate(normals), normal_start, held,
-        joined[np.ix_(owner, owner)], radius, nearest, max(WIDEST_GAP * length, WIDEST_GAP_METRES), flush,
+        joined[np.ix_(owner, owner)], radius, nearest, widest_gap(length), flush,
         ROLLING * length,
     )  # fmt: skip
     first, second = owner[first], owner[second]
@@ -151,12 +132,11 @@ class Equilibrium:
         self.contacts = find_contacts(matter) if contacts is None else contacts
         bodies = matter.bodies
         self.moving = [index for index, body in enumerate(bodies) if body.moves]
-        strength = float(np.linalg.norm(matter.gravity))
         place = np.full(len(bodies), -1, dtype=np.int64)
         place[self.moving] = np.arange(len(self.moving))
         centre = np.array([body.centre_of_mass() for body in bodies], dtype=float).reshape(-1, 3)
         extent = np.array([max(*body.size, 1e-12) for body in bodies])
-        self.weight = clamped_masses(bodies)[self.moving] * (strength or STANDARD_GRAVITY)
+        self.weight = clamped_masses(bodies)[self.moving] * matter.strength
         first, second, point, normal, _ = self.contacts
         rough = np.array([np.nan if body.friction is None else body.friction for body in bodies], dtype=float)
         self.parts = (
@@ -164,7 +144,7 @@ class Equilibrium:
             (point - centre[first]) / extent[first, None], (point - centre[second]) / extent[second, None],
             normal, pair_frictions(rough[first], rough[second]), self.weight,
         )  # fmt: skip
-        self.down = matter.gravity / strength if strength > 0 else np.zeros(3)
+        self.down = -matter.up
         self.load = np.zeros((len(self.moving), 6))
         self.load[:, :3] = -self.down
         self.residual, self._memory = equilibrium(self.parts, self.load)
@@ -210,13 +190,6 @@ class Equilibrium:
                 force = -force
             found.append(ContactForce(bodies[upper].name, bodies[lower].name, _triple(point), _triple(force)))
         return found
-
-
-def judge_statics(matter: Matter, margin: bool = False) -> StaticVerdict:
-    """Return whether a scene can be at rest, and with `margin` how much it can bear."""
-    found = Equilibrium(matter)
-    least, direction = found.margin() if margin else (None, None)
-    return StaticVerdict(found.stands, found.unbalanced(), least, direction)
 
 
 def plane_is_below(matter: Matter, plane: Body) -> bool:

@@ -12,7 +12,7 @@ from derender.errors import DerenderError
 from derender.physics.bodies import Matter
 from derender.physics.materials import LEAST_MASS
 from derender.physics.outcome import Chance, Outcome, chance_of
-from derender.physics.statics import WIDEST_GAP, WIDEST_GAP_METRES, find_contacts, unit_of_length
+from derender.physics.statics import find_contacts, widest_gap
 from derender.physics.verdict import FALLS, SETTLES, STANDS
 
 # Bodies that are so many times longer than wide are needles: their verdicts hang on the last tenth of a millimetre.
@@ -31,8 +31,7 @@ def assumptions(matter: Matter) -> list[str]:
         if not np.isfinite(numbers).all() or (body.kind != "plane" and np.min(body.size) <= 0):
             raise DerenderError("a number of this object is not finite or a size not positive", body.name, "give it")
     said = []
-    length = unit_of_length(matter)
-    deepest = max(WIDEST_GAP * length, WIDEST_GAP_METRES)
+    deepest = widest_gap(matter.unit)
     contacts = find_contacts(matter)
     seen = set()
     for first, second, gap in zip(contacts.first, contacts.second, contacts.gap, strict=True):

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.physics.bodies import Matter
-from derender.physics.statics import WIDEST_GAP, WIDEST_GAP_METRES, find_contacts, unit_of_length
-from derender.scene.graph import STANDARD_GRAVITY
+from derender.physics.statics import find_contacts, widest_gap
 
 # A body has moved when its centre is displaced by more than a tenth of its mean extent (the side of the cube of its
 # volume), or it has turned by more than 10 degrees. Among 200 towers of ten blocks the greatest creep of one that
@@ -33,14 +32,6 @@ class Trajectory(NamedTuple):
     times: np.ndarray
     poses: np.ndarray
     resting: bool = False
-
-    def displacement(self) -> dict[str, float]:
-        """Return how far each body's centre ended from where it began, metres."""
-        return self._by_name(self._moved()[-1])
-
-    def rotation(self) -> dict[str, float]:
-        """Return by what angle each body has turned at the end, radians."""
-        return self._by_name(self._turned()[-1])
 
     def greatest_displacement(self) -> dict[str, float]:
         """Return how far from where it began each body's centre came at any time, metres."""
@@ -131,11 +122,9 @@ def judge(trajectory: Trajectory, matter: Matter | None = None) -> Verdict:
 
 def bearers(matter: Matter) -> dict[str, set[str]]:
     """Return by name which bodies each moving body rests on, across gaps of millimetres too."""
-    length = unit_of_length(matter)
-    contacts = find_contacts(matter, near=max(WIDEST_GAP * length, WIDEST_GAP_METRES))
-    up = -matter.gravity / (float(np.linalg.norm(matter.gravity)) or 1.0)
+    contacts = find_contacts(matter, near=widest_gap(matter.unit))
     found: dict[str, set[str]] = {body.name: set() for body in matter.bodies if body.moves}
-    rise = contacts.normal @ up
+    rise = contacts.normal @ matter.up
     for first, second, lift in zip(contacts.first, contacts.second, rise, strict=True):
         upper, lower = (first, second) if lift > 0 else (second, first)
         name = matter.bodies[upper].name
@@ -154,10 +143,9 @@ def at_rest(trajectory: Trajectory, matter: Matter) -> Matter:
 
 def _same_structure(trajectory: Trajectory, matter: Matter) -> bool:
     """Return whether every body ended on something that bore it at the start, the same side up."""
-    up = -matter.gravity / (float(np.linalg.norm(matter.gravity)) or 1.0)
     kinds = {body.name: body.kind for body in matter.bodies}
     for k, name in enumerate(trajectory.names):
-        first, last = (trajectory.poses[step, k, :3, :3].T @ up for step in (0, -1))
+        first, last = (trajectory.poses[step, k, :3, :3].T @ matter.up for step in (0, -1))
         if kinds[name] != "sphere" and first @ last < TOPPLED:
             return False
     before, after = bearers(matter), bearers(at_rest(trajectory, matter))
@@ -189,15 +177,14 @@ class Fate:
 
     def __init__(self, matter: Matter, length: float) -> None:
         moving = [body for body in matter.bodies if body.moves]
-        strength = float(np.linalg.norm(matter.gravity))
-        self._up = -matter.gravity / (strength or 1.0)
+        self._up = matter.up
         self._sizes = np.array([body.size for body in moving], dtype=float).reshape(-1, 3)
         self._start = np.array([body.pose for body in moving], dtype=float).reshape(-1, 4, 4)
         longest = self._sizes.max(initial=length)
-        self._calm = CALM_TIME * np.sqrt(self._sizes.max(axis=1) / (strength or STANDARD_GRAVITY))
+        self._calm = CALM_TIME * np.sqrt(self._sizes.max(axis=1) / matter.strength)
         heights = self._start[:, :3, 3] @ self._up
         tall = np.ptp(heights) + longest if moving else longest
-        self._aftermath = AFTERMATH * np.sqrt(2 * tall / (strength or STANDARD_GRAVITY))
+        self._aftermath = AFTERMATH * np.sqrt(2 * tall / matter.strength)
         place = {body.name: k for k, body in enumerate(moving)}
         borne = bearers(matter)
         self._bearers = [[place.get(name, -1) for name in borne[body.name]] for body in moving]

@@ -66,7 +66,7 @@ def test_an_early_stop_names_the_same_verdict_and_the_same_bodies():
 def test_a_body_that_comes_back_has_moved_all_the_same():
     ball = Body("ball", "sphere", np.full(3, 0.1), translation(0, 0, 0.05), velocity=(0, 0, 1.0))
     trajectory = simulate(matter(FLOOR, ball), duration=1.5)
-    assert trajectory.displacement()["ball"] < 0.005
+    assert np.linalg.norm(trajectory.poses[-1, 0, :3, 3] - trajectory.poses[0, 0, :3, 3]) < 0.005
     assert judge(trajectory).fallen == ("ball",) and judge(trajectory).displacement["ball"] > 0.04
 
 

@@ -9,7 +9,7 @@ from derender.document import document_text, read_document
 from derender.errors import DerenderError
 from derender.physics.bodies import matter_of_graph
 from derender.physics.mujoco_model import World
-from derender.physics.statics import find_contacts, judge_statics
+from derender.physics.statics import Equilibrium, find_contacts
 from derender.posterior.compiled.model import NotCompiled, model_of
 from derender.posterior.target import ObservedImage, SceneTarget
 from derender.render.raycast.depth import render_depth
@@ -112,7 +112,7 @@ def test_what_an_open_box_holds_rests_on_its_bottom_and_is_seen():
     assert beside.max() == pytest.approx(0.8 - 0.01, abs=1e-6)  # the bottom's inside
     assert beside.min() == pytest.approx(0.8 - 0.1, abs=1e-6)  # the rim
     matter = matter_of_graph(graph)
-    assert judge_statics(matter).stands
+    assert Equilibrium(matter).stands
     assert World(matter).gap("cube", "tote") == pytest.approx(0.0, abs=1e-6)
     found = find_contacts(matter)
     assert set(zip(found.first, found.second, strict=True)) <= {(1, 0), (2, 1)}  # no part bears on its own body
