@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.dynamics.errors import impulses
+from derender.dynamics.errors import STEADY
 from derender.dynamics.states import STATE, to_poses
-from derender.physics.bodies import STANDARD_GRAVITY, Matter
+from derender.physics.bodies import Matter
 from derender.physics.mujoco_model import Diverged, World
 
 # Steps are at most this long, seconds: boxes that slide rock from corner to corner, and where they come to rest jumps
@@ -74,9 +74,7 @@ class Engine:
         self._contact_time = 0.0
 
     def _world(self, matter: Matter, step: float) -> World:
-        extents = [float(np.min(body.size)) for body in matter.bodies if body.kind != "plane"]
-        period = np.sqrt(min(extents) / (float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY))
-        world = World(matter, False, step / period, moving=True)
+        world = World(matter, False, step / matter.period, moving=True)
         flat = all(body.kind in ("plane", "box") for body in matter.bodies)
         for dimensions in (world.model.geom_condim, world.model.pair_dim):
             np.minimum(dimensions, WITHOUT_SPINNING if flat else WITHOUT_ROLLING, out=dimensions)
@@ -135,8 +133,18 @@ class Engine:
         return result, hardest
 
     def impulses(self, before: np.ndarray, after: np.ndarray, friction: float) -> np.ndarray:
-        """Return (..., N, 2) what `errors.impulses` says of an interval from states to states (..., N, 13)."""
-        return impulses(before, after, self.gravity, self.interval, self._normal, friction)
+        """Return (..., N, 2): changes of velocity (m / s) by impacts, and by steady contacts, between (..., N, 13).
+
+        friction : Coulomb coefficient: an interval's impulses of contacts with the floor sum to one within its cone,
+            because the cone is convex.
+        """
+        most = STEADY * float(np.linalg.norm(self.gravity)) * self.interval
+        change = after[..., 7:10] - before[..., 7:10] - self.gravity * self.interval
+        lifted = change @ self._normal
+        across = np.linalg.norm(change - lifted[..., None] * self._normal, axis=-1)
+        hit = np.maximum(lifted - most, 0.0)
+        struck = np.maximum(across - friction * np.clip(lifted, 0.0, most), 0.0)
+        return np.stack([np.hypot(hit, struck), np.minimum(np.linalg.norm(change, axis=-1), most)], axis=-1)
 
     def overlaps(self, states: np.ndarray) -> np.ndarray:
         """Return (N,) metres by which each body should be raised so that it enters nothing below it."""

@@ -44,26 +44,7 @@ class Scales(NamedTuple):
     turning: float
 
 
-def impulses(
-    before: np.ndarray, after: np.ndarray, gravity: np.ndarray, interval: float, normal: np.ndarray, friction: float
-) -> np.ndarray:
-    """Return (..., 2): changes of velocity (m / s) by impacts, and by steady contacts, from states to states.
-
-    Parameters
-    ----------
-    normal : (3,), the floor's. friction : Coulomb coefficient: an interval's impulses of contacts with the floor sum to
-        one within its cone, because the cone is convex.
-    """
-    most = STEADY * float(np.linalg.norm(gravity)) * interval
-    change = after[..., 7:10] - before[..., 7:10] - gravity * interval
-    lifted = change @ normal
-    across = np.linalg.norm(change - lifted[..., None] * normal, axis=-1)
-    hit = np.maximum(lifted - most, 0.0)
-    struck = np.maximum(across - friction * np.clip(lifted, 0.0, most), 0.0)
-    return np.stack([np.hypot(hit, struck), np.minimum(np.linalg.norm(change, axis=-1), most)], axis=-1)
-
-
 def velocity_errors(impulse: np.ndarray, scales: Scales) -> np.ndarray:
-    """Return the standard errors (..., N), m / s, of the changes of velocity that contacts give (`impulses`)."""
+    """Return the standard errors (..., N), m / s, of the changes of velocity that contacts give (`Engine.impulses`)."""
     impact = np.hypot(scales.impact, LEAST_IMPACT) * impulse[..., 0]
     return np.hypot(np.hypot(impact, scales.steady * impulse[..., 1]), LEAST_SPEED)

@@ -15,6 +15,7 @@ from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
+from derender.posterior.smc import next_temperature, systematic
 
 # Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
 # from all of them are held against the tracked poses, and it starts from the nearest few that are.
@@ -91,9 +92,7 @@ class Draws(NamedTuple):
 
     def resampled(self, rng: np.random.Generator, count: int = KEPT) -> tuple[np.ndarray, np.ndarray]:
         """Return coordinates (count, P) and scales' logarithms (count, S), by systematic resampling in random order."""
-        edges = np.cumsum(np.exp(self.log_weights))
-        at = np.searchsorted(edges / edges[-1], (np.arange(count) + rng.uniform()) / count)
-        at = rng.permutation(np.minimum(at, len(edges) - 1))
+        at = rng.permutation(systematic(rng, np.exp(self.log_weights), count))
         return self.coordinates[at], self.logarithms[at]
 
 
@@ -311,17 +310,8 @@ def _flattened(log_weights: np.ndarray) -> np.ndarray:
     then the posterior is as wide as the rest of it.
     """
 
-    def raised(power: float) -> np.ndarray:
-        weights = np.where(np.isfinite(log_weights), power * log_weights, -np.inf)
-        return weights - logsumexp(weights)
-
-    low, high = 0.0, 1.0
-    if logsumexp(2 * raised(1.0)) <= -math.log(FEWEST):
-        return raised(1.0)
-    for _ in range(20):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if logsumexp(2 * raised(middle)) <= -math.log(FEWEST) else (low, middle)
-    return raised(low)
+    raised = next_temperature(log_weights, 0.0, FEWEST / len(log_weights)) * log_weights
+    return raised - logsumexp(raised)
 
 
 def _proposal(rng: np.random.Generator, components: list, parameters: Parameters) -> np.ndarray:

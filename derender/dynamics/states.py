@@ -6,6 +6,8 @@ in the body's axes). A change has 12: the rotation's part is a rotation vector i
 
 import numpy as np
 
+from derender.scene.pose import from_quaternion, quaternion
+
 STATE, CHANGE = 13, 12
 
 
@@ -58,36 +60,16 @@ def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def from_poses(poses: np.ndarray) -> np.ndarray:
     """Return states (..., 13) at rest at poses (..., 4, 4)."""
-    rotation = poses[..., :3, :3]
-    trace = np.trace(rotation, axis1=-2, axis2=-1)
-    diagonal = np.diagonal(rotation, axis1=-2, axis2=-1)
-    # All four of Shepperd's (1978) solutions, of which the one with the greatest divisor is exact.
-    r = np.moveaxis(rotation, (-2, -1), (0, 1))
-    squares = np.stack([1 + trace, *(1 + 2 * diagonal[..., k] - trace for k in range(3))], axis=-1)
-    candidates = np.stack(
-        [
-            np.stack([squares[..., 0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]], axis=-1),
-            np.stack([r[2, 1] - r[1, 2], squares[..., 1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]], axis=-1),
-            np.stack([r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[..., 2], r[1, 2] + r[2, 1]], axis=-1),
-            np.stack([r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[..., 3]], axis=-1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)[..., None, None]
-    quaternions = np.take_along_axis(candidates, best, axis=-2)[..., 0, :]
     states = np.zeros((*poses.shape[:-2], STATE))
     states[..., :3] = poses[..., :3, 3]
-    states[..., 3:7] = quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    for index in np.ndindex(poses.shape[:-2]):
+        states[(*index, slice(3, 7))] = quaternion(poses[index])
     return states
 
 
 def to_poses(states: np.ndarray) -> np.ndarray:
     """Return the poses (..., 4, 4) of states (..., 13)."""
-    w, x, y, z = np.moveaxis(states[..., 3:7], -1, 0)
-    poses = np.zeros((*states.shape[:-1], 4, 4))
-    poses[..., 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1)
-    poses[..., 1, :3] = np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1)
-    poses[..., 2, :3] = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-    poses[..., :3, 3] = states[..., :3]
-    poses[..., 3, 3] = 1.0
+    poses = np.empty((*states.shape[:-1], 4, 4))
+    for index in np.ndindex(states.shape[:-1]):
+        poses[index] = from_quaternion(states[index][3:7], states[index][:3])
     return poses
