@@ -29,6 +29,9 @@ COORDINATE_STEP = 0.03
 OFFSET = 0.002
 # Velocity at a cut before anything is seen of it: m / s, rad / s.
 FIRST_SPEED, FIRST_SPIN = 5.0, 30.0
+# No image shows a ball's spin: its surface is as fast as its centre where it rolls, and of one that a hand lets go or
+# throws hardly faster; m / s at least.
+BALL_SURFACE = 0.1
 # A state at a cut may differ by so much from where the engine arrives beyond the engine's errors of velocity: metres,
 # radians; the first tracked frame after an impact is up to a frame later than the impact.
 LEAST_POSITION, LEAST_ROTATION = 2e-4, 2e-3
@@ -91,8 +94,16 @@ class Shooting(Impacts):
             ways = FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
             # tracking that holds a pose says that the body rests: its speed is no unknown
             self.ways.append(ways[:, : ways.shape[1] // 2] if frame == 0 and self.rested[k] else ways)
+        self.spins = [self._first_spin(states, frame, k) for frame, k in self.cuts]
         ends = np.cumsum([0, *(ways.shape[1] for ways in self.ways)])
         self.parts = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
+    def _first_spin(self, states: np.ndarray, frame: int, k: int) -> float:
+        """Return body k's standard deviation of angular velocity at a cut before anything is seen of it, rad / s."""
+        if frame > 0 or self.bodies[k].kind != "sphere":
+            return FIRST_SPIN
+        speed = np.linalg.norm(self.first_speed(states, frame, k)[:3])
+        return float(2 * np.hypot(speed, BALL_SURFACE) / self.sizes[k])
 
     @property
     def size(self) -> int:
@@ -292,8 +303,8 @@ class Shooting(Impacts):
         """Return standard residuals (Z,) of the unknowns' own priors and their precision's roots (Z,); 0 for none."""
         roots = np.zeros(self.size + self.parameters.size)
         residual = np.zeros(self.size + self.parameters.size)
-        velocity = 1 / np.repeat([FIRST_SPEED, FIRST_SPIN], 3)
-        for (frame, k), part, ways in zip(self.cuts, self.parts, self.ways, strict=True):
+        for (frame, k), part, ways, spin in zip(self.cuts, self.parts, self.ways, self.spins, strict=True):
+            velocity = 1 / np.repeat([FIRST_SPEED, spin], 3)
             roots[part] = np.linalg.norm(velocity[:, None] * ways[6:], axis=0)
             residual[part] = roots[part] * (path.states[frame, k, 7:] @ ways[6:])
         offsets = slice(self.parts[-1].stop, self.size)

@@ -112,6 +112,14 @@ def test_a_bounce_tells_restitution_and_little_of_friction():
     assert interval[0, 1] / interval[0, 0] > 3
 
 
+def test_a_balls_surface_which_no_image_shows_turning_is_hardly_faster_than_its_centre():
+    film = bounce(0.6, np.random.default_rng(2))  # it is let go at rest
+    engine = Engine(film.matter, film.names, film.step)
+    shooting = Shooting(film, Parameters(film.names, engine.masses, read_dynamics_prior()), engine)
+    _, roots = shooting.prior_rows(shooting.first_path(shooting.parameters.middle()))
+    assert np.all(1 / roots[shooting.parts[0]][9:] * 0.035 < 0.5)  # m / s; turns that images show may be faster
+
+
 @pytest.mark.slow
 def test_wrong_gravity_is_seen_as_wrong_friction():
     """The broken twin: an engine with half of gravity must not find the friction."""
