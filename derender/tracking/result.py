@@ -4,7 +4,6 @@ What happens in a film is told from poses and contacts: lifted, placed, pushed, 
 """
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,6 @@ RISING = 0.05  # m/s: what leaves its support faster upward was lifted, not drop
 GENTLE = 0.6  # m/s: what comes down more slowly was placed; faster, it landed
 DOWNWARD, UPWARD = -0.15, 0.08  # m/s of the normal speed before and after a bounce
 NEAR = 0.02  # metres from what it bounces off
-
-KINDS = ("lifted", "fell", "placed", "landed", "slid", "moves", "rests", "toppled", "bounced", "entered", "left",
-         "hidden", "seen", "lost", "found")  # fmt: skip
 
 
 def events_of(track: Track) -> list[dict[str, Any]]:
@@ -47,7 +43,8 @@ def events_of(track: Track) -> list[dict[str, Any]]:
         for t in range(len(track.times)):
             state = track.states[t][k]
             before = track.states[t - 1][k] if t else state
-            _states(tell, t, before, state)
+            if before != state:
+                tell(t, _change(before, state))
             if state in (LOST, GONE) or not np.isfinite(heights[t]):
                 rested = None
                 continue
@@ -78,26 +75,13 @@ def events_of(track: Track) -> list[dict[str, Any]]:
     return sorted(events, key=lambda event: event["frame"])
 
 
-def _states(tell: Callable[..., Any], t: int, before: str, state: str) -> None:
-    """Tell what a change of state means."""
-    if t == 0 or before == state:
-        return
-    if state == LOST:
-        tell(t, "lost")
-    elif before == LOST:
-        tell(t, "found")
-    elif state == HIDDEN:
-        tell(t, "hidden")
-    elif before == HIDDEN:
-        tell(t, "seen" if state != GONE else "left")
-    elif state == GONE:
-        tell(t, "left")
-    elif before == GONE:
-        tell(t, "entered")
-    elif state == MOVING:
-        tell(t, "moves")
-    elif state == STILL:
-        tell(t, "rests")
+def _change(before: str, state: str) -> str:
+    """Return the word for a change of state."""
+    if LOST in (before, state):
+        return "lost" if state == LOST else "found"
+    if state in (HIDDEN, GONE):
+        return "hidden" if state == HIDDEN else "left"
+    return {HIDDEN: "seen", GONE: "entered"}.get(before) or ("moves" if state == MOVING else "rests")
 
 
 def _up_turned(rested: np.ndarray, pose: np.ndarray, floors: np.ndarray, t: int) -> bool:
