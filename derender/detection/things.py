@@ -41,6 +41,7 @@ LEAST_HEIGHT = 0.012  # metres over its support
 ENDS = 0.005  # share of the points beyond the ends of the bounding box: flying pixels
 NEAR_TOP = 0.02  # metres between a thing's lowest point seen and the top of what it may stand on
 THINNEST = 0.004  # metres of any extent
+SLOPING = 0.25  # level part of a normal: what slopes less is noise of a level surface
 AROUND = 36  # points of a circle
 BESIDE = 1.15  # of the radius of what is round: what lies farther from its axis is a handle, along which its box lies
 # Of the root of its width times its height, how deep a thing is whose back is not seen, and what it shows of it then.
@@ -352,6 +353,18 @@ def clear_of_edges(seen: Observation, mask: np.ndarray) -> tuple[np.ndarray, int
     return clear, reach
 
 
+def sloping_foot(points: np.ndarray, normal: np.ndarray, bottom: float) -> np.ndarray:
+    """Return (L, 2) where the foot of a surface that slopes down goes on to a height `bottom`: noise hides where it
+    meets what it stands on.
+
+    points, normal : (K, 3), z up; a normal that is not known is zero.
+    """
+    height, flat = points[:, 2] - bottom, np.hypot(normal[:, 0], normal[:, 1])
+    foot = (height > 0.0) & (height < NEAR_TOP) & (normal[:, 2] > 0.0) & (flat > SLOPING)
+    onward = normal[foot, :2] * (height * normal[:, 2])[foot, None] / flat[foot, None] ** 2
+    return points[foot, :2] + onward
+
+
 def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
@@ -361,12 +374,11 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     clear, reach = clear_of_edges(seen, mask)
     points = seen.points[clear]
     parent, bottom = standing(seen, state, mask)
-    # A pixel on the silhouette shows half of itself beyond its middle.
-    rim = (0.5 + reach) * float(np.median(seen.footprint[mask]))
+    rim = reach * float(np.median(seen.footprint[mask]))  # where an edge ends some pixel shows it, at its middle
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][clear]
     axis = vertical_axis(points, normal)
-    outline, yaw = points[:, :2], None
+    outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom)]), None
     if axis is not None:
         around = 2.0 * np.pi * np.arange(AROUND) / AROUND
         radius = max(axis[1], foot_radius(points, axis[0], bottom), THINNEST)

@@ -44,7 +44,7 @@ def with_things(
         return parts
     names = names_of(state)
     made = [Made.of(thing_name(k), thing, seen, believed) for k, thing in enumerate(seen.things)]
-    return [_with_all(rng, part, names, made) for part in parts]
+    return [_with_all(rng, part, names, made, believed.whole) for part in parts]
 
 
 def with_rivals(
@@ -69,7 +69,7 @@ def with_rivals(
                 continue
             left = without_object(part.best_only(), name)
             if isinstance(swap.instead, Thing):
-                other = _with_all(rng, left, names, [Made.of(name, swap.instead, seen, believed)])
+                other = _with_all(rng, left, names, [Made.of(name, swap.instead, seen, believed)], believed.whole)
             else:
                 other = with_solid(left, swap.instead, [*names, name])
             for each, ends in ((part, (1.0 - share, 1.0 - high, 1.0 - low)), (other, (share, low, high))):
@@ -102,25 +102,11 @@ def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "S
     return replace(part, graph=part.graph.add(own))
 
 
-def reaching(thing: "Thing", farther: float) -> "tuple[np.ndarray, np.ndarray]":
-    """Return (row (ROW,) of a thing's box as far as it reaches in the median, metres (3,) not known of that).
-
-    farther : share of an extent along the line of sight, the standard deviation of a normal whose absolute value is how
-        much farther it reaches than is seen: what is best said of a thing is the median of its draws. What is guessed
-        is the median of all that is behind what is seen.
-    """
-    row, hidden = thing.row.copy(), farther * thing.row[SIZE:] * np.abs(thing.away)
-    hidden[thing.guessed > 0.0] = 0.0
-    row[SIZE:] += MEDIAN * hidden
-    row[CENTRE:SIZE] += rotation_of(row) @ (0.5 * MEDIAN * hidden * np.sign(thing.away))
-    return row, hidden + thing.guessed / MEDIAN
-
-
 class Made(NamedTuple):
     """A free-form thing of which all is known that a graph's vertex takes.
 
-    name : its own. thing : Thing. surface, size, centre : see `surface_of`. hidden : (3,) metres not known of its
-    extents, besides `noise`.
+    name : its own. thing : Thing. surface, size, centre : see `surface_of`. hidden : (3,) metres, the standard
+    deviation of a normal whose absolute value is how much farther than is seen it reaches, if it does. noise : metres.
     """
 
     name: str
@@ -134,15 +120,17 @@ class Made(NamedTuple):
     @classmethod
     def of(cls, name: str, thing: Thing, seen: "Observation", believed: Things) -> "Made":
         """Return what a Thing of an Observation is made to."""
-        row, hidden = reaching(thing, believed.hidden)
-        surface = surface_of(seen.image, thing.mask, row, APART * seen.footprint + 3.0 * seen.sigma)
+        guessed = thing.guessed / MEDIAN  # that is the median of all that is behind what is seen
+        hidden = np.where(guessed > 0.0, guessed, believed.hidden * thing.row[SIZE:] * np.abs(thing.away))
+        surface = surface_of(seen.image, thing.mask, thing.row, APART * seen.footprint + 3.0 * seen.sigma)
         noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
         return cls(name, thing, *surface, hidden, noise)
 
 
 def _with_all(
-    rng: np.random.Generator, part: "StructurePosterior", names: list[str], made: list[Made]
+    rng: np.random.Generator, part: "StructurePosterior", names: list[str], made: list[Made], whole: float
 ) -> "StructurePosterior":
+    """Return a StructurePosterior with things. whole : probability that nothing of an extent is hidden."""
     graph, addresses, values, periods = part.graph, list(part.addresses), [part.values], list(part.periods)
     chains, draws, _ = part.values.shape
     for name, thing, surface, size, centre, hidden, noise in made:
@@ -161,11 +149,11 @@ def _with_all(
             exact = replace(contact, values=held)
             vertex = replace(vertex, parent=parent, contact=exact)
         graph = graph.add(vertex)
-        for (key, value), behind in zip(numbers.items(), hidden, strict=True):
+        for (key, value), behind, guess in zip(numbers.items(), hidden, thing.guessed, strict=True):
             more, off = rng.standard_normal((2, chains, draws, 1))
-            drawn = np.maximum(
-                value + behind * (np.abs(more) - MEDIAN) + noise * off, LEAST * (value - MEDIAN * behind)
-            )
+            goes_on = (guess > 0.0) | (rng.random(more.shape) > whole)
+            shown = value - guess
+            drawn = np.maximum(shown + behind * np.abs(more) * goes_on + noise * off, LEAST * shown)
             drawn[part.best_place] = value
             addresses.append(f"{name}.{key}")
             values.append(drawn)

@@ -27,7 +27,7 @@ from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
 from derender.scene.priors.bare_image import Things
 from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
-from derender.structures.free_forms import closed_surface, reaching, surface_of, visible_surface
+from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -389,6 +389,17 @@ def test_what_a_thing_goes_on_as_is_part_of_it(number):
         assert said[2] == pytest.approx(true[2], rel=0.1)
 
 
+@pytest.mark.parametrize("number, k", [(7204, 2), (7205, 0), (7217, 2), (7208, 4), (7219, 2)])
+def test_a_wedge_ends_where_its_slope_meets_the_floor_and_an_l_where_it_is_seen_to(number, k):
+    """The lowest millimetres of a slope are noise of the floor; and some pixel shows nearly the end of an edge."""
+    scene = make(np.random.default_rng([number, list(KINDS).index("free")]), "free")
+    seen = observe(scene.depth, scene.camera, widest=320)
+    thing = made_thing(seen, State(), (scene.label == k) & seen.mask, 1.0)
+    said, true = thing.row[13:16], np.asarray(scene.objects[k]["size"])
+    assert np.sort(said[:2]) == pytest.approx(np.sort(true[:2]), rel=0.1)
+    assert said[2] == pytest.approx(true[2], rel=0.1)
+
+
 def test_the_edges_of_what_a_blurred_image_shows_are_not_its_surface():
     mask = np.zeros((20, 20), bool)
     mask[4:16, 4:16] = True
@@ -413,8 +424,6 @@ def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
     assert row[11] - 0.5 * (turn @ size)[1] == pytest.approx(0.5, abs=0.003)  # and all of that is behind
     # Half as deep, or as deep again, is as likely as not: that is a guess, of which only what is seen is sure.
     assert thing.guessed.max() == pytest.approx(0.7 * np.sqrt(0.103 * 0.1), abs=0.006)
-    whole, hidden = reaching(thing, 0.1)
-    assert whole[13:16] == pytest.approx(row[13:16]) and hidden.max() == pytest.approx(thing.guessed.max() / 0.6745)
     points[..., 1] += 0.8 * up  # a slope shows how deep it is
     thing = made_thing(seen, State(), mask, 50.0)
     assert thing.row[13:16].max() < 0.12 and not thing.guessed.any()

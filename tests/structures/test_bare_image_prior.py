@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from derender import data_path
 from derender.detection.leftovers import Swap
@@ -98,7 +99,10 @@ def test_numbers_of_another_file_are_obeyed(tmp_path):
         ("slack_seen: 2 mm", "slack_seen: 3 mm"),
         ("stranger: 0.05", "stranger: 0.2"),
         ("shared: {power: 1.5,", "shared: {power: 1.0,"),
-        ("things: {patch: 30 mm, wide: 20 cm, number: 2.3, edge: 23, hidden: 0.1", "things: {patch: 4 cm, hidden: 0.3"),
+        (
+            "things: {patch: 30 mm, wide: 20 cm, number: 2.3, edge: 23, whole: 0.7, hidden: 0.2",
+            "things: {patch: 4 cm, hidden: 0.3",
+        ),
         ("explained: 0.95", "explained: 0.9"),
     ):
         assert text.count(old) == 1
@@ -205,16 +209,21 @@ def test_a_thing_reaches_as_much_farther_along_the_line_of_sight_as_the_file_say
     seen = SimpleNamespace(things=(thing,), footprint=even, sigma=1e-6 * even, image=None)
     none = np.zeros((4, 500))
     part = StructurePosterior(scene(), (), np.zeros((4, 500, 0)), none, none)
-    for believed in (Things(), Things(hidden=0.3, silhouette=1.5)):
+    for believed in (Things(), Things(whole=0.4, hidden=0.3, silhouette=1.5)):
         (found,) = free_forms.with_things(np.random.default_rng(0), [part], seen, State(), believed)
         length, height = (found.values[..., found.addresses.index(f"thing_1.{name}")] for name in ("length", "height"))
-        assert np.median(length) == pytest.approx(
-            0.1, abs=0.02 * believed.hidden
-        )  # the best is the median of the draws
-        assert np.quantile(length, 0.95) - np.quantile(length, 0.05) == pytest.approx(
-            0.1 * believed.hidden * (1.96 - 0.0627), rel=0.15
+        assert length[found.best_place] == 0.1  # the likeliest is what is seen
+        reaches = length - 0.1 > 4.0 * 0.002 * believed.silhouette
+        left = 2.0 * ndtr(-4.0 * 0.002 * believed.silhouette / (0.1 * believed.hidden))
+        assert reaches.mean() == pytest.approx((1.0 - believed.whole) * left, abs=0.03)
+        assert np.sqrt(np.mean((length - 0.1) ** 2)) == pytest.approx(
+            np.hypot(0.1 * believed.hidden * np.sqrt(1.0 - believed.whole), 0.002 * believed.silhouette), rel=0.1
         )
         assert height.std() == pytest.approx(0.002 * believed.silhouette, rel=0.1)
+    seen.things = (thing._replace(guessed=np.array([0.06, 0.0, 0.0])),)  # half as deep, or as deep again, is as likely
+    (found,) = free_forms.with_things(np.random.default_rng(0), [part], seen, State(), Things())
+    guess = found.values[..., found.addresses.index("thing_1.length")]
+    assert np.median(guess) == pytest.approx(0.1, abs=0.003) and guess.min() > 0.03
 
 
 def test_what_a_thing_may_be_instead_has_its_share(monkeypatch):

@@ -74,8 +74,8 @@ class Things:
     patch : metres over which a usual thing's surface bends little. wide : metres across the front of a usual thing;
         what is larger bends over ways that are as much longer. number : nats of what each patch says beyond what its
         neighbours tell. edge : nats against a concave edge within one thing as long as a patch.
-    hidden : standard deviation, as a share of an extent along the line of sight, of how much farther it reaches than is
-        seen; what is round reaches as far as its axis tells.
+    whole : probability that an extent is as is seen. hidden : else how much farther it reaches, as a share of it along
+        the line of sight, standard deviation; what is round reaches as far as its axis tells.
     silhouette : pixels by which an extent is off because silhouettes lie anywhere between two.
     """
 
@@ -83,7 +83,8 @@ class Things:
     wide: float = 0.2
     number: float = 2.3
     edge: float = 23.0
-    hidden: float = 0.1
+    whole: float = 0.7
+    hidden: float = 0.2
     silhouette: float = 0.4
 
     def larger(self, area: Any) -> Any:
@@ -310,7 +311,8 @@ def read_loose(section: Section) -> Loose:
         told = section["things"].section().allow(*(each.name for each in fields(Things)))
         lengths = {"patch": 1e-6, "wide": 1e-6}
         found["things"] = Things(**{
-            each.name: told[each.name].number("m" if each.name in lengths else "", lower=lengths.get(each.name, 0.0))
+            each.name: told[each.name].number("m" if each.name in lengths else "", lower=lengths.get(each.name, 0.0),
+                                              upper=1.0 if each.name == "whole" else None)
             for each in fields(Things) if each.name in told
         })  # fmt: skip
     if "floor" in section:
