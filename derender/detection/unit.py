@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender.render.likelihoods import likelihoods
-from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.shapes import shapes
 
@@ -77,9 +76,7 @@ def powers_of(graph: "SceneGraph") -> dict[str, int]:
     for vertex in graph.vertices:
         for parameter in shapes[vertex.shape].parameters:
             found[f"{vertex.name}.{parameter.name}"] = int(parameter.unit == "m")
-        contact, on = vertex.contact, graph.body(vertex.parent).shape
-        faces = contact.parent_face, contact.child_face
-        for parameter in contacts[contact.type].parameters(on, vertex.body.shape, *faces):
+        for parameter in graph.contact_parameters(vertex.name):
             found[f"{vertex.name}.contact.{parameter.name}"] = int(parameter.unit == "m")
     return found
 

@@ -19,7 +19,7 @@ from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.posterior.compiled.evaluate import place as place_vertex
 from derender.posterior.compiled.layout import NEXT, SHAPES, SIZES, SOLID
-from derender.posterior.compiled.model import NotCompiled, contact_parameters, numbers_of, vertices_of
+from derender.posterior.compiled.model import NotCompiled, numbers_of, vertices_of
 from derender.registry import suggest
 from derender.render.raycast.normal_equations import Misfit, cost, normal_equations
 from derender.render.raycast.sensitivity import MOTION
@@ -84,7 +84,7 @@ def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placemen
             raise DerenderError(f"no number is called {address!r}", remedy=suggest(name, names))
         n = vertex_of[p] = names.index(name)
         vertex, of_contact = graph.vertices[n], rest.startswith("contact.")
-        known = contact_parameters(graph, vertex) if of_contact else shapes[vertex.shape].parameters
+        known = graph.contact_parameters(name) if of_contact else shapes[vertex.shape].parameters
         wanted = rest.removeprefix("contact.")
         found = [k for k, parameter in enumerate(known) if parameter.name == wanted]
         if not found:

@@ -16,7 +16,6 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.pose import inverse, rotation_z, translation
-from derender.scene.shapes import shapes
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -65,12 +64,8 @@ def period_of(graph: SceneGraph, address: str, distribution: Distribution) -> fl
     if name == "root":
         period = math.tau if rest in ("azimuth", "roll") else None
     elif rest.startswith("contact."):
-        vertex = graph.vertex(name)
-        contact = vertex.contact
-        parameters = contacts[contact.type].parameters(
-            graph.body(vertex.parent).shape, shapes[vertex.shape], contact.parent_face, contact.child_face
-        )
-        period = next((p.period for p in parameters if p.name == rest.removeprefix("contact.")), None)
+        wanted = rest.removeprefix("contact.")
+        period = next((p.period for p in graph.contact_parameters(name) if p.name == wanted), None)
     else:
         period = None
     if period is None:
@@ -111,11 +106,7 @@ def fold(angle: float, centre: float, period: float) -> float:
 
 def theta_fold(graph: SceneGraph, unknown: Unknown) -> tuple[float, float]:
     """Return (centre, period) by which an unknown theta is folded: into its prior's support where it is an interval."""
-    name = unknown.address.partition(".")[0]
-    vertex = graph.vertex(name)
-    faces = vertex.contact.parent_face, vertex.contact.child_face
-    kind = contacts[vertex.contact.type]
-    parameters = kind.parameters(graph.body(vertex.parent).shape, vertex.body.shape, *faces)
+    parameters = graph.contact_parameters(unknown.address.partition(".")[0])
     period = next(p.period for p in parameters if p.name == "theta") or math.tau
     low, high = unknown.distribution.support
     centre = 0.5 * (low + high) if math.isfinite(low) and math.isfinite(high) else 0.5 * period
@@ -131,12 +122,7 @@ def _can_slide(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
         return False
     below = graph.descendants(block.removesuffix(".contact"))
     for name in below:
-        vertex = graph.vertex(name)
-        contact = vertex.contact
-        free = contacts[contact.type].free_parameters(
-            graph.body(vertex.parent).shape, vertex.body.shape, contact.parent_face, contact.child_face
-        )
-        names = {p.name for p in free}
+        names = {p.name for p in graph.contact_parameters(name) if not p.slack}
         if "theta" not in names or any(f"{name}.contact.{key}" not in unknown for key in names):
             return False
     return bool(below)
@@ -150,16 +136,10 @@ def _can_relocate(graph: SceneGraph, block: str, unknown: set[str]) -> bool:
     vertex = graph.vertex(name)
     if vertex.contact.type != "face-to-face" or vertex.parent == "root":
         return False
-    parameters = contacts["face-to-face"].parameters(
-        graph.body(vertex.parent).shape, vertex.body.shape, vertex.contact.parent_face, vertex.contact.child_face
-    )
-    free = {p.name for p in parameters if f"{block}.{p.name}" in unknown}
+    free = {p.name for p in graph.contact_parameters(name) if f"{block}.{p.name}" in unknown}
     placed = free in ({"theta", "u", "v"}, {"theta", "x", "y"})
     level = all(vertex.contact.values.get(key, 0.0) == 0.0 for key in ("tilt_x", "tilt_y"))
     return placed and level and (not graph.descendants(name) or _can_slide(graph, block, unknown))
-
-
-__all__ = ["bases_of", "block_name", "fold", "period_of", "scene_space", "theta_fold"]
 
 
 area_element = interpreted(polygon.area_element)

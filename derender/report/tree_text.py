@@ -6,7 +6,6 @@ from typing import Any
 
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.table import digits, probability_text
-from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.priors.algorithm_1 import Algorithm1Prior
@@ -14,7 +13,6 @@ from derender.scene.priors.bare_image import BareImagePrior
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.objects import ROTATION, ContactPrior
 from derender.scene.priors.tree import TreePrior
-from derender.scene.shapes import shapes
 
 ALTERNATIVE = 0.005  # another parent is named from this probability on
 
@@ -69,14 +67,13 @@ def _size(vertex: Vertex) -> str:
 
 def _contact(graph: SceneGraph, vertex: Vertex) -> str:
     contact = vertex.contact
-    kind = contacts[contact.type]
     values = contact.values
     if any(key in values for key in ROTATION):
         position = ", ".join(f"{values.get(key, 0.0):.3f}" for key in "xyz")
         turn = 2 * math.degrees(math.acos(min(1.0, abs(values.get("qw", 1.0)))))
         return f"{contact.type}, at ({position}) m, turned {turn:.1f} deg"
     faces = contact.parent_face, contact.child_face
-    known = {p.name: p for p in kind.parameters(graph.body(vertex.parent).shape, shapes[vertex.shape], *faces)}
+    known = {p.name: p for p in graph.contact_parameters(vertex.name)}
     numbers = [_number(name, value, known.get(name)) for name, value in values.items()]
     where = f" {faces[1]} on {faces[0]}" if faces != (None, None) else ""
     return ", ".join([f"{contact.type}{where}", *numbers])

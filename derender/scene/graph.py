@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.registry import suggest
+from derender.registry import Parameter, suggest
 from derender.scene.contacts import contacts
 from derender.scene.contacts.kinds import Inverse
 from derender.scene.pose import inverse
@@ -320,9 +320,14 @@ class SceneGraph:
         contact = contacts[vertex.contact.type]
         if hasattr(contact, "degrees_of_freedom"):
             return contact.degrees_of_freedom
-        faces = vertex.contact.parent_face, vertex.contact.child_face
-        parameters = contact.parameters(self.body(vertex.parent).shape, vertex.body.shape, *faces)
-        return sum(not p.slack or vertex.contact.values.get(p.name, 0.0) != 0.0 for p in parameters)
+        values = vertex.contact.values
+        return sum(not p.slack or values.get(p.name, 0.0) != 0.0 for p in self.contact_parameters(name))
+
+    def contact_parameters(self, name: str) -> tuple[Parameter, ...]:
+        """Return the parameters of a vertex's contact with its parent, in their order."""
+        vertex = self.vertex(name)
+        contact, parent = vertex.contact, self.body(vertex.parent).shape
+        return contacts[contact.type].parameters(parent, shapes[vertex.shape], contact.parent_face, contact.child_face)
 
     def numbers(self) -> dict[str, float]:
         """Return every number that the graph gives, by address: `red.side`, `red.contact.theta`."""

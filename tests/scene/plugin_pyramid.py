@@ -56,6 +56,6 @@ class Concentric(ContactType):
         theta = found.values["theta"]
         nearest = self.relative_pose({"theta": theta}, parent, child, parent_face, child_face)
         outside = float(np.linalg.norm(nearest[:3, 3] - relative[:3, 3]))
-        theta_is_free = self.free_parameters(parent.shape, child.shape, parent_face, child_face)
+        theta_is_free = [p for p in self.parameters(parent.shape, child.shape, parent_face, child_face) if not p.slack]
         phi, slack = ({"theta": theta}, {}) if theta_is_free else ({}, {"theta": theta})
         return Inverse(phi, slack, outside if outside > 1e-12 else 0.0, found.angle)

@@ -218,13 +218,16 @@ def test_the_papers_contact_sets(kind, sizes):
     """Eqs. 2 and 3."""
     for (parent, child), count in {**sizes, ("cube", "plane"): 12, ("box", "cylinder"): 12}.items():
         assert len(contacts[kind].choices(shapes[parent], shapes[child])) == count
-    parameters = contacts[kind].parameters(shapes["cube"], shapes["cube"], "+z", "-z")
-    free = [p for p in parameters if not p.slack]
+
+    def free_parameters(parent, child):
+        return [p for p in contacts[kind].parameters(shapes[parent], shapes[child], "+z", "-z") if not p.slack]
+
+    free = free_parameters("cube", "cube")
     assert [p.name for p in free] == ["theta", "u", "v"]
     assert [(p.lower, p.upper) for p in free] == [(0, math.pi / 2), (0, 1), (0, 1)]
-    on_plane = contacts[kind].free_parameters(shapes["plane"], shapes["box"], "+z", "-z")
+    on_plane = free_parameters("plane", "box")
     assert [p.name for p in on_plane] == ["theta", "x", "y"] and on_plane[0].period == pytest.approx(math.pi)
-    disc = contacts[kind].free_parameters(shapes["box"], shapes["cylinder"], "+z", "-z")
+    disc = free_parameters("box", "cylinder")
     assert [p.name for p in disc] == ["u", "v"]
 
 

@@ -181,12 +181,8 @@ def periods_of(graph, addresses):
     found = []
     for address in addresses:
         name, _, rest = address.partition(".")
-        vertex, key = graph.vertex(name), rest.removeprefix("contact.")
-        parameters = ()
-        if key != rest and not key.startswith("q"):
-            contact = vertex.contact
-            on, faces = graph.body(vertex.parent).shape, (contact.parent_face, contact.child_face)
-            parameters = contacts[contact.type].parameters(on, vertex.body.shape, *faces)
+        key = rest.removeprefix("contact.")
+        parameters = graph.contact_parameters(name) if key != rest and not key.startswith("q") else ()
         found.append(next((p.period for p in parameters if p.name == key), None))
     return tuple(found)
 

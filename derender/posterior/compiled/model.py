@@ -29,7 +29,6 @@ from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
 from derender.posterior.kernels.relocate import mixture_of
 from derender.posterior.space import Space
-from derender.registry import Parameter
 from derender.scene.contacts import contacts
 from derender.scene.contacts.compiled import FEATURE_CODES, FRAME, SLOTS, invert, relative_pose
 from derender.scene.graph import SceneGraph, Vertex
@@ -112,17 +111,11 @@ def numbers_of(graph: SceneGraph) -> np.ndarray:
     """Return (N + 1, 13) the numbers of a graph's contacts and shapes as Chain.numbers has them, extents and root 0."""
     numbers = np.zeros((len(graph.vertices) + 1, SHAPES + 3))
     for n, vertex in enumerate(graph.vertices):
-        phi = [vertex.contact.values.get(p.name, p.default or 0.0) for p in contact_parameters(graph, vertex)]
+        phi = [vertex.contact.values.get(p.name, p.default or 0.0) for p in graph.contact_parameters(vertex.name)]
         psi = np.nan_to_num(vertex.psi[:MOST_NUMBERS])  # an unknown one may be missing from the template
         numbers[n, : len(phi)] = phi
         numbers[n, SHAPES : SHAPES + len(psi)] = psi
     return numbers
-
-
-def contact_parameters(graph: SceneGraph, vertex: Vertex) -> tuple[Parameter, ...]:
-    """Return the parameters of a vertex's contact in their compiled order."""
-    contact, parent = vertex.contact, graph.body(vertex.parent).shape
-    return contacts[contact.type].parameters(parent, shapes[vertex.shape], contact.parent_face, contact.child_face)
 
 
 def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Address) -> tuple[np.ndarray, np.ndarray]:
@@ -207,7 +200,7 @@ def place_of(target: Any, names: dict[str, int], address: str) -> tuple[int, int
         return ROOT, 0, ROOT_SLOTS[root_code(target)].index(rest)
     vertex = target.template.vertex(name)
     if rest.startswith("contact."):
-        slots = [parameter.name for parameter in contact_parameters(target.template, vertex)]
+        slots = [parameter.name for parameter in target.template.contact_parameters(name)]
         return CONTACT, names[name], slots.index(rest.removeprefix("contact."))
     shape = shapes[vertex.shape]
     slot = [parameter.name for parameter in shape.parameters].index(rest)

@@ -14,7 +14,15 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.registry import Parameter
-from derender.render.likelihoods.pixelwise import BACKGROUND, BLUR, SIGMA, Likelihood, blurred_depth, likelihoods
+from derender.render.likelihoods.pixelwise import (
+    BACKGROUND,
+    BLUR,
+    SIGMA,
+    Likelihood,
+    Numbers,
+    blurred_depth,
+    likelihoods,
+)
 
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
@@ -120,9 +128,7 @@ class Correlated(Likelihood):
         goes_on = values["clump"] + (values["shared"] - values["clump"]) * shows / np.maximum(count, 1.0)
         return seen, value, model, spread, anew, np.where(count > 0, goes_on, 0.0)
 
-    def per_pixel(
-        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         seen, _, _, _, anew, goes_on = self.parts(observed, depth, values)
         density = (1.0 - goes_on) * anew + goes_on * self.beside(observed, values)
@@ -143,9 +149,7 @@ class Correlated(Likelihood):
         below = (1.0 - goes_on) * below + goes_on * self.going_on(observed, values, depth.shape)[1]
         return np.where(seen, ndtri(np.clip(below, 1e-15, 1.0 - 1e-15)), np.nan)
 
-    def sample(
-        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         model, shape = blurred_depth(depth, values), depth.shape
         spread = values["sigma"] + values["sigma_growth"] * model**2

@@ -11,6 +11,8 @@ from derender.render.blur import blur
 
 likelihoods: Registry["Likelihood"] = Registry("likelihood", "derender.likelihoods")
 
+Numbers = Mapping[str, float] | None  # of a likelihood, by name
+
 SIGMA = Parameter("sigma", "m", 1e-6, 10.0, 0.005)
 BLUR = Parameter("blur", "", 0.0, 5.0, 0.0)
 BACKGROUND = Parameter("background", "m", 0.01, 1000.0, 10.0)
@@ -36,7 +38,7 @@ class Likelihood:
     code: int
     of_image: tuple[str, ...] = ()
 
-    def complete(self, values: Mapping[str, float] | None) -> dict[str, float]:
+    def complete(self, values: Numbers) -> dict[str, float]:
         """Return a number for every parameter.
 
         Raises DerenderError : an unknown name, or a number out of range.
@@ -70,19 +72,15 @@ class Likelihood:
         """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""
         return None
 
-    def per_pixel(
-        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         """Return the log density of each pixel, (H, W) float64; 0 where it says nothing: the readable reference."""
         raise NotImplementedError
 
-    def sample(
-        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         """Draw an observed image: (H, W) float64, NaN where nothing returns."""
         raise NotImplementedError
 
-    def log_density(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None) -> float:
+    def log_density(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> float:
         """Return the log density of an observed image."""
         return math.fsum(self.per_pixel(observed, depth, values).ravel())
 
@@ -112,9 +110,7 @@ class Gaussian(Likelihood):
     def row(self, values: Mapping[str, float]) -> np.ndarray:
         return np.array([values["sigma"], values["background"], 0.0])
 
-    def per_pixel(
-        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         seen = has_return(observed)
         spread = values["sigma"]
@@ -122,9 +118,7 @@ class Gaussian(Likelihood):
         density = -0.5 * (residual / spread) ** 2 - math.log(spread) - 0.5 * math.log(2.0 * math.pi)
         return np.where(seen, density, 0.0)
 
-    def sample(
-        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         return blurred_depth(depth, values) + rng.normal(scale=values["sigma"], size=depth.shape)
 
@@ -180,9 +174,7 @@ class Robust(Likelihood):
         edge = np.maximum(along, down) > values["edge_step"]
         return np.where(edge, values["missing_edge"], values["missing"])
 
-    def per_pixel(
-        self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
         seen, model, missing = value > 0.0, blurred_depth(depth, values), self.missing_rate(depth, values)
@@ -194,9 +186,7 @@ class Robust(Likelihood):
         returned = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
         return np.where(seen, np.log((1.0 - missing) * returned), np.log(missing))
 
-    def sample(
-        self, rng: np.random.Generator, depth: np.ndarray, values: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
         model, missing = blurred_depth(depth, values), self.missing_rate(depth, values)
         spread = values["sigma"] + values["sigma_growth"] * model**2

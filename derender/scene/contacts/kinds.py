@@ -24,8 +24,6 @@ contacts: Registry["ContactType"] = Registry("contact", "derender.contacts")
 
 # Turns a frame by pi about x: the child's outward normal meets the parent's head on.
 FLIP = from_axes((1, 0, 0), (0, -1, 0), (0, 0, -1))
-
-
 offset_from_uv, uv_from_offset = interpreted(polygon.offset_from_uv), interpreted(polygon.uv_from_offset)
 rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.chart_of)
 
@@ -82,12 +80,6 @@ class ContactType:
     ) -> Inverse:
         """Return the contact of these two features that is nearest to the (4, 4) pose of child in parent."""
         raise NotImplementedError
-
-    def free_parameters(
-        self, parent: Shape, child: Shape, parent_face: str | None, child_face: str | None
-    ) -> tuple[Parameter, ...]:
-        """Return the parameters that are degrees of freedom of the ideal contact."""
-        return tuple(p for p in self.parameters(parent, child, parent_face, child_face) if not p.slack)
 
     def default_choice(self, parent: Shape, child: Shape, where: object = None) -> tuple[str | None, str | None]:
         """Return the pair of features meant where a file names none: on top of the parent, bottom of the child."""
@@ -195,13 +187,10 @@ class SurfaceContact(ContactType):
         x, y, height = (float(part) for part in meeting[:3, 3])
         outside = 0.0
         if on.outline.bounded and by.outline.bounded:
-            u, v, outside = uv_from_offset(x, y, theta, *sides(on.outline, by.outline))
-            offsets = (u, v)
-        else:
-            offsets = (x, y)
+            x, y, outside = uv_from_offset(x, y, theta, *sides(on.outline, by.outline))
         parameters = self.parameters(parent.shape, child.shape, parent_face, child_face)
         phi, slack = {}, {}
-        for parameter, value in zip(parameters, (theta, *offsets, height - by.lift, first, second), strict=True):
+        for parameter, value in zip(parameters, (theta, x, y, height - by.lift, first, second), strict=True):
             (slack if parameter.slack else phi)[parameter.name] = value
         return Inverse(phi, slack, outside, angle if angle > 1e-12 else 0.0)
 
@@ -224,43 +213,19 @@ class SixDof(ContactType):
     def choices(self, parent: Any, child: Any) -> list[tuple[str | None, str | None]]:
         return [(None, None)] if "frame" in (parent.name, child.name) else []
 
-    def parameters(
-        self, parent: Any = None, child: Any = None, parent_face: str | None = None, child_face: str | None = None
-    ) -> tuple[Parameter, ...]:
+    def parameters(self, *pair: Any, **features: Any) -> tuple[Parameter, ...]:
         return POSITION + ROTATION
 
-    def relative_pose(
-        self,
-        values: Mapping[str, float],
-        parent: Any = None,
-        child: Any = None,
-        parent_face: str | None = None,
-        child_face: str | None = None,
-    ) -> np.ndarray:
+    def relative_pose(self, values: Mapping[str, float], *pair: Any, **features: Any) -> np.ndarray:
         position = [values.get(p.name, p.default) for p in POSITION]
         return from_quaternion([values.get(p.name, p.default) for p in ROTATION], position)
 
-    def invert(
-        self,
-        relative: np.ndarray,
-        parent: Any = None,
-        child: Any = None,
-        parent_face: str | None = None,
-        child_face: str | None = None,
-    ) -> Inverse:
+    def invert(self, relative: np.ndarray, *pair: Any, **features: Any) -> Inverse:
         numbers = np.concatenate([relative[:3, 3], quaternion(relative)])
         return Inverse({p.name: float(n) for p, n in zip(POSITION + ROTATION, numbers, strict=True)}, {}, 0.0, 0.0)
 
-    def check(
-        self,
-        values: Any,
-        parent: Any,
-        child: Any,
-        parent_face: str | None = None,
-        child_face: str | None = None,
-        where: Any = None,
-    ) -> None:
-        super().check(values, parent, child, parent_face, child_face, where)
+    def check(self, values: Any, parent: Any, child: Any, on: Any = None, by: Any = None, where: Any = None) -> None:
+        super().check(values, parent, child, on, by, where)
         if not math.hypot(*(values.get(p.name, p.default) for p in ROTATION)) > 0.0:
             raise DerenderError("the quaternion of the 6dof contact is zero", where, "give it a length above zero")
 

@@ -109,10 +109,6 @@ class UniformInteger(Distribution):
     def support(self) -> tuple[float, float]:
         return self.parameters[0], self.parameters[1]
 
-    def cdf(self, x: float) -> float:
-        lower, upper = self.parameters
-        return min(max((math.floor(x) - lower + 1.0) / (upper - lower + 1.0), 0.0), 1.0)
-
     def mean(self) -> float:
         return 0.5 * (self.parameters[0] + self.parameters[1])
 
@@ -138,11 +134,6 @@ class Poisson(Distribution):
     def fault(self) -> str | None:
         return None if 0 < self.parameters[0] <= 1e4 else f"mean {self.parameters[0]:g} is not in (0, 1e4]"
 
-    def cdf(self, x: float) -> float:
-        from scipy.special import pdtr
-
-        return float(pdtr(math.floor(x), self.parameters[0])) if x >= 0 else 0.0
-
     def mean(self) -> float:
         return self.parameters[0]
 
@@ -167,9 +158,6 @@ class Geometric(Distribution):
 
     def fault(self) -> str | None:
         return None if 0 < self.parameters[0] < 1 else f"more {self.parameters[0]:g} is not between 0 and 1"
-
-    def cdf(self, x: float) -> float:
-        return 1.0 - self.parameters[0] ** (math.floor(x) + 1.0) if x >= 0 else 0.0
 
     def mean(self) -> float:
         return self.parameters[0] / (1.0 - self.parameters[0])

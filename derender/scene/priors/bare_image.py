@@ -245,15 +245,16 @@ class BareImagePrior(GrammarPrior):
     loose: Loose = field(default_factory=Loose)
 
 
-EXISTENCE = {
-    "even": None,
-    "steep": None,
-    "most": 1.0,
-    "error": 1.0,
-    "error_at_even": 1.0,
-    "outstanding": 1.0,
-}  # and their greatest values
 MOST_SHARED = 0.99  # correlation of neighbours: at 1 no number of pixels would tell anything
+# Of each group of numbers what it is read into, and (unit, least, most) by name; "" is that of all others.
+GROUPS: dict[str, tuple[Any, dict]] = {
+    "missed": (Missed, {"pixels": ("", 1e-9), "": ("", 1e-9, 1.0)}),
+    "shared": (Shared, {"least": ("", 0.0, 1.0), "most": ("", 0.0, MOST_SHARED), "columns": ("", 1.0), "": ("", 0.0)}),
+    "existence": (Existence, {"even": ("", 1e-9), "steep": ("", 1e-9), "": ("", 1e-9, 1.0)}),
+    "things": (Things, {"patch": ("m", 1e-6), "wide": ("m", 1e-6), "whole": ("", 0.0, 1.0), "": ("", 0.0)}),
+    "floor": (Floors, {"height": ("m", 1e-9), "spread": ("", 1.0 + 1e-9), "share": ("", 1e-9),
+                       "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
+}  # fmt: skip
 NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
 
 
@@ -275,13 +276,12 @@ def read_loose(section: Section) -> Loose:
         if low >= high:
             raise section["seen_from"].fault("the nearest is not nearer than the farthest", "write [0.4, 1.5]")
         found["seen_from"] = low, high
-    if "missed" in section:
-        names = [each.name for each in fields(Missed)]
-        told = section["missed"].section().allow(*names)
-        found["missed"] = Missed(**{
-            name: told[name].number(lower=1e-9, upper=None if name == "pixels" else 1.0)
-            for name in names if name in told
-        })  # fmt: skip
+    for key, (kind, limits) in GROUPS.items():
+        if key in section:
+            names = [each.name for each in fields(kind)]
+            told = section[key].section().allow(*names)
+            given = {name: limits.get(name, limits[""]) for name in names if name in told}
+            found[key] = kind(**{name: told[name].number(*where) for name, where in given.items()})
     if "crowding" in section:
         found["crowding"] = section["crowding"].number(lower=1e-9)
     if "stranger" in section:
@@ -293,36 +293,9 @@ def read_loose(section: Section) -> Loose:
         if "within" in second:
             found["within"] = second["within"].number("m", lower=1e-6)
     if "shared" in section:
-        names = [each.name for each in fields(Shared)]
-        told = section["shared"].section().allow(*names)
-        greatest = {"least": 1.0, "most": MOST_SHARED}
-        found["shared"] = Shared(**{
-            name: told[name].number(lower=0.0 if name != "columns" else 1.0, upper=greatest.get(name))
-            for name in names if name in told
-        })  # fmt: skip
         if found["shared"].least >= found["shared"].most:
             remedy = "write {least: 0.1, most: 0.75}; with {power: 0} each pixel tells all"
-            raise told.fault("the least correlation is not below the most", remedy)
-    if "existence" in section:
-        told, least = section["existence"].section().allow(*EXISTENCE), 1e-9
-        numbers = {key: told[key].number(lower=least, upper=EXISTENCE[key]) for key in EXISTENCE if key in told}
-        found["existence"] = Existence(**numbers)
-    if "things" in section:
-        told = section["things"].section().allow(*(each.name for each in fields(Things)))
-        lengths = {"patch": 1e-6, "wide": 1e-6}
-        found["things"] = Things(**{
-            each.name: told[each.name].number("m" if each.name in lengths else "", lower=lengths.get(each.name, 0.0),
-                                              upper=1.0 if each.name == "whole" else None)
-            for each in fields(Things) if each.name in told
-        })  # fmt: skip
-    if "floor" in section:
-        names = [each.name for each in fields(Floors)]
-        told = section["floor"].section().allow(*names)
-        found["floor"] = Floors(**{
-            name: told[name].number("m" if name == "height" else "", lower=1.0 + 1e-9 if name == "spread" else 1e-9,
-                                    upper=None if name in ("height", "spread", "share", "explained") else 1.0)
-            for name in names if name in told
-        })  # fmt: skip
+            raise section["shared"].fault("the least correlation is not below the most", remedy)
     if "cartons" in section:
         told = section["cartons"].section().allow("probability", "most", "extent", "gap")
         carton: dict = {}

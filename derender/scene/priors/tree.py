@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -30,23 +30,35 @@ from derender.scene.priors.objects import (
 )
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
 
+PLACE = ("root.x", "root.y", "root.z")
+ROTATED = f"root.{QUATERNION}"
 
-class RootPrior(Protocol):
-    """Prior on the root's pose (4, 4), root to camera."""
 
-    def sample(self, rng: np.random.Generator) -> np.ndarray: ...
+class RootPrior:
+    """Prior on the root's pose (4, 4), root to camera: of coordinates, each a number or a distribution, by address."""
 
-    def log_density(self, pose: np.ndarray) -> float: ...
-
-    def free_addresses(self) -> dict[str, Distribution]: ...
-
-    def values(self, pose: np.ndarray) -> dict[str, Any]:
-        """Return the coordinates of a pose by address, free and fixed ones."""
-        ...
+    parts: Mapping[str, Any] = {}
 
     def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         """Return the pose of coordinates by address; those not given are the fixed ones."""
-        ...
+        raise NotImplementedError
+
+    def values(self, pose: np.ndarray) -> dict[str, Any]:
+        """Return the coordinates of a pose by address, free and fixed ones."""
+        return {}
+
+    def log_density(self, pose: np.ndarray) -> float:
+        """Return the log density of a pose."""
+        raise NotImplementedError
+
+    def sample(self, rng: np.random.Generator | None) -> np.ndarray:
+        """Return a pose drawn."""
+        drawn = {key: part if isinstance(part, tuple) else draw(part, rng) for key, part in self.parts.items()}
+        return written(self.pose(drawn))
+
+    def free_addresses(self) -> dict[str, Distribution]:
+        """Return the distributions among the coordinates, by address."""
+        return {key: part for key, part in self.parts.items() if isinstance(part, Distribution)}
 
 
 def written(pose: np.ndarray) -> np.ndarray:
@@ -59,29 +71,23 @@ def written(pose: np.ndarray) -> np.ndarray:
     return pose
 
 
-class FixedRoot:
+class FixedRoot(RootPrior):
     """One pose, (4, 4)."""
 
     def __init__(self, pose: np.ndarray) -> None:
         self._pose = np.array(pose, dtype=float)
 
-    def sample(self, rng: np.random.Generator) -> np.ndarray:
+    def sample(self, rng: np.random.Generator | None) -> np.ndarray:
         return self._pose.copy()
 
     def log_density(self, pose: np.ndarray) -> float:
         return 0.0 if np.abs(pose - self._pose).max() <= SAME else -math.inf
 
-    def free_addresses(self) -> dict[str, Distribution]:
-        return {}
-
-    def values(self, pose: np.ndarray) -> dict[str, Any]:
-        return {}
-
     def pose(self, values: Mapping[str, Any]) -> np.ndarray:
         return self._pose.copy()
 
 
-class FreeRoot:
+class FreeRoot(RootPrior):
     """Position x, y, z (metres, numbers or distributions) and a rotation (a quaternion, or uniform over all).
 
     position : three values.
@@ -91,11 +97,7 @@ class FreeRoot:
     def __init__(self, position: tuple[Value, Value, Value], rotation: tuple[float, ...] | Distribution) -> None:
         self._position = position
         self._rotation = rotation
-
-    def sample(self, rng: np.random.Generator) -> np.ndarray:
-        position = [draw(value, rng) for value in self._position]
-        rotation = self._rotation if isinstance(self._rotation, tuple) else self._rotation.sample(rng)
-        return written(from_quaternion(rotation, position))
+        self.parts = {**dict(zip(PLACE, position, strict=True)), ROTATED: rotation}
 
     def log_density(self, pose: np.ndarray) -> float:
         total = sum(log_density(value, x) for value, x in zip(self._position, pose[:3, 3].tolist(), strict=True))
@@ -104,23 +106,15 @@ class FreeRoot:
                 return -math.inf
         return total
 
-    def free_addresses(self) -> dict[str, Distribution]:
-        free = {f"root.{k}": v for k, v in zip("xyz", self._position, strict=True) if isinstance(v, Distribution)}
-        if isinstance(self._rotation, Distribution):
-            free[f"root.{QUATERNION}"] = self._rotation
-        return free
-
-    def values(self, pose):
-        values = {f"root.{k}": float(x) for k, x in zip("xyz", pose[:3, 3], strict=True)}
-        values[f"root.{QUATERNION}"] = tuple(quaternion(pose).tolist())
-        return values
+    def values(self, pose: np.ndarray) -> dict[str, Any]:
+        return {**dict(zip(PLACE, pose[:3, 3].tolist(), strict=True)), ROTATED: tuple(quaternion(pose).tolist())}
 
     def pose(self, values: Mapping[str, Any]) -> np.ndarray:
-        position = [values.get(f"root.{k}", v) for k, v in zip("xyz", self._position, strict=True)]
-        return from_quaternion(values.get(f"root.{QUATERNION}", self._rotation), position)
+        coordinates = {**self.parts, **values}
+        return from_quaternion(coordinates[ROTATED], [coordinates[key] for key in PLACE])
 
 
-class LookedAtRoot:
+class LookedAtRoot(RootPrior):
     """The camera looks at the root's origin from a distance, `elevation` above the root's horizontal plane.
 
     With z_root up, camera to root is pose = Rz(roll) T(0, 0, distance) Rx(pi/2 + elevation) Rz(azimuth): at azimuth 0
@@ -132,39 +126,27 @@ class LookedAtRoot:
     KEYS = ("distance", "elevation", "azimuth", "roll")
 
     def __init__(self, distance: Value, elevation: Value, azimuth: Value = 0.0, roll: Value = 0.0) -> None:
-        self._parts: tuple[Value, ...] = (distance, elevation, azimuth, roll)
-
-    def sample(self, rng: np.random.Generator | None) -> np.ndarray:
-        parts = {f"root.{key}": draw(value, rng) for key, value in zip(self.KEYS, self._parts, strict=True)}
-        return written(self.pose(parts))
+        values = (distance, elevation, azimuth, roll)
+        self.parts = {f"root.{key}": value for key, value in zip(self.KEYS, values, strict=True)}
 
     def log_density(self, pose: np.ndarray) -> float:
         if abs(pose[0, 3]) > SAME or abs(pose[1, 3]) > SAME or pose[2, 3] <= 0:
             return -math.inf
-        coordinates = self._coordinates(pose)
-        total = 0.0
-        for value, x, key in zip(self._parts, coordinates, self.KEYS, strict=True):
-            total += log_density(value, x if key in ("distance", "elevation") else _turned(x, value))
-        return total
+        values = self.values(pose)
+        return sum((log_density(part, values[key]) for key, part in self.parts.items()), 0.0)
 
-    def _coordinates(self, pose: np.ndarray) -> tuple[float, float, float, float]:
+    def values(self, pose: np.ndarray) -> dict[str, Any]:
         """Return distance, elevation in [-pi/2, pi/2], azimuth and roll: a z-x-z Euler triple of the rotation."""
         elevation = math.asin(min(max(-pose[2, 2], -1.0), 1.0))
         roll = math.atan2(pose[0, 2], -pose[1, 2])
         azimuth = math.atan2(pose[2, 0], pose[2, 1])
-        return pose[2, 3], elevation, azimuth, roll
-
-    def free_addresses(self) -> dict[str, Distribution]:
-        pairs = zip(self.KEYS, self._parts, strict=True)
-        return {f"root.{key}": value for key, value in pairs if isinstance(value, Distribution)}
-
-    def values(self, pose: np.ndarray) -> dict[str, Any]:
-        pairs = zip(self.KEYS, self._coordinates(pose), self._parts, strict=True)
-        return {f"root.{k}": x if k in ("distance", "elevation") else _turned(x, v) for k, x, v in pairs}
+        distance, tilt, around, about = self.parts
+        return {distance: pose[2, 3], tilt: elevation, around: _turned(azimuth, self.parts[around]),
+                about: _turned(roll, self.parts[about])}  # fmt: skip
 
     def pose(self, values: Mapping[str, Any]) -> np.ndarray:
-        pairs = zip(self.KEYS, self._parts, strict=True)
-        distance, elevation, azimuth, roll = (values.get(f"root.{key}", value) for key, value in pairs)
+        coordinates = {**self.parts, **values}
+        distance, elevation, azimuth, roll = (coordinates[key] for key in self.parts)
         return (
             rotation_z(roll) @ translation(0, 0, distance) @ rotation_x(math.pi / 2 + elevation) @ rotation_z(azimuth)
         )

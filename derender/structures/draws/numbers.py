@@ -111,9 +111,7 @@ def numbers_of_draws(chart, draws, graph, names):
         contact = vertex.contact
         for parameter, (axis, share) in zip(shapes[vertex.shape].parameters, EXTENTS[vertex.shape], strict=True):
             found[f"{name}.{parameter.name}"] = share * sizes[:, k, axis]
-        on = graph.body(vertex.parent).shape
-        slots = contacts[contact.type].parameters(on, shapes[vertex.shape], contact.parent_face, contact.child_face)
-        for slot, parameter in enumerate(slots):
+        for slot, parameter in enumerate(graph.contact_parameters(name)):
             if parameter.name in contact.values and not (parameter.name == "theta" and turns_freely(vertex)):
                 address = f"{name}.contact.{parameter.name}"
                 found[address] = phi[:, k, slot]
