@@ -16,9 +16,8 @@ from derender.detection.pyramid import reduced_by
 from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.observation import CORRELATED, Observation, Support, observe, patches_of
-from derender.detection.search.proposals import all_hypotheses
+from derender.detection.search.proposals import all_hypotheses, make_surface
 from derender.detection.search.searches import Interrupted, first_search, search
-from derender.detection.search.surface import make_surface
 from derender.detection.solids.state import State, held_out
 from derender.detection.solids.support import final_parents
 from derender.detection.things import BAD, likely_things, take_things, without_background

@@ -20,7 +20,7 @@ from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
-from derender.detection.search.surface import Hypothesis
+from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.image import FAR, Image
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import UPRIGHT

@@ -21,8 +21,7 @@ from derender.posterior.compiled.evaluate import place as place_vertex
 from derender.posterior.compiled.layout import NEXT, SHAPES, SIZES, SOLID
 from derender.posterior.compiled.model import NotCompiled, numbers_of, vertices_of
 from derender.registry import suggest
-from derender.render.raycast.normal_equations import Misfit, cost, normal_equations
-from derender.render.raycast.sensitivity import MOTION
+from derender.render.raycast.normal_equations import MOTION, Misfit, cost, normal_equations
 from derender.scene.graph import SceneGraph
 from derender.scene.shapes import shapes
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.posterior.ascent import Ascent, Cost, fixed_steps, levenberg, new_placement
+from derender.posterior.ascent import Cost, fixed_steps, levenberg, new_placement
 from derender.posterior.compiled.backend import backend_of
 from derender.posterior.kernels.base import first_tuning, mixture, rescale
 from derender.registry import suggest
@@ -25,8 +25,7 @@ from derender.scene.solids import MESH
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
 
-METHODS = ("gauss-newton", "gradient")
-GRADIENTS = ("exact", "finite-difference")
+METHODS = ("gauss-newton", "gradient", "finite-difference")  # the last: the second, by a derivative that is not exact
 COARSE_ROWS = 16  # of the image that a start is looked for in
 LATTICE, GENERATORS = 24, (1, 5, 11, 7)  # points of the scan, and their rank-1 lattice in up to four parameters
 KEPT = 2  # places of the scan that are descended from
@@ -131,7 +130,6 @@ class MapProblem:
         self,
         starts: np.ndarray | None = None,
         method: str = "gauss-newton",
-        gradient: str = "exact",
         iterations: int = 12,
         step: float = 0.05,
         tolerance: float = 0.5,
@@ -139,27 +137,24 @@ class MapProblem:
     ) -> list[Maximum]:
         """Ascend from each start (S, P), by default from the graph's own values, and return the ends in that order.
 
-        method : one of METHODS. gradient : one of GRADIENTS; differences go with `method="gradient"` alone.
+        method : one of METHODS.
         iterations : most steps at full resolution. step : alpha of the fixed steps. tolerance : nats.
         explore : look for the right basin on the coarse image first (gauss-newton).
         """
-        for what, value, known in (("method", method, METHODS), ("gradient", gradient, GRADIENTS)):
-            if value not in known:
-                raise DerenderError(f"no {what} is called {value!r}", remedy=suggest(value, known))
-        starts = self.values[None] if starts is None else np.atleast_2d(np.asarray(starts, float))
-        difference = DIFFERENCE if gradient == "finite-difference" else 0.0
-        if method == "gradient" or difference:
-            return [self._fixed(start, iterations, step, difference) for start in starts]
-        return [self._newton(start, iterations, tolerance, explore) for start in starts]
-
-    def _newton(self, start: np.ndarray, iterations: int, tolerance: float, explore: bool) -> Maximum:
-        values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
-        return self._maximum(levenberg(self._fine, values, self.domain, iterations, tolerance), before)
-
-    def _maximum(self, ascent: Ascent, before: int = 0) -> Maximum:
-        """Return where an ascent ended. before : steps taken before its own."""
-        path, densities = ascent.path, self._constant - ascent.costs
-        return Maximum(path[-1], float(densities[-1]), path, densities, before + len(path) - 1)
+        if method not in METHODS:
+            raise DerenderError(f"no method is called {method!r}", remedy=suggest(method, METHODS))
+        ends = []
+        for start in self.values[None] if starts is None else np.atleast_2d(np.asarray(starts, float)):
+            before = 0  # steps on the coarse image
+            if method == "gauss-newton":
+                values, before = self._explore(start) if explore else (np.array(start, np.float64), 0)
+                ascent = levenberg(self._fine, values, self.domain, iterations, tolerance)
+            else:
+                difference = DIFFERENCE if method == "finite-difference" else 0.0
+                ascent = fixed_steps(self._fine, start, self.domain, iterations, step, difference)
+            path, densities = ascent.path, self._constant - ascent.costs
+            ends.append(Maximum(path[-1], float(densities[-1]), path, densities, before + len(path) - 1))
+        return ends
 
     def _explore(self, start: np.ndarray) -> tuple[np.ndarray, int]:
         """Return the best end, and its steps, of descents on the coarse image from a lattice's best places.
@@ -178,9 +173,6 @@ class MapProblem:
         ends = [levenberg(self._coarse, places[number], self.domain, steps, COARSE_GAIN) for number in order]
         best = min(ends, key=lambda end: end.costs[-1])
         return best.path[-1], len(best.path) - 1
-
-    def _fixed(self, start: np.ndarray, iterations: int, length: float, difference: float) -> Maximum:
-        return self._maximum(fixed_steps(self._fine, start, self.domain, iterations, length, difference))
 
 
 def _blocks(depth: np.ndarray, sigma: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
@@ -227,11 +219,7 @@ def climb(
         found = problem.maximise(starts[:1], explore=False) + problem.maximise(starts)
         ends = [maximum.values for maximum in found]
     else:
-        ends = [
-            state
-            for maximum in problem.maximise(starts[:1], "gradient", gradient, step=0.005)
-            for state in maximum.path
-        ]
+        ends = [state for maximum in problem.maximise(starts[:1], gradient, step=0.005) for state in maximum.path]
     for end in ends:
         trial = best.copy()
         trial[chosen] = end

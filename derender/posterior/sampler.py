@@ -5,12 +5,11 @@ import json
 import math
 from collections.abc import Mapping
 from copy import copy
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.posterior.compiled.backend import backend_of
-from derender.posterior.compiled.layout import Stretch
+from derender.posterior.compiled.backend import Backend, backend_of
 from derender.posterior.kernels.base import Part, Tuning, first_tuning, rescale
 from derender.posterior.smc import ALONE, LOCAL, pilot_runs, shaped, systematic
 from derender.posterior.space import Space
@@ -75,24 +74,6 @@ def read_settings(section: Any) -> Settings:
     return settings
 
 
-class Backend(Protocol):
-    """Runs a mixture. A new one, or a twin, for each stretch: nothing of it outlives the values that it returns."""
-
-    def twin(self) -> "Backend":
-        """Return another one in which nothing has happened yet."""
-
-    def evaluate(self, values: np.ndarray) -> tuple[float, float]:
-        """Return log prior and log likelihood."""
-
-    def program(self, tuning: Tuning) -> Any:
-        """Return what a sweep needs of a tuning. Made once in one thread, its fits are there for all."""
-
-    def sweep(
-        self, rng: np.random.Generator, values: np.ndarray, tuning: Tuning, draws: int, thin: int, taken: int = 0
-    ) -> Stretch:
-        """Take draws * thin steps from `values`, `taken` steps having been taken before; keep every `thin`-th."""
-
-
 class MixtureSampler:
     """A mixture or cycle of kernels on a target, for `chains.run_chain`.
 
@@ -125,7 +106,7 @@ class MixtureSampler:
         return backend_of(self.target, self.parts, self.cycle)
 
     def backend(self) -> Backend:
-        """Return what runs the mixture, for one thread and one stretch."""
+        """Return what runs the mixture, for one thread and one stretch: it outlives none of the values returned."""
         return self._first.twin()
 
     def __getstate__(self) -> dict[str, Any]:

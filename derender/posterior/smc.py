@@ -25,7 +25,7 @@ from derender.sampling.metropolis import log_threshold
 from derender.scene.priors.terms import MOST_TRIES
 
 if TYPE_CHECKING:
-    from derender.posterior.compiled.backend import CompiledBackend, InterpretedBackend
+    from derender.posterior.compiled.backend import Backend
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
@@ -52,7 +52,7 @@ class Population(NamedTuple):
 
 
 def from_prior(
-    rng: np.random.Generator, space: Space, backend: "CompiledBackend | InterpretedBackend", count: int
+    rng: np.random.Generator, space: Space, backend: "Backend", count: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return values (count, P) from the prior with its terms, their densities (count, 2), and the log of what the terms
     leave of the unknowns' own prior: draws of that one weighed by the terms and resampled, more where few count.
@@ -140,7 +140,7 @@ def anneal(
 def tempered(
     rng: np.random.Generator,
     space: Space,
-    backend: "CompiledBackend | InterpretedBackend",
+    backend: "Backend",
     parts: list[Part],
     particles: int,
     steps: int,
@@ -150,7 +150,7 @@ def tempered(
 ) -> Population:
     """Run the sampler.
 
-    backend : see `sampler.Backend`.
+    backend : see `backend_of`.
     parts : the mixture that moves the particles.
     particles : how many. steps : of the mixture for each particle and stage.
     drawn : how many draws from the prior the first stage weighs; at least `particles`, and as many if not given.

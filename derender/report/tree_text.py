@@ -8,9 +8,8 @@ from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.table import digits, probability_text
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.bare_image import BareImagePrior
-from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ROTATION, ContactPrior
 from derender.scene.priors.tree import TreePrior
 

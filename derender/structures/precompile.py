@@ -78,8 +78,8 @@ def steps_of_chains() -> None:
     from derender.compilation.cache import address_of
     from derender.document import read_prior_document
     from derender.posterior.compiled.contacts import stand_all
+    from derender.posterior.compiled.evaluate import sweep
     from derender.posterior.compiled.model import Calls, calls_of, chain_of, kernels_of, model_of, objects_below
-    from derender.posterior.compiled.steps import sweep
     from derender.posterior.kernels import mixture
     from derender.posterior.kernels.base import first_tuning
     from derender.posterior.target import default_parts

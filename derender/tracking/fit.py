@@ -14,8 +14,7 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.posterior.ascent import solve_positive
 from derender.render.raycast.canvas import FACE_BITS, NOTHING
-from derender.render.raycast.normal_equations import compare_rows, cost, normal_equations
-from derender.render.raycast.sensitivity import MOTION
+from derender.render.raycast.normal_equations import MOTION, compare_rows, cost, normal_equations
 
 RIGID = 6  # coordinates of a rigid motion
 SMALLEST = 0.003  # metres: no extent becomes less

@@ -224,7 +224,7 @@ def test_stamps_follow_imports():
     names = {name.replace(os.sep, "/") for name in files}
     assert {"render/raycast/lanes.py", "render/raycast/lane_code.py", "scene/solids.py", "posterior/kernels/base.py",
             "scene/distributions/continuous.py"} <= names  # fmt: skip
-    assert "posterior/compiled/steps.py" not in reached(PACKAGE / "render" / "raycast" / "engine.py")
+    assert "posterior/compiled/evaluate.py" not in reached(PACKAGE / "render" / "raycast" / "engine.py")
     assert source_stamp(PACKAGE / "scene" / "solids.py") != source_stamp(PACKAGE / "scene" / "pose.py")
 
 

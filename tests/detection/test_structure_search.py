@@ -12,8 +12,8 @@ from derender.detection.floors import find_floor
 from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings, Task, total_energy
 from derender.detection.search.observation import observe, patches_of
+from derender.detection.search.proposals import Hypothesis
 from derender.detection.search.searches import crossed, explain_otherwise, explain_rest, parts
-from derender.detection.search.surface import Hypothesis
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import added_misfit, misfit_map

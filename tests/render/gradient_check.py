@@ -6,7 +6,7 @@ from smooth_image import antialiased_depth, derivative_image
 from derender.camera.intrinsics import Camera
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.sensitivity import MOTION
+from derender.render.raycast.normal_equations import MOTION
 from derender.scene.pose import rotation_x, rotation_z, translation, twist_exp
 from derender.scene.solids import BOX, PLANE, SPHERE, Solids
 

@@ -7,8 +7,15 @@ import numpy as np
 from derender.render.blur import blur, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
-from derender.render.raycast.normal_equations import cost, new_misfit, normal_equations
-from derender.render.raycast.sensitivity import MOTION, new_records, record, spread
+from derender.render.raycast.normal_equations import (
+    MOTION,
+    cost,
+    new_misfit,
+    new_records,
+    normal_equations,
+    record,
+    spread,
+)
 from derender.scene.solids import Solids
 
 

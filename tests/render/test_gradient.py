@@ -22,8 +22,7 @@ from derender.render.blur import blur, blur_taps
 from derender.render.raycast.antialias import draw_antialiased
 from derender.render.raycast.canvas import new_canvas
 from derender.render.raycast.depth import render_depth
-from derender.render.raycast.normal_equations import blur_rectangle
-from derender.render.raycast.sensitivity import MOTION
+from derender.render.raycast.normal_equations import MOTION, blur_rectangle
 from derender.scene.solids import BOX, CYLINDER, SPHERE, Solids
 
 

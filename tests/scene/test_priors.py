@@ -17,8 +17,7 @@ from derender.scene.codec.yaml_tree import parse_yaml
 from derender.scene.distributions import Categorical, distributions
 from derender.scene.graph import Contact, SceneGraph, Vertex
 from derender.scene.pose import rotation_x, translation
-from derender.scene.priors.algorithm_1 import Algorithm1Prior
-from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ContactPrior, ContactRule, ShapePrior
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, TreeObject, TreePrior
 

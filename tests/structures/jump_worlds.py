@@ -4,6 +4,8 @@ import numpy as np
 
 from derender.document import document_from
 from derender.scene.codec.yaml_tree import parse_yaml
+from derender.structures.jumps.base import evaluate
+from derender.structures.jumps.chain import Draws, walk
 
 # Shapes of every kind, standing and lying, on a floor and on each other; sizes free, one known.
 GRAMMAR = """
@@ -116,3 +118,12 @@ def _parsed(text: str):
 def generator(*seed: int) -> np.random.Generator:
     """Return a generator for some seeds."""
     return np.random.default_rng(list(seed))
+
+
+def jump_chain(rng, target, words, start, draws, warmup, thin):
+    """Return the Draws of `draws` states, `thin` steps apart, after `warmup` steps."""
+    state, states = walk(rng, target, words, evaluate(target, start), warmup), []
+    for _ in range(draws):
+        state = walk(rng, target, words, state, thin)
+        states.append(state)
+    return Draws(states, {})

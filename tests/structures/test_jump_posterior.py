@@ -6,13 +6,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from jump_worlds import document_of, generator
+from jump_worlds import document_of, generator, jump_chain
 
 from derender.camera.intrinsics import Camera
 from derender.posterior.target import ObservedImage
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.structures.jumps.base import State, Target, Vocabulary
-from derender.structures.jumps.chain import Draws, called, jump_chain, posterior_of
+from derender.structures.jumps.chain import Draws, called, posterior_of
 from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal
 
 # At most two objects, cubes or balls, on the floor or on a cube; 16 x 12 pixels with noise that leaves doubt.

@@ -7,7 +7,7 @@ from derender.detection.estimate import point_estimate
 from derender.detection.search.greedy import Settings, Task, settle, total_energy
 from derender.detection.search.moves import MOVES, as_cube, as_high, lift, recut, shake, stand, stretch, tilt
 from derender.detection.search.places import find_places
-from derender.detection.search.surface import Hypothesis
+from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.graph import pose_of, scene_graph
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT

@@ -11,8 +11,15 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.local_planes import separation
-from derender.detection.search.proposals import fit_sphere, lying_circle, smallest_rectangle
-from derender.detection.search.surface import THINNEST, UP, Hypothesis, cross
+from derender.detection.search.proposals import (
+    THINNEST,
+    UP,
+    Hypothesis,
+    cross,
+    fit_sphere,
+    lying_circle,
+    smallest_rectangle,
+)
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.pose import rotation_z

@@ -10,7 +10,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
-from derender.detection.search.surface import Hypothesis
+from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest

@@ -12,7 +12,7 @@ import numpy as np
 from derender.detection.search.bodies import FEWEST, body_hypotheses
 from derender.detection.search.greedy import Changed, Task, complexity, cube_of, greedy
 from derender.detection.search.places import Places, guesses, pick
-from derender.detection.search.surface import THINNEST, Hypothesis
+from derender.detection.search.proposals import THINNEST, Hypothesis
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration, reach
 from derender.detection.solids.polish import FREE, GUESSED, MOVED, UPRIGHT, turn

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.search.bodies import find_bodies
-from derender.detection.search.surface import THINNEST, Hypothesis
+from derender.detection.search.proposals import THINNEST, Hypothesis
 from derender.detection.solids.image import ROW, Image
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import FREE, TYPICAL_SIZE, UPRIGHT

@@ -24,7 +24,7 @@ from derender.detection.search.moves import (
     stand,
 )
 from derender.detection.search.places import find_places
-from derender.detection.search.surface import Hypothesis
+from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map

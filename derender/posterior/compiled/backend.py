@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import Kernel, interpreted
-from derender.posterior.compiled import steps
-from derender.posterior.compiled.evaluate import load
+from derender.posterior.compiled.evaluate import load, sweep
 from derender.posterior.compiled.layout import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.compiled.model import (
     Calls,
@@ -29,7 +28,6 @@ from derender.posterior.compiled.model import (
     rescaled,
     taken_elsewhere,
 )
-from derender.posterior.compiled.steps import sweep
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
 from derender.posterior.kernels.relocate import mixture_of
 from derender.posterior.space import Block
@@ -67,7 +65,7 @@ class InterpretedBackend:
         )  # fmt: skip
         self._calls = [self._calls_of(part) for part in parts]
         own: dict[str, Callable] = {"call_for_number": self._call, "evaluate": _evaluate, "settle": _settle}
-        self._sweep = interpreted(steps.sweep, **(own | replaced))
+        self._sweep = interpreted(sweep, **(own | replaced))
         self._tuned: tuple[Tuning, Kernels] | None = None
 
     def twin(self) -> "InterpretedBackend":
@@ -82,7 +80,8 @@ class InterpretedBackend:
         """Return the mixture's arrays under a tuning."""
         if self._tuned is None or self._tuned[0] is not tuning:
             target: Any = self.target
-            placing = {k: part.block.objects for k, part in enumerate(self.parts) if _places(part)}
+            placing = {k: part.block.objects for k, part in enumerate(self.parts)
+                       if kernels[part.type].form == PLACING}  # fmt: skip
             seen = {name: target.placements(name, tuning.places) for names in placing.values() for name in names}
             places = {k: mixture_of(target, names, seen).flat() for k, names in placing.items()}
             self._tuned = tuning, kernels_of(self.target.space, self.parts, tuning, frozenset(), places, self._calls,
@@ -172,10 +171,6 @@ class InterpretedBackend:
         return log_ratio + found[1]
 
 
-def _places(part: Part) -> bool:
-    return kernels[part.type].form == PLACING
-
-
 def _evaluate(model: Model, chain: Chain, engine: _Engine) -> None:
     """Write log prior and log likelihood of the proposed values beside them."""
     proposed, target = chain.values[NEXT], engine.target
@@ -225,7 +220,8 @@ class CompiledBackend:
         self.target, self.parts, self.cycle = target, parts, cycle
         self.model = model_of(target)
         self.held, self._elsewhere = held(target), taken_elsewhere(target, parts)
-        self._first = target.graph(self._somewhere()).solids()  # the engine needs one scene to size its arrays
+        somewhere = target.space.sample(np.random.default_rng(0))
+        self._first = target.graph(somewhere).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
         self._blank = chain_of(target, self.model, cycle), evaluator
@@ -240,16 +236,14 @@ class CompiledBackend:
         self._loaded = np.empty(0)
         self._tuned: tuple[Tuning, Kernels] | None = None
         target = LoadedTarget(self)
-        self._interpreted = {k: InterpretedBackend(target, [self.parts[k]], pick=_only) for k in self._elsewhere}
+        only: Callable = lambda *_: 0  # noqa: E731 - which kernel takes the step has been drawn already
+        self._interpreted = {k: InterpretedBackend(target, [self.parts[k]], pick=only) for k in self._elsewhere}
 
     def twin(self) -> "CompiledBackend":
         """Return a backend for another thread or stretch; they share what follows from the model and from tunings."""
         other = copy(self)
         other._begin()
         return other
-
-    def _somewhere(self) -> np.ndarray:
-        return self.target.space.sample(np.random.default_rng(0))
 
     def load(self, values: np.ndarray) -> None:
         """Make (P,) values inside the prior's support the current ones."""
@@ -317,7 +311,10 @@ class CompiledBackend:
         return Stretch(kept[:, :size].copy(), kept[:, size:].copy(), counts)
 
 
-def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> CompiledBackend | InterpretedBackend:
+Backend = CompiledBackend | InterpretedBackend
+
+
+def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> Backend:
     """Return what runs a mixture: compiled, or interpreted where something of the target has no compiled form."""
     if isinstance(target, SceneTarget):
         try:
@@ -325,8 +322,3 @@ def backend_of(target: Any, parts: list[Part], cycle: bool = False) -> CompiledB
         except NotCompiled as reason:
             target.uncompiled = str(reason)
     return InterpretedBackend(target, parts, cycle)
-
-
-def _only(rng: np.random.Generator, table: Any, numbers: Any, flags: Any) -> int:
-    """Return the number of a mixture's only kernel: which one takes the step has been drawn already."""
-    return 0

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import address_of
-from derender.posterior.compiled import steps
 from derender.posterior.compiled.contacts import put_down, reattach, stand_all
-from derender.posterior.compiled.evaluate import FIXED_ROOT, FREE_ROOT, LOOKED_AT
+from derender.posterior.compiled.evaluate import ELSEWHERE, FIXED_ROOT, FREE_ROOT, LOOKED_AT
 from derender.posterior.compiled.layout import (
     CONTACT,
     HELD,
@@ -274,7 +273,7 @@ def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: froze
         else:
             told, factor = list(kind.members(space, part.block)), kind.factor(space, part, tuning)
         weight += part.weight
-        form = steps.ELSEWHERE if k in elsewhere else kind.form
+        form = ELSEWHERE if k in elsewhere else kind.form
         table.append((form, first, factor_first, call.vertex, call.propose, call.keep, call.place))
         numbers.append((weight, kind.scale(space, part, tuning)))
         members += told

@@ -1,6 +1,6 @@
 """Kernels, by name; each leaves the posterior invariant, and any mixture or cycle of them does so too."""
 
-from derender.posterior.kernels import numbers, relocate  # noqa: F401  (importing registers)
+from derender.posterior.kernels import relocate  # noqa: F401  (importing registers)
 from derender.posterior.kernels.base import KernelType, Part, Target, Tuning, kernels, mixture
 
 __all__ = ["KernelType", "Part", "Target", "Tuning", "kernels", "mixture"]

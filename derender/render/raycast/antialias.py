@@ -11,10 +11,18 @@ import math
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.render.raycast.canvas import FACE_BITS, NOTHING, QUADRIC, prepare, sort_solids
+from derender.render.raycast.canvas import (
+    FACE_BITS,
+    NOTHING,
+    QUADRIC,
+    curved_inverse_depth,
+    insert_solid,
+    prepare,
+    sort_solids,
+    whole_pixel,
+)
 from derender.render.raycast.convex import DISCRIMINANT, FACES, discriminant, inverse_depth
 from derender.render.raycast.integral import integrate
-from derender.render.raycast.pieces import curved_inverse_depth, insert_solid, whole_pixel
 from derender.scene.solids import BOX, PLANE
 
 

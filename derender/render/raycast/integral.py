@@ -10,10 +10,9 @@ the limb's own place.
 import math
 
 from derender.compilation.cache import njit
-from derender.render.raycast.canvas import FACE_BITS, FACE_MASK, NOTHING, QUADRIC
+from derender.render.raycast.canvas import FACE_BITS, FACE_MASK, NOTHING, QUADRIC, curved_inverse_depth, extent
 from derender.render.raycast.convex import DISCRIMINANT
 from derender.render.raycast.outline import LINES
-from derender.render.raycast.pieces import curved_inverse_depth, extent
 
 STEEP = 0.04  # share by which inverse depth may vary over a piece that its centroid stands for
 FAR = 2.0  # pixels from the limb from where on a curved face is taken as flat: its derivative's error is 1 % there

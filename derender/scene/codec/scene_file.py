@@ -20,9 +20,8 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical
 from derender.scene.graph import STANDARD_GRAVITY, is_name
 from derender.scene.pose import from_quaternion
-from derender.scene.priors.algorithm_1 import Algorithm1Prior
 from derender.scene.priors.bare_image import BareImagePrior, MayTip, read_loose
-from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ON, QUATERNION, TOP, ContactPrior, ContactRule, ShapePrior
 from derender.scene.priors.reading import (
     PHYSICAL,

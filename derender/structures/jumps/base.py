@@ -29,8 +29,7 @@ from derender.registry import Registry
 from derender.sampling.metropolis import Info, decide
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import ROOT, SceneGraph, Vertex
-from derender.scene.priors.algorithm_1 import Algorithm1Prior
-from derender.scene.priors.grammar import GrammarPrior
+from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ShapePrior
 from derender.scene.priors.tree import seat
 

@@ -52,32 +52,6 @@ def walk(
     return state
 
 
-def jump_chain(
-    rng: np.random.Generator,
-    target: Target,
-    words: Vocabulary,
-    start: SceneGraph,
-    draws: int,
-    warmup: int,
-    thin: int,
-    counts: Counter | None = None,
-) -> Draws:
-    """Return `draws` states, `thin` steps apart, after `warmup` steps; counts : see `walk`."""
-    state = walk(rng, target, words, evaluate(target, start), warmup)
-    counts = Counter() if counts is None else counts
-    states = []
-    for _ in range(draws):
-        state = walk(rng, target, words, state, thin, counts)
-        states.append(state)
-    return Draws(states, acceptance_of(counts))
-
-
-def acceptance_of(counts: Counter) -> dict[str, float]:
-    """Return the share of accepted steps by move."""
-    names = {name for name, _ in counts}
-    return {name: counts[name, True] / (counts[name, True] + counts[name, False]) for name in sorted(names)}
-
-
 @dataclass
 class JumpSampler:
     """Walks one chain, in the form that checkpoints, resuming and several processes ask for.
@@ -104,10 +78,6 @@ class JumpSampler:
     thin: int
     segment: int
 
-    def vocabulary(self) -> Vocabulary:
-        """Return the words that jumps are made of, with births about the hypotheses."""
-        return Vocabulary(self.prior, HypothesisProposal(self.hypotheses) if self.hypotheses else None)
-
     def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Return the state of a chain that has drawn nothing."""
         counts = np.zeros((len(mixture()), 2), np.int64)
@@ -116,7 +86,8 @@ class JumpSampler:
     def _begin(self, state: dict[str, np.ndarray]) -> tuple[Target, Vocabulary, State]:
         image = ObservedImage(self.camera, self.image, self.likelihood, self.values)
         target = Target(self.prior, partial(image.log_likelihood, parameters={}))
-        return target, self.vocabulary(), evaluate(target, _unpacked(state["now"])[0])
+        words = Vocabulary(self.prior, HypothesisProposal(self.hypotheses) if self.hypotheses else None)
+        return target, words, evaluate(target, _unpacked(state["now"])[0])
 
     def warm_up(
         self, rng: np.random.Generator, state: dict[str, np.ndarray], done: int, rounds: int, total: int
@@ -132,13 +103,16 @@ class JumpSampler:
         """Return the state and the densities of `draws` more scenes; the scenes are in the state."""
         target, words, place = self._begin(state)
         counts: Counter = Counter()
-        found = jump_chain(rng, target, words, place.graph, draws, 0, self.thin, counts)
-        graphs = [drawn.graph for drawn in found.states]
+        states = []
+        for _ in range(draws):
+            place = walk(rng, target, words, place, self.thin, counts)
+            states.append(place)
+        graphs = [drawn.graph for drawn in states]
         steps = [[counts[move.name, True] + counts[move.name, False], counts[move.name, True]]
                  for move, _ in mixture()]  # fmt: skip
         state = {"now": _packed(graphs[-1:]), "drawn": np.concatenate([state["drawn"], _packed(graphs)]),
                  "counts": state["counts"] + steps}  # fmt: skip
-        densities = (np.array([getattr(drawn, kind) for drawn in found.states]) for kind in State._fields[1:])
+        densities = (np.array([getattr(drawn, kind) for drawn in states]) for kind in State._fields[1:])
         return state, Segment(np.empty((draws, 0)), *densities)
 
     def draws(self, record: Record) -> Draws:

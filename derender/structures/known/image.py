@@ -9,7 +9,7 @@ from derender.compilation.cache import njit
 from derender.detection.solids.image import pixels_within
 from derender.detection.solids.misfit import LIMIT, WALL, change_within
 from derender.detection.solids.polish import resting_energy
-from derender.render.raycast.mesh import fill_triangle
+from derender.render.raycast.depth import fill_triangle
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 
 STEPS = 6  # kinds of steps: along three axes, about three axes
