@@ -37,13 +37,11 @@ class Floor(NamedTuple):
     """A supporting plane.
 
     pose : (4, 4) float64, floor frame to camera: z up (towards the camera's side), origin under the image's middle.
-    sigma : standard deviation of the depth noise about the plane in metres, from the median absolute residual.
-    inliers : (H, W) bool, pixels on the plane.
     """
 
     pose: np.ndarray
-    sigma: float
-    inliers: np.ndarray
+    sigma: float  # standard deviation of the depth noise about the plane in metres, from the median absolute residual
+    inliers: np.ndarray  # (H, W) bool, pixels on the plane
 
 
 def back_project(depth: np.ndarray, camera: Camera | dict[str, float]) -> np.ndarray:

@@ -58,14 +58,13 @@ BACKDROP, SIDE = 0.3, 0.2  # least shares of the pixels, and of three of the ima
 class Candidate(NamedTuple):
     """A plane that may be the floor.
 
-    normal, offset : normal . p = offset, in camera axes, towards the camera. near : metres off it that lie on it.
-    odds : nats, what its share of the pixels says of it, and how it lies.
+    normal, offset : normal . p = offset, in camera axes, towards the camera.
     """
 
     normal: np.ndarray
     offset: float
-    near: float
-    odds: float
+    near: float  # metres off it that lie on it
+    odds: float  # nats, what its share of the pixels says of it, and how it lies
 
 
 def find_floor(depth: np.ndarray, camera: Camera | dict[str, float],

@@ -138,15 +138,11 @@ SURE = (1.0, 0.0)  # probability and error: whether something is there is not as
 
 
 class Swap(NamedTuple):
-    """What may be there instead of something that was found.
+    """What may be there instead of something that was found."""
 
-    place : index of the Observation's thing, or of the State's solid, that it takes the place of.
-    odds : nats against that, 0 at most. instead : State of which the last is the solid; or the Thing.
-    """
-
-    place: int
-    odds: float
-    instead: State | Thing
+    place: int  # index of the Observation's thing, or of the State's solid, that it takes the place of
+    odds: float  # nats against that, 0 at most
+    instead: State | Thing  # State of which the last is the solid; or the Thing
 
 
 def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: Settings) -> list[Swap]:

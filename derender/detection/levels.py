@@ -32,12 +32,11 @@ class Level(NamedTuple):
     """A level plane, as it is first seen.
 
     normal, offset : of the plane in camera axes, towards the camera: normal . p = offset.
-    mask : (h, w) bool, pixels of the reduced image that show it.
     """
 
     normal: np.ndarray
     offset: float
-    mask: np.ndarray
+    mask: np.ndarray  # (h, w) bool, pixels of the reduced image that show it
 
 
 def levels_of(seen: Observation) -> list[Any]:

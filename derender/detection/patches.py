@@ -113,22 +113,15 @@ def reassign(points, mask, label, normal, offset, tolerance, jump, rounds):
 
 
 class Patches(NamedTuple):
-    """Planar pieces of the surface above the floor.
+    """Planar pieces of the surface above the floor."""
 
-    label : (H, W) int32, patch of each pixel or -1.
-    normal : (P, 3) float64 unit, towards the camera; offset : (P,) float64: normal . point.
-    pixels : (P,) int64, how many; centre : (P, 3) float64.
-    residual : (P,) float64, root mean square distance to the plane in metres.
-    touching : (P, P) int64, pairs of neighbouring pixels without a jump in depth between two patches.
-    """
-
-    label: np.ndarray
-    normal: np.ndarray
-    offset: np.ndarray
-    pixels: np.ndarray
-    centre: np.ndarray
-    residual: np.ndarray
-    touching: np.ndarray
+    label: np.ndarray  # (H, W) int32, patch of each pixel or -1
+    normal: np.ndarray  # (P, 3) float64 unit, towards the camera
+    offset: np.ndarray  # (P,) float64: normal . point.
+    pixels: np.ndarray  # (P,) int64, how many
+    centre: np.ndarray  # (P, 3) float64
+    residual: np.ndarray  # (P,) float64, root mean square distance to the plane in metres
+    touching: np.ndarray  # (P, P) int64, pairs of neighbouring pixels without a jump in depth between two patches
 
 
 @njit(cache=True, nogil=True)

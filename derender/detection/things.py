@@ -55,19 +55,15 @@ BENEATH = 0.5  # share of a thing's points over a solid's top from which on it s
 class Thing(NamedTuple):
     """A free-form thing.
 
-    mask : (H, W) bool, the pixels that show it.
-    row : (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on.
-    parent : FLOOR, or the index of the solid that it stands on.
-    existence : (probability that it is an object and no clutter, standard error of that).
     away : (3,) along its box's axes, the level unit vector away from the camera, on which side what is hidden of it
         reaches farther than its box; zeros of what is round, for whose far side the axis tells.
     guessed : (3,) metres of its box that nothing shows, but that household things are as deep.
     """
 
-    mask: np.ndarray
-    row: np.ndarray
-    parent: int
-    existence: tuple[float, float]
+    mask: np.ndarray  # (H, W) bool, the pixels that show it
+    row: np.ndarray  # (ROW,) float64, its upright bounding box as a solid's row, down to what it stands on
+    parent: int  # FLOOR, or the index of the solid that it stands on
+    existence: tuple[float, float]  # (probability that it is an object and no clutter, standard error of that)
     away: np.ndarray
     guessed: np.ndarray = np.zeros(3)
 

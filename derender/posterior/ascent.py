@@ -27,11 +27,11 @@ from derender.scene.shapes import shapes
 
 
 class Domain(NamedTuple):
-    """Where parameters may be. lower, upper : (P,) float64; period : (P,) float64, 0 = none (then they are ignored)."""
+    """Where parameters may be."""
 
-    lower: np.ndarray
-    upper: np.ndarray
-    period: np.ndarray
+    lower: np.ndarray  # (P,) float64
+    upper: np.ndarray  # (P,) float64
+    period: np.ndarray  # (P,) float64, 0 = none (then they are ignored)
 
     def bring(self, values: np.ndarray) -> np.ndarray:
         """Return the nearest values inside."""
@@ -48,15 +48,14 @@ SMALLEST = 1e-3  # metres: no extent is moved below this
 class Placement(NamedTuple):
     """A graph as arrays, and where its free numbers go. N vertices, P free numbers.
 
-    vertices, extents : as in Model; numbers, pose, relative : as in Chain (`compiled/layout.py`).
     vertex, slot : (P,) int64, row and column of `numbers` that a free number goes to.
     """
 
-    vertices: np.ndarray
-    extents: np.ndarray
-    numbers: np.ndarray
-    pose: np.ndarray
-    relative: np.ndarray
+    vertices: np.ndarray  # as in Model
+    extents: np.ndarray  # as in Model
+    numbers: np.ndarray  # as in Chain (`compiled/layout.py`)
+    pose: np.ndarray  # as in Chain (`compiled/layout.py`)
+    relative: np.ndarray  # as in Chain (`compiled/layout.py`)
     vertex: np.ndarray
     slot: np.ndarray
 

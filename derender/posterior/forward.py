@@ -20,17 +20,14 @@ WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
 class Draw:
     """One draw from a document.
 
-    graph : the scene.
     camera, likelihood : as in the document, the likelihood's numbers drawn too.
-    made : seed and command.
-    rng : what its image's noise comes from.
     """
 
-    graph: SceneGraph
+    graph: SceneGraph  # the scene
     camera: Camera
     likelihood: LikelihoodPrior | None
-    made: Mapping[str, Any]
-    rng: np.random.Generator
+    made: Mapping[str, Any]  # seed and command
+    rng: np.random.Generator  # what its image's noise comes from
 
     def text(self, camera: Camera | None = None) -> str:
         """Return the scene's YAML; `camera` replaces the document's."""

@@ -37,18 +37,13 @@ DIFFERENCE = 0.01  # step of finite differences, a share of each parameter's ran
 
 
 class Maximum(NamedTuple):
-    """Where one ascent ended.
+    """Where one ascent ended."""
 
-    values : (P,) float64. log_density : log likelihood at `values`.
-    path : (T + 1, P) the states on the way at full resolution, the last one `values`; log_densities : (T + 1,) theirs.
-    iterations : steps taken, those on the coarse image included.
-    """
-
-    values: np.ndarray
-    log_density: float
-    path: np.ndarray
-    log_densities: np.ndarray
-    iterations: int
+    values: np.ndarray  # (P,) float64
+    log_density: float  # log likelihood at `values`
+    path: np.ndarray  # (T + 1, P) the states on the way at full resolution, the last one `values`
+    log_densities: np.ndarray  # (T + 1,) theirs
+    iterations: int  # steps taken, those on the coarse image included
 
 
 class MapProblem:

@@ -22,23 +22,17 @@ class Settings(NamedTuple):
     """How chains are run.
 
     kernels : entries such as {"drift": {"weight": 0.5}}, or None: the default mixture.
-    cycle : kernels take turns, in the order of the file, instead of being drawn by weight.
-    thin : steps for each draw.
-    particles : draws from the prior that the start is resampled from.
-    population : particles of the tempered SMC that looks for the mode; 1: none.
-    chains, draws, warmup : counts.
-    where : file and line, for messages.
     """
 
     kernels: list[dict[str, Any]] | None = None
-    cycle: bool = False
-    thin: int = 20
-    particles: int = 200
-    population: int = 32
-    chains: int = 4
-    draws: int = 1000
-    warmup: int = 200
-    where: str | None = None
+    cycle: bool = False  # kernels take turns, in the order of the file, instead of being drawn by weight
+    thin: int = 20  # steps for each draw
+    particles: int = 200  # draws from the prior that the start is resampled from
+    population: int = 32  # particles of the tempered SMC that looks for the mode; 1: none
+    chains: int = 4  # counts
+    draws: int = 1000  # counts
+    warmup: int = 200  # counts
+    where: str | None = None  # file and line, for messages
 
 
 def read_settings(section: Any) -> Settings:

@@ -38,17 +38,12 @@ Advance = Callable[[np.ndarray, float], np.ndarray]
 
 
 class Population(NamedTuple):
-    """Particles of equal weight from the posterior.
+    """Particles of equal weight from the posterior."""
 
-    values : (n, P) float64. densities : (n, 2) float64, log prior and log likelihood.
-    log_evidence : estimate of log p(image); unbiased on the natural scale but for the adaptation.
-    stops : (n, P) float64, the populations at the exponents that were asked for, or just above.
-    """
-
-    values: np.ndarray
-    densities: np.ndarray
-    log_evidence: float
-    stops: list[np.ndarray]
+    values: np.ndarray  # (n, P) float64
+    densities: np.ndarray  # (n, 2) float64, log prior and log likelihood
+    log_evidence: float  # estimate of log p(image); unbiased on the natural scale but for the adaptation
+    stops: list[np.ndarray]  # (n, P) float64, the populations at the exponents that were asked for, or just above
 
 
 def from_prior(
@@ -196,21 +191,19 @@ COLD, HOT, BORROWED = 144, 48, 16  # places that archives keep: the first level'
 
 
 class Found(NamedTuple):
-    """What pilots found. places : (n, P), typical ones; tuning : fitted to them."""
+    """What pilots found."""
 
-    places: np.ndarray
-    tuning: Tuning
+    places: np.ndarray  # (n, P), typical ones
+    tuning: Tuning  # fitted to them
 
 
 class Climb(NamedTuple):
-    """One chain's stage. last : (R, P), where each level ended; seen : (R, n, P); density : mean log posterior of the
-    first level; scales : step scales of each level.
-    """
+    """One chain's stage."""
 
-    last: np.ndarray
-    seen: np.ndarray
-    density: float
-    scales: list[dict[str, float]]
+    last: np.ndarray  # (R, P), where each level ended
+    seen: np.ndarray  # (R, n, P)
+    density: float  # mean log posterior of the first level
+    scales: list[dict[str, float]]  # step scales of each level
 
 
 def pilot_runs(space: Space, backends: list, parts: list[Part], movers: list, singles: list[dict], seed: int, jobs: int,

@@ -16,16 +16,11 @@ from derender.scene.distributions import Distribution
 
 
 class Unknown(NamedTuple):
-    """A number (or rotation) that inference has to find.
+    """A number (or rotation) that inference has to find."""
 
-    address : such as "red.contact.theta".
-    distribution : its prior.
-    period : of an angle, or None.
-    """
-
-    address: str
-    distribution: Distribution
-    period: float | None = None
+    address: str  # such as "red.contact.theta"
+    distribution: Distribution  # its prior
+    period: float | None = None  # of an angle, or None
 
     @property
     def ways(self) -> int:
@@ -34,14 +29,10 @@ class Unknown(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Unknowns that move together: the contact of one edge, the shape of one object, the likelihood, or all.
+    """Unknowns that move together: the contact of one edge, the shape of one object, the likelihood, or all."""
 
-    name : such as "red.contact", "red.shape", "likelihood", "all"; of several blocks "red.contact+blue.contact".
-    unknowns : indices of its unknowns.
-    """
-
-    name: str
-    unknowns: tuple[int, ...]
+    name: str  # such as "red.contact", "red.shape", "likelihood", "all"; of several blocks "red.contact+blue.contact"
+    unknowns: tuple[int, ...]  # indices of its unknowns
 
     @property
     def objects(self) -> tuple[str, ...]:

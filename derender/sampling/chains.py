@@ -59,21 +59,14 @@ FORMAT = 2  # of what a sampler's state holds; a file of another one cannot be r
 
 
 class Record(NamedTuple):
-    """A chain up to now.
+    """A chain up to now."""
 
-    warmed : steps of warm-up that are done.
-    values : (draws, P) float, draws kept so far.
-    log_prior, log_likelihood : (draws,) float.
-    state : what the sampler needs to go on, arrays by name.
-    generator : state of the chain's random generator, as NumPy's bit generators give and take it.
-    """
-
-    warmed: int
-    values: np.ndarray
-    log_prior: np.ndarray
-    log_likelihood: np.ndarray
-    state: dict[str, np.ndarray]
-    generator: dict
+    warmed: int  # steps of warm-up that are done
+    values: np.ndarray  # (draws, P) float, draws kept so far
+    log_prior: np.ndarray  # (draws,) float
+    log_likelihood: np.ndarray  # (draws,) float
+    state: dict[str, np.ndarray]  # what the sampler needs to go on, arrays by name
+    generator: dict  # state of the chain's random generator, as NumPy's bit generators give and take it
 
     @property
     def drawn(self) -> int:
@@ -132,11 +125,11 @@ def load_record(path: Path, run: str) -> Record | None:
 
 
 class Segment(NamedTuple):
-    """Some consecutive draws. values : (n, P) float; log_prior, log_likelihood : (n,) float."""
+    """Some consecutive draws."""
 
-    values: np.ndarray
-    log_prior: np.ndarray
-    log_likelihood: np.ndarray
+    values: np.ndarray  # (n, P) float
+    log_prior: np.ndarray  # (n,) float
+    log_likelihood: np.ndarray  # (n,) float
 
 
 class Sampler(Protocol):
@@ -163,24 +156,18 @@ class Sampler(Protocol):
 class Plan(NamedTuple):
     """What one run of several chains is.
 
-    sampler : walks each chain.
-    seed : int; chain k uses the k-th spawn of its SeedSequence.
     chains, warmup, draws : counts; warm-up rounds and draws are per chain.
-    folder : of the checkpoints, or None to keep none.
-    run : fingerprint that checkpoints must carry.
-    resume : whether to go on from the checkpoints in `folder`.
-    checkpoint_seconds : time between two checkpoints of a chain.
     """
 
-    sampler: Sampler
-    seed: int
+    sampler: Sampler  # walks each chain
+    seed: int  # chain k uses the k-th spawn of its SeedSequence
     chains: int
     warmup: int
     draws: int
-    folder: Path | None = None
-    run: str = ""
-    resume: bool = False
-    checkpoint_seconds: float = 2.0
+    folder: Path | None = None  # of the checkpoints, or None to keep none
+    run: str = ""  # fingerprint that checkpoints must carry
+    resume: bool = False  # whether to go on from the checkpoints in `folder`
+    checkpoint_seconds: float = 2.0  # time between two checkpoints of a chain
 
     def checkpoint_path(self, number: int) -> Path | None:
         return None if self.folder is None else Path(self.folder) / f"chain_{number}.npz"
@@ -254,16 +241,11 @@ def run_chain(plan: Plan, number: int, stop: Stop, progress: Progress) -> Record
 
 
 class Outcome(NamedTuple):
-    """What came of a run.
+    """What came of a run."""
 
-    records : one for each chain that ran, by its number.
-    lost : why a chain was lost, by its number.
-    interrupted : whether someone asked to stop before the end.
-    """
-
-    records: dict[int, Record]
-    lost: dict[int, str]
-    interrupted: bool
+    records: dict[int, Record]  # one for each chain that ran, by its number
+    lost: dict[int, str]  # why a chain was lost, by its number
+    interrupted: bool  # whether someone asked to stop before the end
 
 
 def run_chains(plan: Plan, jobs: int = 1, processes: bool = True, progress: Progress = lambda *_: None) -> Outcome:

@@ -26,12 +26,11 @@ ROUNDING = 1e-10  # share of a coordinate's variance by which a covariance is ke
 
 
 class Evidence(NamedTuple):
-    """An integral. log : its logarithm. standard_error : of the logarithm. effective_sample_size : of independent draws
-    from the density that would tell as much: 1 / standard_error^2."""
+    """An integral."""
 
-    log: float
-    standard_error: float
-    effective_sample_size: float
+    log: float  # its logarithm
+    standard_error: float  # of the logarithm
+    effective_sample_size: float  # of independent draws from the density that would tell as much: 1 / standard_error^2
 
 
 def evidence_of(log: float, standard_error: float) -> Evidence:

@@ -16,14 +16,11 @@ MOST_CHANGE = 1.5  # of a log scale at one adaptation: early rates, from few ste
 
 
 class Info(NamedTuple):
-    """What diagnostics need of a step.
+    """What diagnostics need of a step."""
 
-    accepted : whether the state changed; log_ratio : -inf where it was impossible; name : of the kernel.
-    """
-
-    accepted: bool
-    log_ratio: float
-    name: str
+    accepted: bool  # whether the state changed
+    log_ratio: float  # -inf where it was impossible
+    name: str  # of the kernel
 
 
 def log_threshold(rng: np.random.Generator) -> float:

@@ -34,12 +34,11 @@ def is_name(name: object) -> bool:
 class Contact:
     """How a vertex touches its parent: c_i and phi_i.
 
-    type : registered contact type.
     parent_face, child_face : names of the features that touch, or None (`6dof`).
     values : phi by name, slack included where it is not zero; what is missing has its default.
     """
 
-    type: str
+    type: str  # registered contact type
     parent_face: str | None = None
     child_face: str | None = None
     values: Mapping[str, float] = field(default_factory=dict)
@@ -55,20 +54,15 @@ class Contact:
 class Vertex:
     """One object: s_i, psi_i, pi(i), c_i, phi_i.
 
-    name : unique in the graph; not "root".
-    shape : registered shape type.
-    parameters : psi by name.
-    parent : name of the parent, or "root".
-    contact : the contact with the parent.
     options : mesh file, hull, mass, friction, colour ... : what is not a parameter.
     supports : names of further vertices on which it rests (a bridge's second tower); see `constraints`.
     """
 
-    name: str
-    shape: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    parent: str = ROOT
-    contact: Contact = Contact("6dof")
+    name: str  # unique in the graph; not "root"
+    shape: str  # registered shape type
+    parameters: Mapping[str, float] = field(default_factory=dict)  # psi by name
+    parent: str = ROOT  # name of the parent, or "root"
+    contact: Contact = Contact("6dof")  # the contact with the parent
     options: Mapping[str, Any] = field(default_factory=dict)
     supports: tuple[str, ...] = ()
 
@@ -163,14 +157,12 @@ class Constraint:
     """An undirected relation between two objects.
 
     first, second : names of vertices; their order says nothing.
-    type : "does-not-touch".
-    margin : metres that must be left between their surfaces.
     """
 
     first: str
     second: str
-    type: str = "does-not-touch"
-    margin: float = 0.0
+    type: str = "does-not-touch"  # "does-not-touch"
+    margin: float = 0.0  # metres that must be left between their surfaces
 
     def renamed(self, old: str, new: str) -> "Constraint":
         """Return the same relation after an object was renamed."""
@@ -182,16 +174,13 @@ class Constraint:
 class SceneGraph:
     """A scene: the root's pose and the vertices, parents before children.
 
-    root_pose : (4, 4) float64, root to camera.
-    vertices : the objects, in order.
     gravity : (3,) the pull of gravity in root axes, in units of STANDARD_GRAVITY.
-    constraints : undirected relations between objects ("does not touch").
     """
 
-    root_pose: np.ndarray
-    vertices: tuple[Vertex, ...] = ()
+    root_pose: np.ndarray  # (4, 4) float64, root to camera
+    vertices: tuple[Vertex, ...] = ()  # the objects, in order
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    constraints: tuple[Constraint, ...] = ()
+    constraints: tuple[Constraint, ...] = ()  # undirected relations between objects ("does not touch")
 
     def __post_init__(self) -> None:
         seen = {ROOT}

@@ -37,16 +37,14 @@ GAPS = 60  # draws looked at
 class Candidate(NamedTuple):
     """A contact besides the tree's.
 
-    name, other : the solid, and what else it may rest on.
     mean, spread : metres, of the gap between them over the draws.
-    probability : that they are in contact.
     """
 
-    name: str
-    other: str
+    name: str  # the solid, and what else it may rest on
+    other: str  # the solid, and what else it may rest on
     mean: float
     spread: float
-    probability: float
+    probability: float  # that they are in contact
 
 
 def with_bridges(parts: Sequence[StructurePosterior], rules: Rules) -> list[StructurePosterior]:
@@ -175,19 +173,13 @@ def together(part: StructurePosterior, other: StructurePosterior) -> StructurePo
 
 
 class SupportResidual(NamedTuple):
-    """How far an object is from resting on a second support.
+    """How far an object is from resting on a second support."""
 
-    parent_face, child_face : the faces that would touch.
-    gap : metres between them along the support's normal; negative where they interpenetrate.
-    tilt : radians between them.
-    outside : metres by which their outlines miss each other.
-    """
-
-    parent_face: str | None
-    child_face: str | None
-    gap: float
-    tilt: float
-    outside: float
+    parent_face: str | None  # the faces that would touch
+    child_face: str | None  # the faces that would touch
+    gap: float  # metres between them along the support's normal; negative where they interpenetrate
+    tilt: float  # radians between them
+    outside: float  # metres by which their outlines miss each other
 
     def distance(self, radius: float) -> float:
         """Return one length: gap, miss and the tilt's arc at `radius` metres, as a root of the sum of squares."""

@@ -105,17 +105,17 @@ def with_solid(part: "StructurePosterior", state: State, names: list[str]) -> "S
 class Made(NamedTuple):
     """A free-form thing of which all is known that a graph's vertex takes.
 
-    name : its own. thing : Thing. surface, size, centre : see `surface_of`. hidden : (3,) metres, the standard
-    deviation of a normal whose absolute value is how much farther than is seen it reaches, if it does. noise : metres.
+    hidden : (3,) metres, the standard deviation of a normal whose absolute value is how much farther than is seen it
+        reaches, if it does.
     """
 
-    name: str
+    name: str  # its own
     thing: Thing
-    surface: str
-    size: np.ndarray
-    centre: np.ndarray
+    surface: str  # see `surface_of`
+    size: np.ndarray  # see `surface_of`
+    centre: np.ndarray  # see `surface_of`
     hidden: np.ndarray
-    noise: float
+    noise: float  # metres
 
     @classmethod
     def of(cls, name: str, thing: Thing, seen: "Observation", believed: Things) -> "Made":

@@ -54,20 +54,14 @@ EXTENTS = ("length", "width", "height")
 
 
 class Shown(NamedTuple):
-    """The K pixels that show a box.
+    """The K pixels that show a box."""
 
-    place : (K, 3) metres from the box's low corner, along its axes, of what they show.
-    step : (K, 3) metres along each axis from a pixel's place to the next one's. slope : (K, 3) metres along each axis
-        for each metre of depth, of their rays. normal : (K,) the axis across the face.
-    deeper : (K,) metres by which they are deeper than the box. sigma : (K,) of their noise.
-    """
-
-    place: np.ndarray
-    step: np.ndarray
-    slope: np.ndarray
-    normal: np.ndarray
-    deeper: np.ndarray
-    sigma: np.ndarray
+    place: np.ndarray  # (K, 3) metres from the box's low corner, along its axes, of what they show
+    step: np.ndarray  # (K, 3) metres along each axis from a pixel's place to the next one's
+    slope: np.ndarray  # (K, 3) metres along each axis for each metre of depth, of their rays
+    normal: np.ndarray  # (K,) the axis across the face
+    deeper: np.ndarray  # (K,) metres by which they are deeper than the box
+    sigma: np.ndarray  # (K,) of their noise
 
 
 def shown(

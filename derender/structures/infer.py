@@ -35,20 +35,15 @@ Progress = Callable[[float, str], None]
 
 
 class Case(NamedTuple):
-    """An image to explain, and what is asked.
+    """An image to explain, and what is asked."""
 
-    depth : (H, W) metres, NaN = no return. camera : its Camera. frames : further images of the same scene.
-    options : Options. settings : of the search, as asked. library : of known objects, empty: none.
-    plane : the floor as it is given, see detection.floor.read_floor; None: find it.
-    """
-
-    depth: np.ndarray
-    camera: Camera
-    frames: Sequence[Frame]
+    depth: np.ndarray  # (H, W) metres, NaN = no return
+    camera: Camera  # its Camera
+    frames: Sequence[Frame]  # further images of the same scene
     options: Options
-    settings: Settings
-    library: Any
-    plane: Any
+    settings: Settings  # of the search, as asked
+    library: Any  # of known objects, empty: none
+    plane: Any  # the floor as it is given, see detection.floor.read_floor; None: find it
 
     @property
     def beliefs(self) -> Beliefs:

@@ -19,12 +19,13 @@ METHODS = ("auto", "mcmc", "map", "smc")
 
 class Frame(NamedTuple):
     """A further image of a scene: depth (H, W) metres, NaN = no return; its Camera; into (4, 4) float64, the first
-    camera's axes to its own, None: it is found. name : what a person calls it."""
+    camera's axes to its own, None: it is found.
+    """
 
     depth: np.ndarray
     camera: Any
     into: np.ndarray | None
-    name: str
+    name: str  # what a person calls it
 
 
 @dataclass(frozen=True)
@@ -34,45 +35,38 @@ class Options:
     method : "auto" (search, then draws under the best structures, weighed by integrals), "map" (the best scene only),
         "mcmc" (reversible jumps under a prior of open structure, see jumps/run.py), "smc" (of given objects only).
     quick : with "map", one search and one climb to the mode: twice as fast, and sometimes beside the best.
-    seed : of the random numbers.
     chains, draws, warmup : numbers of chains, of kept draws of each, and of the rounds in which one adapts; None: those
         of the method.
-    jobs : processes of chains over structures. folder, resume : of their checkpoints, and whether to go on with them.
-    shapes : names of the shapes to look for; None: all. max_objects : at most so many solids; None: no such limit.
+    folder, resume : of their checkpoints, and whether to go on with them.
     floor : None or "auto" (find it), "none", or the plane (4,) a x + b y + c z + d = 0 in camera axes, metres.
-    known : a library of known objects or its file; only_known : whether there is nothing besides them.
     may_overlap, may_float : whether solids may interpenetrate and hang in the air.
-    assume_stable : whether draws that could not stand by themselves are ruled out.
-    prior : an open prior that the search obeys, or None: the one of bare images. likelihood : what its document says of
-        the sensor, or None.
     budget : seconds after which draws that do not agree yet are not gone on with; None: they go on for so long as is
         worth it, and a seed gives the same on any machine.
     unit : metres for one unit of the depths, once that is known; None: it is found where the depths tell.
-    frames : further images of the same scene, which stands still, from elsewhere.
     """
 
     method: str = "auto"
     quick: bool = False
-    seed: int | None = None
+    seed: int | None = None  # of the random numbers
     chains: int | None = None
     draws: int | None = None
     warmup: int | None = None
-    jobs: int | None = None
+    jobs: int | None = None  # processes of chains over structures
     folder: Path | None = None
     resume: bool = False
-    shapes: Sequence[str] | None = None
-    max_objects: int | None = None
+    shapes: Sequence[str] | None = None  # names of the shapes to look for; None: all
+    max_objects: int | None = None  # at most so many solids; None: no such limit
     floor: str | Sequence[float] | np.ndarray | None = None
-    known: Any = None
-    only_known: bool = False
+    known: Any = None  # a library of known objects or its file
+    only_known: bool = False  # whether there is nothing besides them
     may_overlap: bool = False
     may_float: bool = False
-    assume_stable: bool = False
-    prior: Any = None
-    likelihood: Any = None
+    assume_stable: bool = False  # whether draws that could not stand by themselves are ruled out
+    prior: Any = None  # an open prior that the search obeys, or None: the one of bare images
+    likelihood: Any = None  # what its document says of the sensor, or None
     budget: float | None = None
     unit: float | None = None
-    frames: Sequence[Frame] = ()
+    frames: Sequence[Frame] = ()  # further images of the same scene, which stands still, from elsewhere
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

@@ -118,18 +118,13 @@ ROUNDS = 2  # in which each solid is tried as another view has it
 
 
 class Look(NamedTuple):
-    """What was found in one image.
+    """What was found in one image."""
 
-    state : State over the floor of this image. seen : its Observation.
-    into : (4, 4), the first camera's axes to this one's. found : whether that was found, not given.
-    over : (4, 4), this floor's frame to the first one's: a turn and a shift along the floor.
-    """
-
-    state: State
-    seen: Observation
-    into: np.ndarray
-    over: np.ndarray
-    found: bool = False
+    state: State  # State over the floor of this image
+    seen: Observation  # its Observation
+    into: np.ndarray  # (4, 4), the first camera's axes to this one's
+    over: np.ndarray  # (4, 4), this floor's frame to the first one's: a turn and a shift along the floor
+    found: bool = False  # whether that was found, not given
 
 
 def first_look(state: State, seen: Observation) -> Look:

@@ -40,10 +40,10 @@ CLIMBED, WEIGHED = 6, 2  # polished candidates of a window that are climbed by t
 
 
 class Spot(NamedTuple):
-    """A window of badly explained pixels. strength : standard deviations. shown : (H, W) bool, those pixels."""
+    """A window of badly explained pixels."""
 
-    strength: float
-    shown: np.ndarray
+    strength: float  # standard deviations
+    shown: np.ndarray  # (H, W) bool, those pixels
 
 
 def nearer_than_explained(best: Refined) -> np.ndarray:

@@ -49,13 +49,12 @@ SETTLING = 30  # steps of each temperature for each solid that changes, where th
 class Weighed(NamedTuple):
     """A structure and its odds against the best.
 
-    trial : Refined. odds : log. error : standard error of the odds.
     places : indices of the solids whose coordinates are not shared with the best, here and there; None: all are.
     """
 
-    trial: Any
-    odds: float
-    error: float = NEAR_ERROR
+    trial: Any  # Refined
+    odds: float  # log
+    error: float = NEAR_ERROR  # standard error of the odds
     places: tuple[tuple[int, ...], tuple[int, ...]] | None = None
 
 

@@ -34,49 +34,37 @@ REAL_TILT, REAL_SLACK = np.radians(1.5), 0.002
 class Settings(NamedTuple):
     """What the search is allowed.
 
-    shapes : names of the shapes that may occur.
-    max_objects : how many solids there may be.
-    price : nats that a solid must gain to be believed.
-    slack : metres within which contacts hold; tilt : radians off the vertical that a standing solid may have.
     cube_bonus : log prior odds of a cube against the box that nearly is one: P(cube) over P(box) times the prior
         density of two sizes within the accuracy of the image.
-    free_price : nats that a tilted pose costs more than an upright one.
-    temper : how many pixels tell as much as one independent one; prices are multiplied by it already.
-    floating_price : nats that a solid costs that nothing carries.
-    uneven : metres by which a floor and its image may be off the plane.
-    faces : metres by which faces of real solids lie off where they appear to, in draws.
     may_overlap, may_float : whether the terms against interpenetration and against floating are switched off.
-    free_forms : whether there may be things of no such shape.
     reduced : whether the image is seen at fewer pixels than it came with: silhouettes lie up to half of one off then.
-    beliefs : of weights and draws, None: the default ones; the search has its own prior.
-    repairs : most moves between structures.
     quiet, worthwhile, clean : they end after `quiet` moves, and three for each solid, that gained less than
         `worthwhile` nats, when less than `clean` badly explained pixels are left.
     tries : searches side by side, and climbs to the mode, of which the best counts; 1 is quick and sometimes wrong.
     until : time.monotonic() from which on draws that do not agree yet are not gone on with; None: while it is worth it.
     """
 
-    shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")
-    max_objects: int = 30
-    price: float = 40.0
-    slack: float = SLACK
-    tilt: float = 0.0
+    shapes: tuple[str, ...] = ("box", "cube", "cylinder", "sphere")  # names of the shapes that may occur
+    max_objects: int = 30  # how many solids there may be
+    price: float = 40.0  # nats that a solid must gain to be believed
+    slack: float = SLACK  # metres within which contacts hold
+    tilt: float = 0.0  # radians off the vertical that a standing solid may have
     cube_bonus: float = 7.0
-    free_price: float = 8.0
-    repairs: int = 120
+    free_price: float = 8.0  # nats that a tilted pose costs more than an upright one
+    repairs: int = 120  # most moves between structures
     quiet: int = 10
     worthwhile: float = 3.0
     clean: float = 4.0
-    floating_price: float = 30.0
-    temper: float = 1.0
-    uneven: float = 0.01
-    faces: float = 0.0
+    floating_price: float = 30.0  # nats that a solid costs that nothing carries
+    temper: float = 1.0  # how many pixels tell as much as one independent one; prices are multiplied by it already
+    uneven: float = 0.01  # metres by which a floor and its image may be off the plane
+    faces: float = 0.0  # metres by which faces of real solids lie off where they appear to, in draws
     tries: int = THREADS
     may_overlap: bool = False
     may_float: bool = False
-    free_forms: bool = True
+    free_forms: bool = True  # whether there may be things of no such shape
     reduced: bool = False
-    beliefs: Beliefs | None = None
+    beliefs: Beliefs | None = None  # of weights and draws, None: the default ones; the search has its own prior
     until: float | None = None
 
     @property

@@ -63,56 +63,46 @@ SAME = 0.5  # of a plane's pixels that are another's too, from which on it is th
 class Rival(NamedTuple):
     """A plane that may be the floor instead.
 
-    plane : a, b, c, d of a x + b y + c z + d = 0, camera axes, (a, b, c) towards the camera. probability : that it is.
+    plane : a, b, c, d of a x + b y + c z + d = 0, camera axes, (a, b, c) towards the camera.
     """
 
     plane: tuple[float, float, float, float]
-    probability: float
+    probability: float  # that it is the floor
 
 
 class Observation(NamedTuple):
     """A depth image made ready for the search.
 
-    image : Image in the floor frame, at working resolution.
-    floor : Floor; points : (H, W, 3) float64 in the floor frame; mask : (H, W) bool, pixels that solids must explain.
-    footprint : (H, W) metres across a pixel; sigma : (H, W) metres of noise; camera : dict; factor : of reduction.
     correlation : of neighbouring pixels' residuals on the floor: near 0 for independent noise, .7 to .95 for real
         sensors.
-    background : share of the pixels that show what is neither floor nor solid, and is taken as it is seen.
-    behind : (H, W) bool, those pixels; not those of the floor that are taken as they are seen.
     no_floor : whether no plane holds a tenth of the pixels, or that which does is rougher than any sensor makes it.
     bend : (H, W) metres that were added to the depths to make the floor a plane, see `bend_of`; None: none.
-    beyond : (H, W) metres by which points lie beyond the outline of the visible floor, negative over it.
     things : the free-form ones among what stands there, each a `detection.things.Thing`; the image has their surface as
         it is seen.
     single : (H, W) metres, NaN = no return or left out: the pixels of the image as it came that those of `image` stand
         for, but those beside jumps of a blurred image that is reduced.
-    backdrop : whether that is a plane that would have been the floor, where there is to be none.
-    interrupted : whether the search that looked at it was, so that what it found is the best so far.
-    agreed : whether two searches found the same.
-    rivals : planes that may be the floor instead, each a Rival, the likeliest first.
     """
 
-    image: Image
+    image: Image  # Image in the floor frame, at working resolution
     floor: Floor
-    points: np.ndarray
-    mask: np.ndarray
-    footprint: np.ndarray
-    sigma: np.ndarray
+    points: np.ndarray  # (H, W, 3) float64 in the floor frame
+    mask: np.ndarray  # (H, W) bool, pixels that solids must explain
+    footprint: np.ndarray  # (H, W) metres across a pixel
+    sigma: np.ndarray  # (H, W) metres of noise
     camera: dict
-    factor: int
+    factor: int  # of reduction
     correlation: float
-    background: float
-    behind: np.ndarray
+    background: float  # share of the pixels that show what is neither floor nor solid, and is taken as it is seen
+    behind: np.ndarray  # (H, W) bool, those pixels; not those of the floor that are taken as they are seen
     single: np.ndarray
-    beyond: np.ndarray
-    backdrop: bool
+    beyond: np.ndarray  # (H, W) metres by which points lie beyond the outline of the visible floor, negative over it
+    backdrop: bool  # whether that is a plane that would have been the floor, where there is to be none
     no_floor: bool = False
     bend: np.ndarray | None = None
     things: tuple = ()
-    interrupted: bool = False
-    agreed: bool = True
-    rivals: tuple = ()
+    interrupted: bool = False  # whether the search that looked at it was, so that what it found is the best so far
+    agreed: bool = True  # whether two searches found the same
+    rivals: tuple = ()  # planes that may be the floor instead, each a Rival, the likeliest first
 
     @property
     def scale(self) -> float:

@@ -28,21 +28,16 @@ NEAR = 2  # pixels from a bad one to the solids that share it
 class Places(NamedTuple):
     """Where the image is badly explained.
 
-    blame : (N + 1,) bad pixels about each solid (last: about none, as many as bodies have).
-    pairs : (N + 1, N + 1) how many bad pixels two solids share.
-    beside : (N + 1, N + 1) how many neighbouring pixels show two solids.
-    points : (B, 3) float64, the observed points of the bad pixels, floor frame.
     bodies : list of (K, 3) float64, the points of bad pixels that are nearer than explained, and joined.
-    shown : (H, W) int32, the solid that each pixel shows; negative: none. seen : (H, W, 3) float64, all points.
     """
 
-    blame: np.ndarray
-    pairs: np.ndarray
-    beside: np.ndarray
-    points: np.ndarray
+    blame: np.ndarray  # (N + 1,) bad pixels about each solid (last: about none, as many as bodies have)
+    pairs: np.ndarray  # (N + 1, N + 1) how many bad pixels two solids share
+    beside: np.ndarray  # (N + 1, N + 1) how many neighbouring pixels show two solids
+    points: np.ndarray  # (B, 3) float64, the observed points of the bad pixels, floor frame
     bodies: list[np.ndarray]
-    shown: np.ndarray
-    seen: np.ndarray
+    shown: np.ndarray  # (H, W) int32, the solid that each pixel shows; negative: none
+    seen: np.ndarray  # (H, W, 3) float64, all points
 
     def none_left(self, settings: "Settings") -> bool:
         """Whether hardly any misfit is left that noise would not leave: less than another solid costs."""

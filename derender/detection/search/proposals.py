@@ -20,18 +20,12 @@ THINNEST = 0.008
 
 
 class Hypothesis(NamedTuple):
-    """A solid that may be in the scene.
+    """A solid that may be in the scene."""
 
-    row : (ROW,) float64, see solids/image.py.
-    form : UPRIGHT (its own z axis is the floor's) or FREE.
-    cube : whether its edges are equal by construction.
-    patches : indices of the patches that suggested it.
-    """
-
-    row: np.ndarray
-    form: int
-    cube: bool
-    patches: tuple[int, ...]
+    row: np.ndarray  # (ROW,) float64, see solids/image.py
+    form: int  # UPRIGHT (its own z axis is the floor's) or FREE
+    cube: bool  # whether its edges are equal by construction
+    patches: tuple[int, ...]  # indices of the patches that suggested it
 
 
 class Surface(NamedTuple):

@@ -124,22 +124,17 @@ AROUND = ("face-to-face", "point-on-face")  # contacts by which solids stand upr
 class Beliefs(NamedTuple):
     """What is believed before an image is seen.
 
-    sizes : (4, 3, FIRST + NODES), see `sizes_of`.
-    kinds : (4,) log probability of each kind by its row of `sizes`. tilted : (4,) log probability that one of the kind
-        is not upright; upright : (4,) that it is.
     on_floor : (MOST + 1,) log (p(n) n! / area^n) of n solids on the floor: the density of n places as a set.
-    on_top : (4, MOST + 1) log (p(n) n!) of n solids on the top of one of each kind.
-    loose : Loose. sensor : LikelihoodPrior, or None where the file has none.
     """
 
-    sizes: np.ndarray
-    kinds: np.ndarray
-    upright: np.ndarray
-    tilted: np.ndarray
+    sizes: np.ndarray  # (4, 3, FIRST + NODES), see `sizes_of`
+    kinds: np.ndarray  # (4,) log probability of each kind by its row of `sizes`
+    upright: np.ndarray  # (4,) log probability that one of the kind is upright
+    tilted: np.ndarray  # (4,) log probability that one of the kind is not upright
     on_floor: np.ndarray
-    on_top: np.ndarray
+    on_top: np.ndarray  # (4, MOST + 1) log (p(n) n!) of n solids on the top of one of each kind
     loose: Loose
-    sensor: LikelihoodPrior | None
+    sensor: LikelihoodPrior | None  # LikelihoodPrior, or None where the file has none
 
 
 @cache
@@ -245,16 +240,12 @@ __all__ = ["BARE_IMAGE", "CUBE", "ROWS", "Beliefs", "bare_image", "beliefs_of"]
 class Rules(NamedTuple):
     """What solids may do to each other.
 
-    slack : metres within which a solid that is not held stands on its support.
     overlap : metres by which solids may interpenetrate, inf: the term against interpenetration is off; None: as the
         prior says.
-    faces : metres by which faces of solids lie off where they appear to, see draws/faces.py.
-    floating : whether the term against floating is off: then any height is as likely.
-    beliefs : what is believed of solids; None: what data/priors/bare-image.yaml says.
     """
 
-    slack: float
+    slack: float  # metres within which a solid that is not held stands on its support
     overlap: float | None = None
-    floating: bool = False
-    beliefs: Beliefs | None = None
-    faces: float = 0.0
+    floating: bool = False  # whether the term against floating is off: then any height is as likely
+    beliefs: Beliefs | None = None  # what is believed of solids; None: what data/priors/bare-image.yaml says
+    faces: float = 0.0  # metres by which faces of solids lie off where they appear to, see draws/faces.py

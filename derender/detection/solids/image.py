@@ -26,23 +26,17 @@ LEAST_TAP = 1e-3  # what the blur brings over from further away is left out of t
 class Image(NamedTuple):
     """What the compiled functions need to know of the observation.
 
-    depth : (H, W) float64 metres, 0 where nothing returned or the pixel is left out of account.
-    weight : (H, W) float64, 1 / (2 sigma^2) of each pixel, 0 where left out.
-    direction : (H, W, 3) float64, ray per metre of depth, floor axes.
-    origin : (3,) float64, the camera's centre in the floor frame.
     floor : (H, W) float64, depth at which the ray meets the floor, FAR where it does not. Where it is the observed
         depth (to `misfit.AS_SEEN`) the background is taken as it is, blurred already.
-    projection : (3, 4) float64, floor frame to homogeneous pixel (i, j, 1) times depth.
-    taps : (R + 1,) float64, the blur's weights from the centre outwards (R = 0: a sharp image).
     """
 
-    depth: np.ndarray
-    weight: np.ndarray
-    direction: np.ndarray
-    origin: np.ndarray
+    depth: np.ndarray  # (H, W) float64 metres, 0 where nothing returned or the pixel is left out of account
+    weight: np.ndarray  # (H, W) float64, 1 / (2 sigma^2) of each pixel, 0 where left out
+    direction: np.ndarray  # (H, W, 3) float64, ray per metre of depth, floor axes
+    origin: np.ndarray  # (3,) float64, the camera's centre in the floor frame
     floor: np.ndarray
-    projection: np.ndarray
-    taps: np.ndarray
+    projection: np.ndarray  # (3, 4) float64, floor frame to homogeneous pixel (i, j, 1) times depth
+    taps: np.ndarray  # (R + 1,) float64, the blur's weights from the centre outwards (R = 0: a sharp image)
 
 
 def make_image(

@@ -19,20 +19,13 @@ NOTHING = np.empty(0)
 
 @dataclass
 class State:
-    """Solids over a floor, in the floor frame.
+    """Solids over a floor, in the floor frame."""
 
-    rows : (N, ROW) float64, see image.py.
-    forms : UPRIGHT or FREE for each solid.
-    cubes : whether each solid's edges are equal.
-    parents : what each one stands on: FLOOR or an index.
-    bottoms : height that each one's lowest point is held to, NaN for none.
-    """
-
-    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))
-    forms: list[int] = field(default_factory=list)
-    cubes: list[bool] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    bottoms: list[float] = field(default_factory=list)
+    rows: np.ndarray = field(default_factory=lambda: np.empty((0, ROW)))  # (N, ROW) float64, see image.py
+    forms: list[int] = field(default_factory=list)  # UPRIGHT or FREE for each solid
+    cubes: list[bool] = field(default_factory=list)  # whether each solid's edges are equal
+    parents: list[int] = field(default_factory=list)  # what each one stands on: FLOOR or an index
+    bottoms: list[float] = field(default_factory=list)  # height that each one's lowest point is held to, NaN for none
 
     def __len__(self) -> int:
         return len(self.forms)

@@ -37,10 +37,10 @@ NO_ARRAY: Any = None  # in place of the arrays of Model and Chain that only comp
 
 
 class _Engine(NamedTuple):
-    """What stands in place of the engine: a target to ask. parameters : None, there are no arrays to keep."""
+    """What stands in place of the engine: a target to ask."""
 
     target: Target
-    parameters: None = None
+    parameters: None = None  # None, there are no arrays to keep
 
 
 class InterpretedBackend:

@@ -34,7 +34,6 @@ class Model(NamedTuple):
         the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
         root's; its contact code says how its numbers give its pose (evaluate.py).
     extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
-    terms : (T, 9) float64, the constraints, see prior.py. terms_at : address of `sum_of_terms`; 0 where T is 0.
     """
 
     unknowns: np.ndarray
@@ -42,8 +41,8 @@ class Model(NamedTuple):
     places: np.ndarray
     vertices: np.ndarray
     extents: np.ndarray
-    terms: np.ndarray
-    terms_at: int
+    terms: np.ndarray  # (T, 9) float64, the constraints, see prior.py
+    terms_at: int  # address of `sum_of_terms`; 0 where T is 0
 
 
 class Kernels(NamedTuple):
@@ -52,7 +51,6 @@ class Kernels(NamedTuple):
     table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
         vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
         keeps them and of what puts objects down.
-    numbers : (K, 2) float64: running sum of the weights, step scale.
     members : flat int64, unknowns; of what puts objects down: the vertex and the face below all of them, their
         vertices, and the unknowns that turn them.
     factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
@@ -60,7 +58,7 @@ class Kernels(NamedTuple):
     """
 
     table: np.ndarray
-    numbers: np.ndarray
+    numbers: np.ndarray  # (K, 2) float64: running sum of the weights, step scale
     members: np.ndarray
     factors: np.ndarray
 
@@ -68,30 +66,25 @@ class Kernels(NamedTuple):
 class Chain(NamedTuple):
     """The state of one chain and its scratch space. Where the first axis is 2: NOW, NEXT (proposed).
 
-    values : (2, P + 2) float64: the values, then the log prior and the log likelihood.
     numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
-    pose : (2, N + 1, 4, 4) float64, object to camera; the root's comes last.
     marks : (3, N + 1) int64: vertices that move; vertices that only get other numbers; solids handed to the engine.
     moved_pose : (S, 4, 4), moved_size : (S, 3) float64: theirs.
-    tangents : (2, D) float64, scratch. relative : (4, 4), scratch.
-    flags : (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns.
     """
 
-    values: np.ndarray
+    values: np.ndarray  # (2, P + 2) float64: the values, then the log prior and the log likelihood
     numbers: np.ndarray
-    pose: np.ndarray
+    pose: np.ndarray  # (2, N + 1, 4, 4) float64, object to camera; the root's comes last
     marks: np.ndarray
     moved_pose: np.ndarray
     moved_size: np.ndarray
-    tangents: np.ndarray
-    relative: np.ndarray
-    flags: np.ndarray
+    tangents: np.ndarray  # (2, D) float64, scratch
+    relative: np.ndarray  # (4, 4), scratch
+    flags: np.ndarray  # (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns
 
 
 class Stretch(NamedTuple):
-    """Steps of a mixture. values : (n, P); densities : (n, 2), log prior and log likelihood; counts : (K, 2), steps and
-    accepted ones of each kernel."""
+    """Steps of a mixture."""
 
-    values: np.ndarray
-    densities: np.ndarray
-    counts: np.ndarray
+    values: np.ndarray  # (n, P)
+    densities: np.ndarray  # (n, 2), log prior and log likelihood
+    counts: np.ndarray  # (K, 2), steps and accepted ones of each kernel

@@ -246,12 +246,12 @@ def chain_of(target: Any, model: Model, cycle: bool) -> Chain:
 
 
 class Calls(NamedTuple):
-    """What one kernel calls, by addresses in this process; 0: nothing. vertex : whose children it keeps, or -1."""
+    """What one kernel calls, by addresses in this process; 0: nothing."""
 
     propose: int = 0
     place: int = 0
     keep: int = 0
-    vertex: int = -1
+    vertex: int = -1  # whose children it keeps, or -1
 
 
 def kernels_of(space: Space, parts: list[Part], tuning: Tuning, elsewhere: frozenset[int],

@@ -44,17 +44,13 @@ class Target(Protocol):
 class Tuning(NamedTuple):
     """What warm-up learns, and what is fixed afterwards.
 
-    mean : (P,) float64, a typical place.
-    covariance : (D, D) float64, of the posterior in tangent directions around it.
-    scale : step scale by kernel name; 1 where a name is missing.
-    temperature : exponent on the likelihood; below 1 only while warming up or tempering.
     archive : (K, P) float64, places that all chains saw in warm-up, or None: `mean` is the only one.
     """
 
-    mean: np.ndarray
-    covariance: np.ndarray
-    scale: Mapping[str, float]
-    temperature: float = 1.0
+    mean: np.ndarray  # (P,) float64, a typical place
+    covariance: np.ndarray  # (D, D) float64, of the posterior in tangent directions around it
+    scale: Mapping[str, float]  # step scale by kernel name; 1 where a name is missing
+    temperature: float = 1.0  # exponent on the likelihood; below 1 only while warming up or tempering
     archive: np.ndarray | None = None
 
     @property

@@ -29,16 +29,12 @@ class PlaceMixture(NamedTuple):
     """Multivariate t distributions with 5 degrees of freedom and equal weights, one about each of K places.
 
     A place is D numbers, lengths and angles, such as (angle, x, y) of each of some objects.
-
-    centres : (K, D) float64.
-    factors : (K, D, D) float64, lower triangular. inverses : theirs.
-    periods : (D,) float64, of angles, which live on circles; 0 of lengths.
     """
 
-    centres: np.ndarray
-    factors: np.ndarray
-    inverses: np.ndarray
-    periods: np.ndarray
+    centres: np.ndarray  # (K, D) float64
+    factors: np.ndarray  # (K, D, D) float64, lower triangular
+    inverses: np.ndarray  # theirs
+    periods: np.ndarray  # (D,) float64, of angles, which live on circles; 0 of lengths
 
     def flat(self) -> np.ndarray:
         """Return flat float64: centre, lower triangle, the inverse's, its determinant; each number of all K at once."""

@@ -33,66 +33,57 @@ SPARE = 1 << 14  # and so many more
 class Pieces(NamedTuple):
     """Scratch for one pixel cut into convex polygons, in pixels from its centre.
 
-    corner : (PIECES, CORNERS, 2) float64, corners in order. edge : (PIECES, CORNERS) int64, what the edge from this
-        corner to the next is: -1, or twice the number of a line of an outline, one more on its outer side.
-    corners, code : (PIECES,) int64. plane : (PIECES, 3) float64, inverse depth at the centre and its slopes, of flat
-        ones. lines : (LINES, 3) float64, edges : (LINES, 2) int64, the lines that bound what is put in, and their edges
-        inside and outside. across : (CORNERS,) float64, of a quadrature.
+    edge : (PIECES, CORNERS) int64, what the edge from this corner to the next is: -1, or twice the number of a line of
+        an outline, one more on its outer side.
+    lines : (LINES, 3) float64, edges : (LINES, 2) int64, the lines that bound what is put in, and their edges inside
+        and outside.
     """
 
-    corner: np.ndarray
+    corner: np.ndarray  # (PIECES, CORNERS, 2) float64, corners in order
     edge: np.ndarray
-    corners: np.ndarray
-    code: np.ndarray
-    plane: np.ndarray
+    corners: np.ndarray  # (PIECES,) int64
+    code: np.ndarray  # (PIECES,) int64
+    plane: np.ndarray  # (PIECES, 3) float64, inverse depth at the centre and its slopes, of flat ones
     lines: np.ndarray
     edges: np.ndarray
-    across: np.ndarray
+    across: np.ndarray  # (CORNERS,) float64, of a quadrature
 
 
 class Canvas(NamedTuple):
     """Arrays of one antialiased rendering, made by `new_canvas` and written by `draw_antialiased`.
 
-    camera : (4,) float64 fx, fy, cx, cy.
     prepared : (N, PREPARED), rectangle : (N, 4) int64, of every solid; the rectangle one pixel wider than its centres'.
-    lines : (N LINES, LINE) float64, outlines, LINES of each solid; line_counts : (N, 2) int64, see `draw_outline`.
-    order : (N,) int64, the solids from near to far, planes last: what is hidden then cuts nothing.
-    inverse : (H, W) float64, inverse depth at pixel centres. code : (H, W) int64, what is seen there:
-        (solid << FACE_BITS) + face, or NOTHING. mixed : (H, W) uint8, not 0 where a pixel is divided: 1
-        for an outline or crease, 2 for a neighbour of another label.
-    depth : (H, W) float64, the antialiased image in metres.
-    part_range, border_range : (H * W, 2) int64, first and end of each mixed pixel's parts and borders. used : (2,)
-        int64, how many parts and borders are taken; those of pixels drawn again since are among them.
+    mixed : (H, W) uint8, not 0 where a pixel is divided: 1 for an outline or crease, 2 for a neighbour of another
+        label.
+    part_range, border_range : (H * W, 2) int64, first and end of each mixed pixel's parts and borders.
+    used : (2,) int64, how many parts and borders are taken; those of pixels drawn again since are among them.
     drawn_pose : (N, 4, 4), drawn_size : (N, 3) float64, drawn_window : (4,) int64, of what was drawn last; an empty
-        window if nothing was. dirty : (4,) int64, the pixels that the last drawing drew.
-    part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands
-        for it. What sees nothing is left out.
-    border_code : (B, 2) int64, the edge (see Pieces) and the code of the piece that it bounds. borders : (B, 4)
-        float64, column and row of its ends.
-    pieces : Pieces.
+        window if nothing was.
+    part_code : (P,) int64, parts : (P, 3) float64, share of the pixel and the image point (column, row) that stands for
+        it. What sees nothing is left out.
     """
 
-    camera: np.ndarray
+    camera: np.ndarray  # (4,) float64 fx, fy, cx, cy
     prepared: np.ndarray
     rectangle: np.ndarray
-    lines: np.ndarray
-    line_counts: np.ndarray
-    order: np.ndarray
-    inverse: np.ndarray
-    code: np.ndarray
+    lines: np.ndarray  # (N LINES, LINE) float64, outlines, LINES of each solid
+    line_counts: np.ndarray  # (N, 2) int64, see `draw_outline`
+    order: np.ndarray  # (N,) int64, the solids from near to far, planes last: what is hidden then cuts nothing
+    inverse: np.ndarray  # (H, W) float64, inverse depth at pixel centres
+    code: np.ndarray  # (H, W) int64, what is seen there: (solid << FACE_BITS) + face, or NOTHING
     mixed: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray  # (H, W) float64, the antialiased image in metres
     part_range: np.ndarray
     border_range: np.ndarray
     used: np.ndarray
     drawn_pose: np.ndarray
     drawn_size: np.ndarray
     drawn_window: np.ndarray
-    dirty: np.ndarray
+    dirty: np.ndarray  # (4,) int64, the pixels that the last drawing drew
     part_code: np.ndarray
     parts: np.ndarray
-    border_code: np.ndarray
-    borders: np.ndarray
+    border_code: np.ndarray  # (B, 2) int64, the edge (see Pieces) and the code of the piece that it bounds
+    borders: np.ndarray  # (B, 4) float64, column and row of its ends
     pieces: Pieces
 
 

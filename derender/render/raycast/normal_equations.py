@@ -51,16 +51,12 @@ MOTION = 9  # twist (v, w) and the rates of the three extents
 class Records(NamedTuple):
     """The Jacobian of the antialiased image by every solid's motion: d depth[pixel] = sum over records form .
     motion[solid].
-
-    pixel : (M,) int32, row * W + column. solid : (M,) int32. form : (M, MOTION) float64; only the first `filled[0]`
-        are filled.
-    filled : (1,) int64, how many are.
     """
 
-    pixel: np.ndarray
-    solid: np.ndarray
-    form: np.ndarray
-    filled: np.ndarray
+    pixel: np.ndarray  # (M,) int32, row * W + column
+    solid: np.ndarray  # (M,) int32
+    form: np.ndarray  # (M, MOTION) float64; only the first `filled[0]` are filled
+    filled: np.ndarray  # (1,) int64, how many are
 
 
 def new_records(camera: "Camera", solids: int) -> Records:
@@ -243,36 +239,27 @@ DRAW, RECORD = range(2)
 class Misfit(NamedTuple):
     """Arrays for comparing one observed image with scenes of one structure.
 
-    canvas : Canvas. records : Records. kinds : (N,) int32.
-    observed : (H, W) float64 metres, any number where missing. precision : (H, W) float64, 1 / sigma^2, 0 where
-        missing.
-    numbers : (2,) float64, the background depth and the limit of the robust cost (infinite: normal).
-    taps : (R + 1,) float64, of the blur. window : (4,) int64, all pixels.
-    row_costs : (H,) float64, of each row.
     blurred, weighted, scratch, weight, spare : (H, W) float64: blurred model; derivative of the cost by it; scratch;
         weight of each pixel in the normal equations; scratch.
-    images : (P, H * W) float64, derivatives of the blurred image by the parameters. bounds : (P, 4) int64, where not
-        zero.
-    calls : (2,) int64, addresses in this process of `draw_antialiased` and `record`.
     """
 
     canvas: Canvas
     records: Records
-    kinds: np.ndarray
-    observed: np.ndarray
-    precision: np.ndarray
-    numbers: np.ndarray
-    taps: np.ndarray
-    window: np.ndarray
-    row_costs: np.ndarray
+    kinds: np.ndarray  # (N,) int32
+    observed: np.ndarray  # (H, W) float64 metres, any number where missing
+    precision: np.ndarray  # (H, W) float64, 1 / sigma^2, 0 where missing
+    numbers: np.ndarray  # (2,) float64, the background depth and the limit of the robust cost (infinite: normal)
+    taps: np.ndarray  # (R + 1,) float64, of the blur
+    window: np.ndarray  # (4,) int64, all pixels
+    row_costs: np.ndarray  # (H,) float64, of each row
     blurred: np.ndarray
     weighted: np.ndarray
     scratch: np.ndarray
     weight: np.ndarray
     spare: np.ndarray
-    images: np.ndarray
-    bounds: np.ndarray
-    calls: np.ndarray
+    images: np.ndarray  # (P, H * W) float64, derivatives of the blurred image by the parameters
+    bounds: np.ndarray  # (P, 4) int64, where not zero
+    calls: np.ndarray  # (2,) int64, addresses in this process of `draw_antialiased` and `record`
 
 
 def new_misfit(

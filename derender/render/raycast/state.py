@@ -37,46 +37,38 @@ NO_RETURN = np.float32(-1.0)  # in SHOWS
 class EngineState(NamedTuple):
     """Attributes (H, W: image; N: solids; R: blur radius; P: a row of a padded image; axis of 2: current, candidate).
 
-    settings : (16,) int64, see WIDTH ... RASTERISE.
-    parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. OBSERVED is the
-        number of pixels with a return. SIGMA may be written at any time: with the
-        gaussian likelihood `log_likelihood_of` is right at once, with others after `rescore_state`.
-    total : (2,) float64, sums of the scores.
-    taps : (R + 1,) float32, blur weights from the centre outwards.
-    images : (5 + 2 M, H, P; under CORRELATED 8 + 2 M) float32; pixel i of a row is at column i + PAD.
-        [OBSERVED_IMAGE] metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and
-            below zero where they show what is no part of the scene, see `Robust`),
-        [DEPTH + half] clean model depth, edges replicated,
-        [SCORE + half] each pixel's squared residual (gaussian) or log density (others),
-        [MESHES + 2 slot + half] inverse depth of each mesh, without padding, filled in its rectangle only,
-        [-GOING_ON] the density of each pixel that goes on as earlier ones do, see `Correlated`,
-        [-SHOWS + half] the probability that each shows its surface, NO_RETURN where nothing returned.
-    strip : (H, LANES) float32, scratch for wide blurs.
-    kind : (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's.
-    pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64. rectangle : (2, N, 4) int64.
-    lists : (2, N) int64: solids moved by the proposal; scratch.
+    parameters : (PARAMETERS,) float64: camera, blur's reach, the likelihood's numbers. OBSERVED is the number of pixels
+        with a return. SIGMA may be written at any time: with the gaussian likelihood `log_likelihood_of` is right at
+        once, with others after `rescore_state`.
+    images : (5 + 2 M, H, P; under CORRELATED 8 + 2 M) float32; pixel i of a row is at column i + PAD. [OBSERVED_IMAGE]
+        metres; NaN in the padding and for missing pixels (gaussian; under others they are 0, and below zero where they
+        show what is no part of the scene, see `Robust`), [DEPTH + half] clean model depth, edges replicated, [SCORE +
+        half] each pixel's squared residual (gaussian) or log density (others), [MESHES + 2 slot + half] inverse depth
+        of each mesh, without padding, filled in its rectangle only, [-GOING_ON] the density of each pixel that goes on
+        as earlier ones do, see `Correlated`, [-SHOWS + half] the probability that each shows its surface, NO_RETURN
+        where nothing returned.
+    pose : (2, N, 4, 4), size : (2, N, 3), prepared : (2, N, PREPARED) float64.
     regions : (2, 2 N + 1, 4) int64: the proposal's regions, as drawn, and as scored (with the blur's margin).
-    vertices, triangles, starts, extents, points : FlatMeshes' arrays, and scratch.
     """
 
-    settings: np.ndarray
+    settings: np.ndarray  # (16,) int64, see WIDTH ... RASTERISE.
     parameters: np.ndarray
-    total: np.ndarray
-    taps: np.ndarray
+    total: np.ndarray  # (2,) float64, sums of the scores
+    taps: np.ndarray  # (R + 1,) float32, blur weights from the centre outwards
     images: np.ndarray
-    strip: np.ndarray
-    kind: np.ndarray
+    strip: np.ndarray  # (H, LANES) float32, scratch for wide blurs
+    kind: np.ndarray  # (3, N) int64: kind and mesh as in Solids, and which of the M meshes' images is this one's
     pose: np.ndarray
     size: np.ndarray
     prepared: np.ndarray
-    rectangle: np.ndarray
-    lists: np.ndarray
+    rectangle: np.ndarray  # (2, N, 4) int64
+    lists: np.ndarray  # (2, N) int64: solids moved by the proposal; scratch
     regions: np.ndarray
-    vertices: np.ndarray
-    triangles: np.ndarray
-    starts: np.ndarray
-    extents: np.ndarray
-    points: np.ndarray
+    vertices: np.ndarray  # FlatMeshes' arrays, and scratch
+    triangles: np.ndarray  # FlatMeshes' arrays, and scratch
+    starts: np.ndarray  # FlatMeshes' arrays, and scratch
+    extents: np.ndarray  # FlatMeshes' arrays, and scratch
+    points: np.ndarray  # FlatMeshes' arrays, and scratch
 
 
 PAD = LANES  # columns of padding before pixel 0: more than any blur radius allowed here

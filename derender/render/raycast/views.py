@@ -21,14 +21,12 @@ class Views(NamedTuple):
     """Attributes (V: views, N: solids).
 
     engines : EngineState whose arrays have an axis of V in front, filled up to the size of the largest view's.
-    into : (V, 4, 4) float64, axes of the scene to those of each camera. elsewhere : (V,) bool, whether they differ.
-    moved : (N, 4, 4) float64, scratch: poses in the axes of one of them.
     """
 
     engines: EngineState
-    into: np.ndarray
-    elsewhere: np.ndarray
-    moved: np.ndarray
+    into: np.ndarray  # (V, 4, 4) float64, axes of the scene to those of each camera
+    elsewhere: np.ndarray  # (V,) bool, whether they differ
+    moved: np.ndarray  # (N, 4, 4) float64, scratch: poses in the axes of one of them
 
 
 def make_views(states: Sequence[EngineState], into: np.ndarray) -> Views:

@@ -31,16 +31,14 @@ rotation_by, chart_of = interpreted(compiled.rotation_by), interpreted(compiled.
 class Inverse(NamedTuple):
     """The contact nearest to a pose.
 
-    phi : the free parameters by name, within their ranges; theta in [0, 2 pi), see `fold`.
     slack : the slack parameters by name (gap, tilts, the angle of what is round) that reproduce the pose.
-    outside : metres by which the two outlines miss each other; 0 where they touch.
-    angle : radians by which the rotation cannot be reproduced; 0 where the contact can take this rotation.
-    With `outside` and `angle` 0 the pose is reproduced exactly by {**phi, **slack}.
+    angle : radians by which the rotation cannot be reproduced; 0 where the contact can take this rotation. With
+        `outside` and `angle` 0 the pose is reproduced exactly by {**phi, **slack}.
     """
 
-    phi: dict[str, float]
+    phi: dict[str, float]  # the free parameters by name, within their ranges; theta in [0, 2 pi), see `fold`
     slack: dict[str, float]
-    outside: float
+    outside: float  # metres by which the two outlines miss each other; 0 where they touch
     angle: float
 
     @property

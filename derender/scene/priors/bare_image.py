@@ -22,16 +22,15 @@ from derender.scene.shapes import shapes
 class Existence:
     """How probable it is that a free-form thing is an object, not clutter or a piece of one, by how much it explains.
 
-    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see
-        detection.existence; nats count with the square of that. steep : power with which the odds grow with the nats.
-    most : the most that is said. error : standard error of that; error_at_even : at even odds.
+    even : nats gained at which it is as likely as not, where it stands out by `outstanding`, see detection.existence;
+        nats count with the square of that.
     """
 
     even: float = 27.0
-    steep: float = 3.0
-    most: float = 0.95
-    error: float = 0.05
-    error_at_even: float = 0.15
+    steep: float = 3.0  # power with which the odds grow with the nats
+    most: float = 0.95  # the most that is said
+    error: float = 0.05  # standard error of that
+    error_at_even: float = 0.15  # at even odds
     outstanding: float = 0.5
 
     def of(self, gain: float, outstanding: float) -> tuple[float, float]:
@@ -46,46 +45,38 @@ class Missed:
     """How probable it is that a search has not found what is there at all, see `structures.infer.missed_by`.
 
     settled : of an image, where two searches agreed, nothing is left unexplained, and what was found was weighed
-        against others (`--method map` does not). open : where not. no_floor : where nothing was found to stand on.
-    sensor : of a real sensor's image. unexplained : share of its pixels that solids do not explain at which e times
-        fewer answers are right.
-    few : of each solid, did it show in no pixel; pixels : independent ones in which it shows, e times less at each.
-    wrong : share of the objects of an answer that are not there where it is one that missed what is.
+        against others (`--method map` does not).
     explained : of an answer of known objects, share of the pixels from which on nothing is left unexplained.
-    error : standard error of what these come to, as a share of it: a few misses were counted.
     """
 
     settled: float = 0.005
-    open: float = 0.12
-    no_floor: float = 0.5
-    sensor: float = 0.1
-    unexplained: float = 0.05
-    few: float = 0.3
-    pixels: float = 10.0
-    wrong: float = 0.5
+    open: float = 0.12  # where not
+    no_floor: float = 0.5  # where nothing was found to stand on
+    sensor: float = 0.1  # of a real sensor's image
+    unexplained: float = 0.05  # share of its pixels that solids do not explain at which e times fewer answers are right
+    few: float = 0.3  # of each solid, did it show in no pixel
+    pixels: float = 10.0  # independent ones in which it shows, e times less at each
+    wrong: float = 0.5  # share of the objects of an answer that are not there where it is one that missed what is
     explained: float = 0.95
-    error: float = 0.4
+    error: float = 0.4  # standard error of what these come to, as a share of it: a few misses were counted
 
 
 @dataclass(frozen=True)
 class Things:
     """What is believed of free-form things: of their surfaces, and of their extents.
 
-    patch : metres over which a usual thing's surface bends little. wide : metres across the front of a usual thing;
-        what is larger bends over ways that are as much longer. number : nats of what each patch says beyond what its
-        neighbours tell. edge : nats against a concave edge within one thing as long as a patch.
-    whole : probability that an extent is as is seen. hidden : else how much farther it reaches, as a share of it along
-        the line of sight, standard deviation; what is round reaches as far as its axis tells.
-    silhouette : pixels by which an extent is off because silhouettes lie anywhere between two.
+    wide : metres across the front of a usual thing; what is larger bends over ways that are as much longer.
+    hidden : else how much farther it reaches, as a share of it along the line of sight, standard deviation; what is
+        round reaches as far as its axis tells.
     """
 
-    patch: float = 0.03
+    patch: float = 0.03  # metres over which a usual thing's surface bends little
     wide: float = 0.2
-    number: float = 2.3
-    edge: float = 23.0
-    whole: float = 0.7
+    number: float = 2.3  # nats of what each patch says beyond what its neighbours tell
+    edge: float = 23.0  # nats against a concave edge within one thing as long as a patch
+    whole: float = 0.7  # probability that an extent is as is seen
     hidden: float = 0.2
-    silhouette: float = 0.4
+    silhouette: float = 0.4  # pixels by which an extent is off because silhouettes lie anywhere between two
 
     def larger(self, area: Any) -> Any:
         """Return how many times larger than usual a thing is that shows so many square metres; at least 1."""
@@ -99,13 +90,12 @@ class Shared:
     Draws and weights are under the likelihood `correlated` there (data/sensors/any.yaml where no file says another).
 
     power : of (1 + r) / (1 - r), r being the correlation of neighbours' errors on the floor: so many pixels are one.
-    least : correlation below which they count as independent. most : the most that is believed of a correlation.
     columns : of an image in which that holds; the pixels of one of more tell as much as those of one of so many.
     """
 
     power: float = 1.5
-    least: float = 0.1
-    most: float = 0.75
+    least: float = 0.1  # correlation below which they count as independent
+    most: float = 0.75  # the most that is believed of a correlation
     columns: float = 160.0
 
 
@@ -113,23 +103,19 @@ class Shared:
 class Floors:
     """What is believed of the plane that is the floor, see `detection.floors`.
 
-    height : of the camera over it in the middle; spread : factor by which one in three is lower or higher.
-    aside, upside_down : how often a camera is held on either side or upside down, against upright. ceiling : against
-        floors seen upright, what faces down more steeply than a wall and is no ceiling. faced : planes that the camera
-        looks straight at and are no walls.
-    share : power of the share of the pixels on a plane with which the odds grow; explained : of the share that it and
-        what stands on it explain, among planes that come near the likeliest. under : what far under it takes away of
-        that share, and parallel : what on likely planes parallel to it adds.
+    aside, upside_down : how often a camera is held on either side or upside down, against upright.
+    explained : of the share that it and what stands on it explain, among planes that come near the likeliest.
+    under : what far under it takes away of that share, and parallel : what on likely planes parallel to it adds.
     none : odds, of a plane against one that is all that is seen, from which on there rather is no floor.
     """
 
-    height: float = 0.7
-    spread: float = 2.0
+    height: float = 0.7  # of the camera over it in the middle
+    spread: float = 2.0  # factor by which one in three is lower or higher
     aside: float = 0.027
     upside_down: float = 0.011
-    ceiling: float = 0.33
-    faced: float = 0.25
-    share: float = 2.0
+    ceiling: float = 0.33  # against floors seen upright, what faces down more steeply than a wall and is no ceiling
+    faced: float = 0.25  # planes that the camera looks straight at and are no walls
+    share: float = 2.0  # power of the share of the pixels on a plane with which the odds grow
     explained: float = 4.0
     under: float = 0.3
     parallel: float = 0.5
@@ -140,56 +126,46 @@ class Floors:
 class Cartons:
     """What is believed of equal cartons stacked in a grid, see `structures.grids`.
 
-    probability : that a box is such a grid. most : of them in a row, n being as likely as 1 / n.
-    extent : distribution over each extent of a carton, in metres whatever the unit is. gap : metres, the widest.
+    extent : distribution over each extent of a carton, in metres whatever the unit is.
     """
 
-    probability: float = 0.02
-    most: int = 5
+    probability: float = 0.02  # that a box is such a grid
+    most: int = 5  # of them in a row, n being as likely as 1 / n
     extent: Distribution = field(default_factory=lambda: distributions["log-normal"](0.2, 0.4))
-    gap: float = 0.006
+    gap: float = 0.006  # metres, the widest
 
 
 @dataclass(frozen=True)
 class Loose:
     """What an image's solids do besides what a tree of exact contacts says.
 
-    unit : metres, a number or distribution: of all lengths in the file. seen_from : units from the camera, least and
-        most, to most of what it sees.
+    unit : metres, a number or distribution: of all lengths in the file.
     slack : metres by which a solid that is not upright is off its support (the width of a Cauchy density).
-    slack_seen : the same where a real sensor shows it.
-    overlap : metres by which solids may enter each other. faces : standard deviation in metres by which each face of a
-        real solid is off where a real sensor shows it: neither is even, and slow biases span whole faces.
-    hanging : probability of touching nothing. tipping : weight of what its contacts cannot hold without friction.
+    faces : standard deviation in metres by which each face of a real solid is off where a real sensor shows it: neither
+        is even, and slow biases span whole faces.
     friction : coefficient of one contact, on which hangs which of several supports bears most.
-    missed : Missed, what a search may not have found.
     crowding : how many solids seen on a floor tell as much of how crowded it is as the number in `offspring`.
-    stranger : probability that a solid is none of the known objects, where others than those may be.
-    second_support : probability that a neighbour's top is level with what bears a solid; within : metres below it
-        in which that top lies otherwise.
-    shared : Shared, by pixels that err together. existence : of a free-form thing; things : of their extents.
-    cartons : Cartons, of boxes that are many. floor : Floors, of which plane is the floor.
     """
 
     unit: Distribution | float = field(default_factory=lambda: distributions["log-normal"](1.0, 1.5))
-    seen_from: tuple[float, float] = (0.4, 1.5)
+    seen_from: tuple[float, float] = (0.4, 1.5)  # units from the camera, least and most, to most of what it sees
     slack: float = 0.0015
-    slack_seen: float = 0.002
-    overlap: float = 3e-4
+    slack_seen: float = 0.002  # the same where a real sensor shows it
+    overlap: float = 3e-4  # metres by which solids may enter each other
     faces: float = 0.003
-    hanging: float = 1e-13
-    tipping: float = 0.01
+    hanging: float = 1e-13  # probability of touching nothing
+    tipping: float = 0.01  # weight of what its contacts cannot hold without friction
     friction: Distribution = field(default_factory=lambda: distributions["log-normal"](0.35, 0.8))
-    missed: Missed = field(default_factory=Missed)
+    missed: Missed = field(default_factory=Missed)  # Missed, what a search may not have found
     crowding: float = 1.0
-    stranger: float = 0.05
-    second_support: float = 0.5
-    within: float = 0.06
-    shared: Shared = field(default_factory=Shared)
-    existence: Existence = field(default_factory=Existence)
-    things: Things = field(default_factory=Things)
-    cartons: Cartons = field(default_factory=Cartons)
-    floor: Floors = field(default_factory=Floors)
+    stranger: float = 0.05  # probability that a solid is none of the known objects, where others than those may be
+    second_support: float = 0.5  # probability that a neighbour's top is level with what bears a solid
+    within: float = 0.06  # metres below it in which that top lies otherwise
+    shared: Shared = field(default_factory=Shared)  # Shared, by pixels that err together
+    existence: Existence = field(default_factory=Existence)  # of a free-form thing
+    things: Things = field(default_factory=Things)  # of their extents
+    cartons: Cartons = field(default_factory=Cartons)  # Cartons, of boxes that are many
+    floor: Floors = field(default_factory=Floors)  # Floors, of which plane is the floor
 
 
 class MayTip:

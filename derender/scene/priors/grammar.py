@@ -27,23 +27,19 @@ MOST_OBJECTS = 10_000
 class GrammarPrior(Prior):
     """Objects that grow on a base.
 
-    root : prior on the root's pose.
     base : objects that are always there, under their names (a floor); they may have distributions too.
-    shapes : kinds of objects that grow, by name.
-    contacts : p_{s,t}(c) and p_c(phi).
     offspring : distribution of the number of objects that grow on one, by the name of a base object, the kind of a
         grown one, or "root"; what is not named, or has no flat face up, bears nothing.
-    tree : the prior of the base alone.
     spectral_radius : of the matrix of mean numbers of offspring, below 1.
     """
 
-    root: RootPrior
+    root: RootPrior  # prior on the root's pose
     base: tuple[TreeObject, ...]
-    shapes: Mapping[str, ShapePrior]
-    contacts: ContactPrior
+    shapes: Mapping[str, ShapePrior]  # kinds of objects that grow, by name
+    contacts: ContactPrior  # p_{s,t}(c) and p_c(phi)
     offspring: Mapping[str, Any]
     constraints: tuple[Term, ...] = ()
-    tree: TreePrior = field(init=False, repr=False, compare=False)
+    tree: TreePrior = field(init=False, repr=False, compare=False)  # the prior of the base alone
     spectral_radius: float = field(init=False, repr=False, compare=False)
     _kinds: dict[tuple[str, str | None], Categorical | None] = field(init=False, repr=False, compare=False)
 
@@ -217,18 +213,13 @@ class Algorithm1Prior(Prior):
     numbers again then, so the distribution of its results is Eq. 4 divided by
     Z = 1 - exp(-mean_parents) (1 - exp(-mean_children)), the mass of all graphs under Eq. 4; `log_normaliser` is log Z.
     The root, always a frame, takes no part in the product over shapes.
-
-    root : prior on z_root, which Eq. 4 does not cover; its log density is added.
-    shapes : the finite set S by name, each as likely.
-    contacts : p_{s,t}(c) and p_c(phi); under the root only `6dof` counts.
-    mean_parents, mean_children : lambda_1 and lambda_2.
     """
 
-    root: RootPrior
-    shapes: Mapping[str, ShapePrior]
-    contacts: ContactPrior
-    mean_parents: float
-    mean_children: float
+    root: RootPrior  # prior on z_root, which Eq. 4 does not cover; its log density is added.
+    shapes: Mapping[str, ShapePrior]  # the finite set S by name, each as likely
+    contacts: ContactPrior  # p_{s,t}(c) and p_c(phi); under the root only `6dof` counts
+    mean_parents: float  # lambda_1 and lambda_2
+    mean_children: float  # lambda_1 and lambda_2
     constraints: tuple[Term, ...] = ()
     _parents: Distribution = field(init=False, repr=False, compare=False)
     _children: Distribution = field(init=False, repr=False, compare=False)

@@ -101,16 +101,13 @@ def unit_quaternion(parts: Sequence[float], place: Node | None = None) -> tuple[
 class ShapePrior:
     """A shape type, what is fixed about it, and the distribution of its parameters.
 
-    type : name of a registered shape.
     values : number or distribution by parameter name; one that is left out takes its default, which must exist.
-    options : what is no number: a mesh's file, mass, friction.
-    weight : relative probability among the shapes of an open-universe prior.
     """
 
-    type: str
+    type: str  # name of a registered shape
     values: Mapping[str, Value] = field(default_factory=dict)
-    options: Mapping[str, Any] = field(default_factory=dict)
-    weight: float = 1.0
+    options: Mapping[str, Any] = field(default_factory=dict)  # what is no number: a mesh's file, mass, friction
+    weight: float = 1.0  # relative probability among the shapes of an open-universe prior
     _table: tuple[tuple[str, Value], ...] = field(init=False, repr=False, compare=False)
     _identity: tuple = field(init=False, repr=False, compare=False)
 
@@ -195,25 +192,21 @@ _OPPOSITE = {"+": "-", "-": "+"}
 class ContactRule:
     """One kind of contact that a prior allows.
 
-    type : a registered contact type.
-    weight : relative probability among the rules that fit a pair of shapes.
     parent_face, child_face : None (all faces are as likely), the name of one, a `Categorical` over names; the parent's
         may be "top".
     values : by parameter name, a number or distribution (``quat_wxyz``: four numbers or uniform-rotation).
-    parents, children : shape types to which the rule is limited.
     fill : give parameters that `values` leaves out a uniform distribution over their range (True), or their default.
-    places : where each value stands in its file.
     """
 
-    type: str
-    weight: float = 1.0
+    type: str  # a registered contact type
+    weight: float = 1.0  # relative probability among the rules that fit a pair of shapes
     parent_face: Any = None
     child_face: Any = None
     values: Mapping[str, Any] = field(default_factory=dict)
-    parents: tuple[str, ...] | None = None
-    children: tuple[str, ...] | None = None
+    parents: tuple[str, ...] | None = None  # shape types to which the rule is limited
+    children: tuple[str, ...] | None = None  # shape types to which the rule is limited
     fill: bool = True
-    places: Mapping[str, Node] = field(default_factory=dict)
+    places: Mapping[str, Node] = field(default_factory=dict)  # where each value stands in its file
 
     def choices(self, parent: str, child: str, top: str | None) -> dict[tuple[Any, Any], float]:
         """Return the probability of each (parent face, child face) for two shape types; empty where none fits."""

@@ -199,19 +199,14 @@ ROOT = "root"
 
 @dataclass(frozen=True)
 class TreeObject:
-    """One named object.
-
-    parent : name of another object, "root", or a `Categorical` over such names.
-    supports : names of further objects on which it rests (a bridge).
-    place : where it stands in its file.
-    """
+    """One named object."""
 
     name: str
     shape: ShapePrior
     contact: ContactPrior
-    parent: str | Categorical = ROOT
-    supports: tuple[str, ...] = ()
-    place: Node | None = None
+    parent: str | Categorical = ROOT  # name of another object, "root", or a `Categorical` over such names
+    supports: tuple[str, ...] = ()  # names of further objects on which it rests (a bridge)
+    place: Node | None = None  # where it stands in its file
 
     @property
     def parents(self) -> tuple[str, ...]:
@@ -249,18 +244,12 @@ def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
 
 @dataclass(frozen=True)
 class TreePrior(Prior):
-    """Fixed objects under a root.
+    """Fixed objects under a root."""
 
-    root : prior on the root's pose.
-    objects : sorted so that parents come first.
-    constraints : terms that multiply the density; with them it is known up to a constant.
-    gravity : of the scenes, see `SceneGraph`.
-    """
-
-    root: RootPrior
-    objects: tuple[TreeObject, ...]
-    constraints: tuple[Term, ...] = ()
-    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    root: RootPrior  # prior on the root's pose
+    objects: tuple[TreeObject, ...]  # sorted so that parents come first
+    constraints: tuple[Term, ...] = ()  # terms that multiply the density; with them it is known up to a constant
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)  # of the scenes, see `SceneGraph`
     by_name: Mapping[str, TreeObject] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

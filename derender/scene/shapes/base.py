@@ -44,25 +44,19 @@ UNBOUNDED = Outline(math.inf, math.inf, 0.0)
 class Face(NamedTuple):
     """A feature of a solid by which it can touch: a flat face, a side, an edge, a corner, or a sphere's any point.
 
-    frame : (4, 4) float64 in object axes; z along the outward normal, x along the outline's length.
-    outline : where it touches, in the frame's x-y plane.
     lift : distance from the frame's origin to the touching place along z: 0 for faces, the radius for what rolls.
     """
 
-    frame: np.ndarray
-    outline: Outline
+    frame: np.ndarray  # (4, 4) float64 in object axes; z along the outward normal, x along the outline's length
+    outline: Outline  # where it touches, in the frame's x-y plane
     lift: float = 0.0
 
 
 class Symmetry(NamedTuple):
-    """The rotations that leave a solid as it is.
+    """The rotations that leave a solid as it is."""
 
-    rotations : (K, 3, 3) float64, a finite group in object axes, the identity first.
-    axis : "z" where any rotation about z may follow, "all" where any rotation may, else None.
-    """
-
-    rotations: np.ndarray
-    axis: str | None = None
+    rotations: np.ndarray  # (K, 3, 3) float64, a finite group in object axes, the identity first
+    axis: str | None = None  # "z" where any rotation about z may follow, "all" where any rotation may, else None
 
 
 class Shape:
@@ -145,16 +139,11 @@ class Shape:
 
 
 class Body(NamedTuple):
-    """A shape with its numbers: what a contact needs to know of each of the two solids.
+    """A shape with its numbers: what a contact needs to know of each of the two solids."""
 
-    shape : the registered shape.
-    psi : (P,) float64, its parameters.
-    options : what else the file says.
-    """
-
-    shape: Shape
-    psi: Any = ()
-    options: Options = NONE
+    shape: Shape  # the registered shape
+    psi: Any = ()  # (P,) float64, its parameters
+    options: Options = NONE  # what else the file says
 
     def face(self, name: str) -> Face:
         """Return the feature called `name`."""

@@ -30,15 +30,12 @@ LARGEST_METRES = 5.0  # no household solid is larger: a mesh that is was written
 class LoadedMesh(NamedTuple):
     """A mesh as loaded, at scale 1.
 
-    vertices : (V, 3) float64, in the axes of the oriented box, its centre the origin; not writeable.
-    triangles : (T, 3) int32; not writeable.
-    extents : (3,) float64 of the oriented box.
     box_from_file : (4, 4) float64, from the file's axes to the box's: applied to the file's vertices gives ours.
     """
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    extents: np.ndarray
+    vertices: np.ndarray  # (V, 3) float64, in the axes of the oriented box, its centre the origin; not writeable
+    triangles: np.ndarray  # (T, 3) int32; not writeable
+    extents: np.ndarray  # (3,) float64 of the oriented box
     box_from_file: np.ndarray
 
 
@@ -178,16 +175,12 @@ PLACE = ("position", "quat_wxyz")
 
 
 class Assembly(NamedTuple):
-    """The parts of a compound put together, at scale 1, about the centre of their box.
+    """The parts of a compound put together, at scale 1, about the centre of their box."""
 
-    vertices : (V, 3) float64, metres. triangles : (T, 3) int32. extents : (3,) float64, metres.
-    corners : for each part (C, 3) float64, metres, of its convex hull.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    extents: np.ndarray
-    corners: tuple[np.ndarray, ...]
+    vertices: np.ndarray  # (V, 3) float64, metres
+    triangles: np.ndarray  # (T, 3) int32
+    extents: np.ndarray  # (3,) float64, metres
+    corners: tuple[np.ndarray, ...]  # for each part (C, 3) float64, metres, of its convex hull
 
 
 def part_mesh(part: Any) -> Any:

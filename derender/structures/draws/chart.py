@@ -46,29 +46,23 @@ class Chart(NamedTuple):
 
     flags : (N, 6) int64, see KIND ... ; the parent is FLOOR or an index; EQUAL: whether it is a cube; ALONE: whether
         nothing but its parent, a solid, bears it.
-    slots : (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none.
-    base : (N, ROW) float64, the solids at the start: rotations are turns from there.
-    order : (N,) int64, supports before what they carry.
-    floor : (4, 4) float64, floor frame to camera at the start.
-    slack, overlap, faces, floating : as in Rules. sunk : metres by which solids may sink into the floor.
-    hanging, tipping : nats that touching nothing costs, and tipping off what bears it. sizes : as in Beliefs.
-    structural : log prior of the structure itself: how many solids stand where, of which kinds, upright or not.
+    hanging, tipping : nats that touching nothing costs, and tipping off what bears it.
     """
 
     flags: np.ndarray
-    slots: np.ndarray
-    base: np.ndarray
-    order: np.ndarray
-    floor: np.ndarray
-    slack: float
-    overlap: float
-    faces: float
-    floating: bool
-    sunk: float
+    slots: np.ndarray  # (N, 9) int64, which coordinate gives x, y, z, three turns, three extents of a solid; -1: none
+    base: np.ndarray  # (N, ROW) float64, the solids at the start: rotations are turns from there
+    order: np.ndarray  # (N,) int64, supports before what they carry
+    floor: np.ndarray  # (4, 4) float64, floor frame to camera at the start
+    slack: float  # as in Rules
+    overlap: float  # as in Rules
+    faces: float  # as in Rules
+    floating: bool  # as in Rules
+    sunk: float  # metres by which solids may sink into the floor
     hanging: float
     tipping: float
-    sizes: np.ndarray
-    structural: float
+    sizes: np.ndarray  # as in Beliefs
+    structural: float  # log prior of the structure itself: how many solids stand where, of which kinds, upright or not
 
 
 def upright_within(row: np.ndarray, angle: float) -> bool:

@@ -52,18 +52,14 @@ WIDER, FREEDOM = 1.3, 6.0  # times as wide as draws at one blur are those at any
 
 
 class Refined(NamedTuple):
-    """A state at its mode under a sensor model.
+    """A state at its mode under a sensor model."""
 
-    state : State with its rows there; chart : Chart; values : (D,) its coordinates; sensor : Sensor.
-    log_prior, log_likelihood : there.
-    """
-
-    state: Any
+    state: Any  # State with its rows there
     chart: Chart
-    values: np.ndarray
+    values: np.ndarray  # (D,) its coordinates
     sensor: Sensor
-    log_prior: float
-    log_likelihood: float
+    log_prior: float  # there
+    log_likelihood: float  # there
 
 
 def at_mode(rng: np.random.Generator, state: State, floor_pose: np.ndarray, sensor: Sensor, rules: Rules,
@@ -114,13 +110,12 @@ def refined_at(
 
 
 class View(NamedTuple):
-    """An image to refine by: its Camera; observed (H, W) and into, see Sensor; shared : whether its neighbouring pixels
-    share noise, so that it is a real sensor's."""
+    """An image to refine by, see Sensor."""
 
     camera: Camera
-    observed: np.ndarray
+    observed: np.ndarray  # (H, W)
     into: np.ndarray = np.eye(4)
-    shared: bool = False
+    shared: bool = False  # whether its neighbouring pixels share noise, so that it is a real sensor's
 
 
 def view_of(seen: Any) -> View:

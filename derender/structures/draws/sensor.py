@@ -46,21 +46,18 @@ NONE: Mapping[str, float] = MappingProxyType({})  # of its numbers are known
 class Sensor(NamedTuple):
     """A likelihood bound to an image, or to several of one scene that stands still: then their product.
 
-    camera : Camera; observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it
-        shows what is no part of the scene, see `Robust`.
-    likelihood : of render.likelihoods; values : all its numbers.
-    prior : LikelihoodPrior, what is believed of those numbers; None: of each value as much.
+    observed : (H, W) metres, NaN where nothing returned or the pixel is left out, below zero where it shows what is no
+        part of the scene, see `Robust`.
     into : (4, 4) float64, the scene's axes (those of the first view's camera) to those of this camera.
-    others : Sensors of the other views, each of one.
     """
 
     camera: Camera
     observed: np.ndarray
-    likelihood: Any
-    values: dict[str, float]
-    prior: Any = None
+    likelihood: Any  # of render.likelihoods
+    values: dict[str, float]  # all its numbers
+    prior: Any = None  # LikelihoodPrior, what is believed of those numbers; None: of each value as much
     into: np.ndarray = np.eye(4)
-    others: tuple["Sensor", ...] = ()
+    others: tuple["Sensor", ...] = ()  # Sensors of the other views, each of one
 
     @property
     def returned(self) -> np.ndarray:

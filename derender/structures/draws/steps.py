@@ -70,22 +70,17 @@ class Proposals(NamedTuple):
     """Steps to choose from. M of them.
 
     table : (4, M + 1) int64: begin of its coordinates, begin of its matrix, number of columns, begin of its pull or -1.
-    members : flat int64, coordinates. factors : flat float64, matrices row by row.
-    pulls : (K, D) float64, one below the other. center : (D,) float64.
-    touched : (M, 1 + N) bool, whether the floor and each solid move in the camera.
-    cumulative : (M,) float64, running sum of the weights.
-    scale : (M,) float64; wanted : (M,) float64, the acceptance rate that the warm-up aims at.
     """
 
     table: np.ndarray
-    members: np.ndarray
-    factors: np.ndarray
-    pulls: np.ndarray
-    center: np.ndarray
-    touched: np.ndarray
-    cumulative: np.ndarray
-    scale: np.ndarray
-    wanted: np.ndarray
+    members: np.ndarray  # flat int64, coordinates
+    factors: np.ndarray  # flat float64, matrices row by row
+    pulls: np.ndarray  # (K, D) float64, one below the other
+    center: np.ndarray  # (D,) float64
+    touched: np.ndarray  # (M, 1 + N) bool, whether the floor and each solid move in the camera
+    cumulative: np.ndarray  # (M,) float64, running sum of the weights
+    scale: np.ndarray  # (M,) float64
+    wanted: np.ndarray  # (M,) float64, the acceptance rate that the warm-up aims at
 
 
 def size_of(chart: Chart) -> int:

@@ -134,11 +134,11 @@ def log_uniform_choice(count: int) -> float:
 
 
 class State(NamedTuple):
-    """A scene with its densities. log_prior : of the scene as a set; log_likelihood : of the image."""
+    """A scene with its densities."""
 
     graph: SceneGraph
-    log_prior: float
-    log_likelihood: float
+    log_prior: float  # of the scene as a set
+    log_likelihood: float  # of the image
 
 
 class Applied(NamedTuple):

@@ -61,22 +61,18 @@ class JumpSampler:
     follows depends on the scene and the generator alone, so that a resumed chain equals an uninterrupted one to the
     last bit.
 
-    prior : Algorithm1Prior or GrammarPrior. start_graph : a scene of positive prior density.
-    camera, image (H, W), likelihood, values : as of `ObservedImage`.
-    hypotheses : what births are drawn from besides the prior.
-    thin : steps between two draws, and to a round of warm-up.
-    segment : draws between two moments at which a chain can be stopped.
+    start_graph : a scene of positive prior density. camera, image (H, W), likelihood, values : as of `ObservedImage`.
     """
 
-    prior: Any
+    prior: Any  # Algorithm1Prior or GrammarPrior
     start_graph: SceneGraph
     camera: Any
     image: np.ndarray
     likelihood: str
     values: Mapping[str, float] | None
-    hypotheses: Sequence[Hypothesis]
-    thin: int
-    segment: int
+    hypotheses: Sequence[Hypothesis]  # what births are drawn from besides the prior
+    thin: int  # steps between two draws, and to a round of warm-up
+    segment: int  # draws between two moments at which a chain can be stopped
 
     def start(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Return the state of a chain that has drawn nothing."""

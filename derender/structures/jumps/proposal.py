@@ -57,15 +57,13 @@ class PriorProposal:
 class Hypothesis(NamedTuple):
     """A solid that the image suggests.
 
-    kind : of the prior's shapes. parameters : psi by name.
-    pose : (4, 4) object to camera.
-    weight : relative probability. length, angle : standard deviations, metres and radians, of where it really is.
+    length, angle : standard deviations, metres and radians, of where it really is.
     """
 
-    kind: str
-    parameters: dict[str, float]
-    pose: np.ndarray
-    weight: float = 1.0
+    kind: str  # of the prior's shapes
+    parameters: dict[str, float]  # psi by name
+    pose: np.ndarray  # (4, 4) object to camera
+    weight: float = 1.0  # relative probability
     length: float = 0.004
     angle: float = 0.05
 

@@ -38,22 +38,15 @@ SHRUNK = 0.9  # of the box that stands for a mesh where solids must not enter ea
 
 @dataclass(frozen=True)
 class Placed:
-    """One solid of the answer.
+    """One solid of the answer."""
 
-    known : the object that it is, None for a solid of unknown sizes.
-    row : (ROW,) of its proxy: its rotation and centre are the object's own.
-    anchor : index of the solid of the first search that stood there.
-    base : height of what it stands on, NaN for none. gain : nats that it gained when it was placed.
-    form, cube : of a solid of unknown sizes, as in State.
-    """
-
-    known: Known | None
-    row: np.ndarray
-    anchor: int
-    base: float = 0.0
-    gain: float = 0.0
-    form: int = FREE
-    cube: bool = False
+    known: Known | None  # the object that it is, None for a solid of unknown sizes
+    row: np.ndarray  # (ROW,) of its proxy: its rotation and centre are the object's own
+    anchor: int  # index of the solid of the first search that stood there
+    base: float = 0.0  # height of what it stands on, NaN for none
+    gain: float = 0.0  # nats that it gained when it was placed
+    form: int = FREE  # of a solid of unknown sizes, as in State
+    cube: bool = False  # of a solid of unknown sizes, as in State
 
 
 class Placement:

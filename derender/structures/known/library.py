@@ -27,17 +27,13 @@ PROXIES = {BOX: BOX, MESH: BOX, CYLINDER: CYLINDER, SPHERE: SPHERE}
 
 @dataclass(frozen=True)
 class Known:
-    """One object of a library.
+    """One object of a library."""
 
-    name : of the object. shape : registered shape type; parameters : psi by name; options : a mesh's file.
-    count : how many of it there may be.
-    """
-
-    name: str
-    shape: str
-    parameters: Mapping[str, float]
-    options: Mapping[str, Any]
-    count: int = 1000
+    name: str  # of the object
+    shape: str  # registered shape type
+    parameters: Mapping[str, float]  # psi by name
+    options: Mapping[str, Any]  # a mesh's file
+    count: int = 1000  # how many of it there may be
 
     @cached_property
     def body(self) -> Body:
