@@ -149,9 +149,9 @@ NEAR = 1e-7  # metres or radians that rounding may leave of a contact's slack
 
 
 class Images(Protocol):
-    """What the target asks of `render`: a likelihood bound to one observed image. values : its fixed numbers."""
+    """What the target asks of `render`: a likelihood bound to one observed image."""
 
-    values: dict[str, float]
+    values: dict[str, float]  # its fixed numbers
 
     def log_likelihood(self, graph: SceneGraph, parameters: Mapping[str, float]) -> float:
         """Return the log likelihood of a scene; `parameters` are the likelihood's unknowns by name."""

@@ -62,24 +62,19 @@ class Tuning(NamedTuple):
 class KernelType:
     """A registered family of kernels, chosen by name in `inference: {kernels: [{NAME: {weight: 0.2}}, ...]}`.
 
-    name : in the registry.
-    options : the options that YAML may set, with their defaults; all numbers.
-    per_block : whether there is one kernel for each block of the space, or a single one for all unknowns.
-    adapts : whether warm-up tunes its scale towards `acceptance`.
     keeps_children : whether it leaves the children of the object that it moves where they are in the world.
-    form : STEP or PLACING.
-    proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale)
-        -> log ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING: (rng, places,
+    proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale) -> log
+        ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING: (rng, places,
         periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
     """
 
-    name: str = ""
-    options: Mapping[str, float] = {}
-    per_block: bool = True
-    adapts: bool = False
+    name: str = ""  # in the registry
+    options: Mapping[str, float] = {}  # the options that YAML may set, with their defaults; all numbers
+    per_block: bool = True  # whether there is one kernel for each block of the space, or a single one for all unknowns
+    adapts: bool = False  # whether warm-up tunes its scale towards `acceptance`
     acceptance: float = 0.3
     keeps_children: bool = False
-    form: int = STEP
+    form: int = STEP  # STEP or PLACING
     proposal: Kernel
 
     def blocks(self, space: Space, options: Mapping[str, float]) -> Sequence[Block]:

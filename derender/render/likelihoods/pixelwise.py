@@ -26,17 +26,12 @@ class Likelihood:
 
     The clean image ends at a wall at depth `background`: what lies beyond it, or hits nothing, has that depth. So the
     model image is finite everywhere, and Eq. 6 a density over whole images.
-
-    name : registered name.
-    parameters : the numbers that a file can give, or distributions over them.
-    code : which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED).
-    of_image : names of the numbers on which `beside` depends.
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
-    code: int
-    of_image: tuple[str, ...] = ()
+    name: str  # registered name
+    parameters: tuple[Parameter, ...]  # the numbers that a file can give, or distributions over them
+    code: int  # which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED)
+    of_image: tuple[str, ...] = ()  # names of the numbers on which `beside` depends
 
     def complete(self, values: Numbers) -> dict[str, float]:
         """Return a number for every parameter.

@@ -30,15 +30,7 @@ def bisected(cdf: Callable[[float], float], probability: float, low: float, high
 class Distribution:
     """A distribution over one number (or one rotation): a registered family, such as "normal", with its parameters.
 
-    Immutable. A family is a subclass, registered as `@distributions.register("normal")`; it says:
-
-    names : of the parameters, in the order in which YAML lists them.
-    defaults : values of the last parameters, which may then be left out.
-    dimensionless : parameters without a unit; all others have that of the number itself.
-    lowest : the least value, where support is from there upwards.
-    compiled : whether density and draw can be compiled.
-    size : how many numbers a value has (1; a rotation's quaternion: 4).
-    discrete : the density is with respect to the counting measure.
+    Immutable. A family is a subclass, registered as `@distributions.register("normal")`.
 
     parameters : tuple of float. row : (4,) float, what `density` and `draw` read.
 
@@ -46,13 +38,13 @@ class Distribution:
     """
 
     name: str = ""
-    names: tuple[str, ...] = ()
-    defaults: tuple[float, ...] = ()
-    dimensionless: tuple[str, ...] = ()
-    lowest: float = -math.inf
-    compiled: bool = False
-    size: int = 1
-    discrete: bool = False
+    names: tuple[str, ...] = ()  # of the parameters, in the order in which YAML lists them
+    defaults: tuple[float, ...] = ()  # values of the last parameters, which may then be left out
+    dimensionless: tuple[str, ...] = ()  # parameters without a unit; all others have that of the number itself
+    lowest: float = -math.inf  # the least value, where support is from there upwards
+    compiled: bool = False  # whether density and draw can be compiled
+    size: int = 1  # how many numbers a value has (1; a rotation's quaternion: 4)
+    discrete: bool = False  # the density is with respect to the counting measure
 
     density: Callable[[Any, Sequence[float]], float]  # log density of x under a row
     draw: Callable[[np.random.Generator, Sequence[float]], Any]  # one draw under a row

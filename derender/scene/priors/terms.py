@@ -30,11 +30,9 @@ class Term(Protocol):
 
     `read`, a class method, returns the term that a node of the file describes (None: no more was said than its name);
     names : the objects that it may speak of.
-
-    name : as it stands under `constraints:`.
     """
 
-    name: str
+    name: str  # as it stands under `constraints:`
 
     def log_density(self, graph: SceneGraph) -> float:
         """Return the term's log density, at most 0; -inf where the scene is ruled out."""

@@ -149,16 +149,11 @@ class Applied(NamedTuple):
 
 
 class Move:
-    """One reversible jump. Subclasses are registered; one instance serves all.
+    """One reversible jump. Subclasses are registered; one instance serves all."""
 
-    name : in the registry.
-    weight : share of the steps, before normalisation.
-    even : whether q(u' | G') = q(u | G) always: then neither is computed.
-    """
-
-    name: str = ""
-    weight: float = 1.0
-    even: bool = False
+    name: str = ""  # in the registry
+    weight: float = 1.0  # share of the steps, before normalisation
+    even: bool = False  # whether q(u' | G') = q(u | G) always: then neither is computed
 
     def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:
         """Return random choices u given the scene, or None where the move has nothing to do."""
