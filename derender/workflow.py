@@ -83,22 +83,16 @@ def infer_to_folder(
 
 
 class Request(NamedTuple):
-    """All that an inference needs, read and checked: it can go to another machine.
+    """All that an inference needs, read and checked: it can go to another machine."""
 
-    image : the image's name. seen : the image. document : of a prior or scene, or None. where : whose fault a fault is.
-    options, gradient : see `infer_to_folder`.
-    made : seed, command and prior, recorded in what is written.
-    home : the results' folder, absolute: files are named as seen from there.
-    """
-
-    image: str
-    seen: DepthImage
-    document: Document | None
-    where: str | None
-    options: Options
-    gradient: str
-    made: dict[str, Any]
-    home: Path
+    image: str  # the image's name
+    seen: DepthImage  # the image
+    document: Document | None  # of a prior or scene, or None
+    where: str | None  # whose fault a fault is
+    options: Options  # see `infer_to_folder`
+    gradient: str  # see `infer_to_folder`
+    made: dict[str, Any]  # seed, command and prior, recorded in what is written
+    home: Path  # the results' folder, absolute: files are named as seen from there
 
 
 def ask(

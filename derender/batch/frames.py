@@ -18,10 +18,10 @@ SETTLED = 1.0  # seconds for which a file has not changed: whoever writes it has
 
 
 class Frame(NamedTuple):
-    """A depth image. path : as told; name : of its folder among the results, with / where it lay below a folder."""
+    """A depth image."""
 
-    name: str
-    path: str
+    name: str  # of its folder among the results, with / where it lay below a folder
+    path: str  # as told
 
 
 def is_many(arguments: Sequence[str]) -> bool:

@@ -43,17 +43,14 @@ class Crew(Protocol):
 
 
 class Tally(NamedTuple):
-    """How it went: numbers of frames done, of these not to be trusted, failed, done before; whether someone stopped it.
-
-    seconds : from the first frame's beginning to the last one's end.
-    """
+    """How it went: frames done, of these not to be trusted, failed, done before; whether someone stopped it."""
 
     done: int
     doubtful: int
     failed: int
     before: int
     interrupted: bool
-    seconds: float
+    seconds: float  # from the first frame's beginning to the last one's end
 
 
 def infer_frames(

@@ -29,16 +29,14 @@ THUMBNAIL_WIDTH = 160  # pixels of each half, about
 class Order:
     """What is asked of every frame alike.
 
-    options, prior, reading, gradient : see `workflow.infer_to_folder`.
-    page : whether each frame gets its report.html at once.
     words : the options as they were typed, for the command that each result records: it makes that result alone.
     """
 
-    options: Options = field(default_factory=lambda: Options(seed=0))
-    prior: str | None = None
-    reading: Reading = Reading()
-    gradient: str = "exact"
-    page: bool = False
+    options: Options = field(default_factory=lambda: Options(seed=0))  # see `workflow.infer_to_folder`
+    prior: str | None = None  # see `workflow.infer_to_folder`
+    reading: Reading = Reading()  # see `workflow.infer_to_folder`
+    gradient: str = "exact"  # see `workflow.infer_to_folder`
+    page: bool = False  # whether each frame gets its report.html at once
     words: Sequence[str] = ()
 
     def command(self, frame: Frame) -> str:
@@ -47,21 +45,15 @@ class Order:
 
 
 class Done(NamedTuple):
-    """What came of a frame.
+    """What came of a frame."""
 
-    frame : which. rows : of the table, see `table.COLUMNS`.
-    error : why there is no result, in a line, or "". trace : of a fault that is ours, or "".
-    warnings : lines for a person. seconds : that it took.
-    died : whether the process that worked on it ended under it.
-    """
-
-    frame: Frame
-    rows: list[dict[str, Any]]
-    error: str = ""
-    trace: str = ""
-    warnings: tuple[str, ...] = ()
-    seconds: float = 0.0
-    died: bool = False
+    frame: Frame  # which
+    rows: list[dict[str, Any]]  # of the table, see `table.COLUMNS`
+    error: str = ""  # why there is no result, in a line, or ""
+    trace: str = ""  # of a fault that is ours, or ""
+    warnings: tuple[str, ...] = ()  # lines for a person
+    seconds: float = 0.0  # that it took
+    died: bool = False  # whether the process that worked on it ended under it
 
 
 def infer_frame(frame: Frame, order: Order, output: str) -> Done:

@@ -109,14 +109,11 @@ def verbosity(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class Idle(NamedTuple):
-    """Options that say nothing beside others: whoever typed one is told so, in place of being ignored in silence.
+    """Options that say nothing beside others: whoever typed one is told so, in place of being ignored in silence."""
 
-    names : of the parameters. here : given all arguments by name, whether it is so. why : what they are for.
-    """
-
-    names: tuple[str, ...]
-    here: Callable[[Mapping[str, Any]], Any]
-    why: str
+    names: tuple[str, ...]  # of the parameters
+    here: Callable[[Mapping[str, Any]], Any]  # given all arguments by name, whether it is so
+    why: str  # what they are for
 
 
 def tells_idle(*rules: Idle) -> Callable[..., Any]:

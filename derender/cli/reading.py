@@ -16,19 +16,13 @@ if TYPE_CHECKING:
 
 
 class Found(NamedTuple):
-    """A scene, and what else its file or folder holds.
+    """A scene, and what else its file or folder holds."""
 
-    name : of the scene, for titles and files.
-    graph : the scene; of a posterior, its most probable one.
-    posterior, camera : or None.
-    likelihood : its numbers by name, {} where there is none.
-    """
-
-    name: str
-    graph: "SceneGraph"
-    posterior: "Posterior | None"
-    camera: "Camera | None"
-    likelihood: Mapping[str, Any] = {}
+    name: str  # of the scene, for titles and files
+    graph: "SceneGraph"  # the scene; of a posterior, its most probable one
+    posterior: "Posterior | None"  # or None
+    camera: "Camera | None"  # or None
+    likelihood: Mapping[str, Any] = {}  # its numbers by name, {} where there is none
 
 
 def read_scene_document(path: str) -> "Document":
@@ -68,19 +62,13 @@ def read_scene(path: str) -> Found:
 
 
 class Source(NamedTuple):
-    """What `derender simulate` simulates.
+    """What `derender simulate` simulates."""
 
-    graph : the scene; of a posterior the most probable one, of a prior the first drawn.
-    camera : or None.
-    uncertain : whether draws differ.
-    draws : draws(rng, count) yields that many scenes. missed : see `Posterior.missed`.
-    """
-
-    graph: "SceneGraph"
-    camera: "Camera | None"
-    uncertain: bool
-    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"
-    missed: float = 0.0
+    graph: "SceneGraph"  # the scene; of a posterior the most probable one, of a prior the first drawn
+    camera: "Camera | None"  # or None
+    uncertain: bool  # whether draws differ
+    draws: "Callable[[np.random.Generator, int], Iterator[SceneGraph]]"  # draws(rng, count) yields that many scenes
+    missed: float = 0.0  # see `Posterior.missed`
 
 
 def read_source(path: str, seed: int) -> Source:

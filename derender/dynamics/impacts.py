@@ -28,8 +28,6 @@ BOUNCE = 0.3
 class Impacts:
     """Tracked poses of one film, cut at impacts.
 
-    Attributes
-    ----------
     motion : the film, of `frames` frames and `count` bodies. seen : (T, N) bool, where a pose tells something.
     rested : (N,) bool, whether a body rests in the first frame.
     tracked : (T, N, 13), states at rest at the tracked poses. spread : (T, N, 6, 6), their covariances.

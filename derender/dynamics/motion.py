@@ -27,22 +27,17 @@ REPEATED = 1e-9
 class Motion(NamedTuple):
     """Tracked bodies of one film.
 
-    Attributes
-    ----------
     matter : bodies (the moving ones with whatever pose; planes and fixed ones where they are), gravity in m / s^2 in
         the frame of the poses, and which bodies are joined at the start.
-    names : N names of the bodies that moved, each one in `matter`.
-    times : (T,) float64, seconds, evenly spaced and rising.
-    poses : (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen.
     covariances : (T, N, 6, 6) float64 of the centre (metres, in the frame of the poses) and of a rotation vector
         (radians, in the body's axes: R_true = R exp(phi)).
     pixels : (N,) metres that a pixel of the image shows at each body; 0 where errors of poses are independent.
     """
 
     matter: Matter
-    names: tuple[str, ...]
-    times: np.ndarray
-    poses: np.ndarray
+    names: tuple[str, ...]  # N names of the bodies that moved, each one in `matter`
+    times: np.ndarray  # (T,) float64, seconds, evenly spaced and rising
+    poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of `matter`; NaN where a body was not seen
     covariances: np.ndarray
     pixels: np.ndarray
 
@@ -105,13 +100,9 @@ def motion_of(
 
     All others stand fixed where they were first seen.
 
-    Parameters
-    ----------
     matter, names, times, poses, covariances, pixels : as in `Motion`, of all tracked bodies.
 
-    Raises
-    ------
-    DerenderError : for fewer than three frames, times that do not rise evenly, or a covariance that is none.
+    Raises DerenderError : for fewer than three frames, times that do not rise evenly, or a covariance that is none.
     """
     times = np.asarray(times, float)
     if len(times) < 3:

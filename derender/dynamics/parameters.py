@@ -71,18 +71,11 @@ class Prior(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Coordinates of the unknowns: log friction, restitution, log contact time, and the logs of mass ratios.
+    """Coordinates of the unknowns: log friction, restitution, log contact time, and the logs of mass ratios."""
 
-    Attributes
-    ----------
-    names : N names of the moving bodies. The first is the one that mass ratios refer to.
-    masses : (N,) float64, kg, that densities say; a mass ratio's prior is about their ratio.
-    prior : of the numbers; that of mass ratios is of them divided by the ratios of `masses`.
-    """
-
-    names: tuple[str, ...]
-    masses: np.ndarray
-    prior: Prior
+    names: tuple[str, ...]  # N names of the moving bodies. The first is the one that mass ratios refer to.
+    masses: np.ndarray  # (N,) float64, kg, that densities say; a mass ratio's prior is about their ratio
+    prior: Prior  # of the numbers; that of mass ratios is of them divided by the ratios of `masses`
 
     @property
     def size(self) -> int:
@@ -152,9 +145,7 @@ class Parameters(NamedTuple):
 def read_dynamics_prior(path: str | Path | None = None) -> Prior:
     """Return the prior of a YAML file's section `dynamics`; what it leaves out, and without a file all, is DEFAULT.
 
-    Raises
-    ------
-    DerenderError : whatever is wrong with the file, its line and address named.
+    Raises DerenderError : whatever is wrong with the file, its line and address named.
     """
     found = _read(parse_yaml(DEFAULT, "the default prior"))
     if path is not None:

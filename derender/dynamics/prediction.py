@@ -36,8 +36,6 @@ def come_to_rest(
 
     With `scales` and `rng`, velocities are off after each interval by a normal error of what contacts gave.
 
-    Parameters
-    ----------
     sizes : (N,) mean side of each body, metres.
     """
     engine.tell(material)
@@ -63,8 +61,6 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     A draw's unknown states are normal about the mode given its material; the engine then goes on from the last frame
     of `motion`, from which `found` was identified. Draws that diverge are left out.
 
-    Parameters
-    ----------
     most : intervals after the last frame.
     """
     engine = Engine(motion.matter, motion.names, motion.step)
@@ -103,16 +99,11 @@ class Lesson(NamedTuple):
 
 
 class Pooled(NamedTuple):
-    """What films tell of another one: numbers (P,) as a lesson's, each of a t distribution.
+    """What films tell of another one: numbers (P,) as a lesson's, each of a t distribution."""
 
-    Attributes
-    ----------
-    mean, variance : (P,), the square of its scale. freedom : its degrees of freedom.
-    """
-
-    mean: np.ndarray
-    variance: np.ndarray
-    freedom: int
+    mean: np.ndarray  # (P,)
+    variance: np.ndarray  # (P,), the squares of their scales
+    freedom: int  # its degrees of freedom
 
 
 def lesson(found: Identified) -> Lesson:
@@ -157,8 +148,6 @@ def predict_another(
     not learnt from ends that were seen: one of many films from drawn materials meets them by luck, and the scatter
     about it is too small (so, 90 % regions held .44 of real tosses).
 
-    Parameters
-    ----------
     told : by other films (`pool`).
     sizes : (N,) mean side of each body, metres.
     most : intervals after `states`.

@@ -21,8 +21,6 @@ LEVEL = 0.9
 class Answer:
     """Equally weighted draws of what was identified.
 
-    Attributes
-    ----------
     draws : name -> (K,) or (K, 3) float64: friction, restitution, contact_time (s), mass_ratio.OF.TO; velocity.NAME
         (m / s) and angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact,
         error.steady, error.tracking and error.turning, the scales of `errors`.

@@ -19,8 +19,6 @@ FREE = np.eye(CHANGE)
 def flush(body: Body, plane: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Return the state (13,) flush with a plane and not leaving it, and by how much it was off: metres and radians.
 
-    Parameters
-    ----------
     body : box, cylinder or mesh by its box; nothing else has a face to lie on.
     plane : (4, 4), its frame, z along its normal.
     """

@@ -28,8 +28,6 @@ SPHERE_FACES = 256
 def half_spaces(solid: Mapping[str, Any]) -> np.ndarray:
     """Return the half-spaces n . x <= d of a solid, in the frame of its pose.
 
-    Parameters
-    ----------
     solid : with `type`, `size` (3,) metres and `pose` (4, 4); `vertices` (V, 3) in object axes, if there, are those of
         its convex hull. A type without its own form here counts as its oriented box.
 
@@ -141,8 +139,6 @@ def _hull_half_spaces(vertices: np.ndarray) -> np.ndarray:
 def _convex_volume(planes, reach):
     """Return the volume of the intersection of half-spaces that lies within `reach` of the origin's surroundings.
 
-    Parameters
-    ----------
     planes : (M, 4) float64, n . x <= d; the intersection is bounded and inside the ball of radius `reach`.
     reach : float, metres.
     """
@@ -239,8 +235,6 @@ def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndar
 
     Closed forms for boxes, cylinders and spheres; a hull given by its `vertices` is sampled by 20,000 points.
 
-    Parameters
-    ----------
     points : (N, 3) float64, in the frame of the solid's pose.
 
     Returns

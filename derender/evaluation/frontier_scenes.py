@@ -27,16 +27,15 @@ SUPPORT, BEHIND = -1, -2  # labels
 
 
 class Kind(NamedTuple):
-    """How the scenes of a kind are seen. down : degrees by which the camera looks down; away : metres, (low, high);
-    known : whether the first thing's size is told; scale : times as long are all lengths, noise's too."""
+    """How the scenes of a kind are seen."""
 
     says: str
     sensor: str = "white"
-    down: tuple[float, float] = (30.0, 55.0)
-    away: tuple[float, float] = (0.7, 1.0)
+    down: tuple[float, float] = (30.0, 55.0)  # degrees by which the camera looks down
+    away: tuple[float, float] = (0.7, 1.0)  # metres, (low, high)
     size: tuple[int, int] = (320, 240)
-    known: bool = False
-    scale: float = 1.0
+    known: bool = False  # whether the first thing's size is told
+    scale: float = 1.0  # times as long are all lengths, noise's too
 
 
 KINDS = {
@@ -64,16 +63,14 @@ KINDS = {
 
 
 class Scene(NamedTuple):
-    """One scene. depth (H, W) metres, NaN where nothing returns; camera; label (H, W): number of the object, SUPPORT
-    or BEHIND; objects : as `derender show --json` has them, parents by number or a table's name; tables : {name: pose
-    (4, 4), table to camera}; free : numbers of free-form ones."""
+    """One scene."""
 
-    depth: np.ndarray
+    depth: np.ndarray  # (H, W) metres, NaN where nothing returns
     camera: Camera
-    label: np.ndarray
-    objects: list
-    tables: dict
-    free: list
+    label: np.ndarray  # (H, W) number of the object, SUPPORT or BEHIND
+    objects: list  # as `derender show --json` has them, parents by number or a table's name
+    tables: dict  # {name: pose (4, 4), table to camera}
+    free: list  # numbers of free-form ones
 
 
 class Item(NamedTuple):

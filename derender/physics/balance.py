@@ -49,8 +49,6 @@ def refactored(gram, factor, start, count):
 def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory, rubbing):
     """Return the residual (B, 6) of the load after the nearest combination of contact forces, in units of weights.
 
-    Parameters
-    ----------
     first, second : (P,) indices of the bodies, -1 for one that does not move.
     arm_1, arm_2 : (P, 3) from the centre of mass to the point, over the body's length.
     normal : (P, 3) from the second to the first. friction : (P,). weight : (B,) newtons. load : (B, 6) to be balanced.
@@ -225,8 +223,6 @@ def least_push(
     that the set does not cross; the margin is the distance of the nearest such line from the origin, once `ways`
     accelerations around a circle of this radius are inside: it is at most a share 1 - cos(pi / ways) too great.
 
-    Parameters
-    ----------
     across : (2, 3) horizontal unit vectors. most : the margin is not sought beyond this, g.
     within : share by which the circle is inside the lines.
     """

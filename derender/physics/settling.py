@@ -11,8 +11,6 @@ AT_REST, FOR = 0.005, 100  # m/s and rad/s that nothing exceeds for so many step
 def come_to_rest(bodies: list[str], seconds: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Let bodies move until they rest.
 
-    Parameters
-    ----------
     bodies : the MJCF of each, a free body with one geom.
 
     Returns

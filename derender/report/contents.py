@@ -24,40 +24,28 @@ SHOWN_DRAWS = 12
 class Report(NamedTuple):
     """What a report shows.
 
-    title : the name of the image or scene.
-    scene : the most probable scene, as `derender show --json` prints it.
-    solids : the solids of that scene; solid_names : their names.
-    camera : of the image, or None.
-    observed : (height, width) float64, metres, NaN without return, or None.
-    draws : solids of some posterior draws, to show the spread.
     parameters : rows of `tables.parameter_rows`, conditional on the most probable structure.
     structures : (probability as it is said, words) of each structure found, most probable first.
-    facts : what else is known, shown in the head: seed, version, command, the sensor, times.
-    doubts : reasons to doubt the posterior, from its chains and from its image.
     likelihood : numbers of the likelihood by name; `blur` (pixels) and `background` (metres) make the explained depth
         what Eq. 6 compares with the observed one.
-    fit : how well the scene fits the image, where there is one.
-    files : (media type, bytes) of what can be downloaded from the page, by name.
-    simulated : what `derender simulate --json` said of the scene, {} where it has not run.
-    animations : data: URIs of moving pictures of it.
     """
 
-    title: str
-    scene: Mapping[str, Any]
-    solids: Solids
-    solid_names: Sequence[str]
-    camera: Camera | None = None
-    observed: np.ndarray | None = None
-    draws: Sequence[Solids] = ()
+    title: str  # the name of the image or scene
+    scene: Mapping[str, Any]  # the most probable scene, as `derender show --json` prints it
+    solids: Solids  # the solids of that scene
+    solid_names: Sequence[str]  # their names
+    camera: Camera | None = None  # of the image, or None
+    observed: np.ndarray | None = None  # (height, width) float64, metres, NaN without return, or None
+    draws: Sequence[Solids] = ()  # solids of some posterior draws, to show the spread
     parameters: Sequence[Mapping[str, Any]] = ()
     structures: Sequence[tuple[str, str]] = ()
-    facts: Mapping[str, Any] = {}
+    facts: Mapping[str, Any] = {}  # what else is known, shown in the head: seed, version, command, the sensor, times
     likelihood: Mapping[str, Any] = {}
-    doubts: tuple[trust.Doubt, ...] = ()
-    fit: Fit | None = None
-    files: Mapping[str, tuple[str, bytes]] = {}
-    simulated: Mapping[str, Any] = {}
-    animations: Sequence[str] = ()
+    doubts: tuple[trust.Doubt, ...] = ()  # reasons to doubt the posterior, from its chains and from its image
+    fit: Fit | None = None  # how well the scene fits the image, where there is one
+    files: Mapping[str, tuple[str, bytes]] = {}  # (media type, bytes) of what can be downloaded from the page, by name
+    simulated: Mapping[str, Any] = {}  # what `derender simulate --json` said of the scene, {} where it has not run
+    animations: Sequence[str] = ()  # data: URIs of moving pictures of it
 
 
 def report_of(

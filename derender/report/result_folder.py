@@ -23,22 +23,15 @@ WRITTEN = ("scene.yaml", "posterior.npz", "posterior.nc", "observation.npz", "re
 
 @dataclass(frozen=True)
 class Outcome:
-    """What there is to tell.
+    """What there is to tell."""
 
-    folder : with the files. posterior : what is in them.
-    rows : of the table, see report.tables.parameter_rows.
-    doubts : reasons to doubt the result.
-    interrupted : by Ctrl-C.
-    sensor : what the likelihood says of it, in words by name. seconds : that inference took.
-    """
-
-    folder: Path
-    posterior: Posterior
-    rows: Sequence[Mapping[str, Any]]
-    doubts: tuple[Doubt, ...]
-    interrupted: bool
-    sensor: Mapping[str, str]
-    seconds: float
+    folder: Path  # with the files
+    posterior: Posterior  # what is in them
+    rows: Sequence[Mapping[str, Any]]  # of the table, see report.tables.parameter_rows
+    doubts: tuple[Doubt, ...]  # reasons to doubt the result
+    interrupted: bool  # by Ctrl-C
+    sensor: Mapping[str, str]  # what the likelihood says of it, in words by name
+    seconds: float  # that inference took
 
     @property
     def trusted(self) -> bool:

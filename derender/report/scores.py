@@ -20,33 +20,21 @@ BACKGROUND = "(background)"
 
 
 class Share(NamedTuple):
-    """What one object contributes to the log likelihood.
+    """What one object contributes to the log likelihood."""
 
-    name : of the object; "(background)" for pixels in which the scene has none.
-    pixels : in which it is seen.
-    log_likelihood : the sum over these pixels; all shares sum to the whole.
-    gain : log likelihood of the scene less that of the scene without this object alone; NaN for the background.
-    residual : median of |observed - model| in metres over its pixels with a return, NaN where there are none.
-    """
-
-    name: str
-    pixels: int
-    log_likelihood: float
-    gain: float
-    residual: float
+    name: str  # of the object; "(background)" for pixels in which the scene has none
+    pixels: int  # in which it is seen
+    log_likelihood: float  # the sum over these pixels; all shares sum to the whole
+    gain: float  # log likelihood of the scene less that of the scene without this object alone; NaN for the background
+    residual: float  # median of |observed - model| in metres over its pixels with a return, NaN where there are none
 
 
 class PriorScore(NamedTuple):
-    """What a prior says of a scene.
+    """What a prior says of a scene."""
 
-    name : of the prior: a file, a built-in one, or bare-image.
-    log_density : -inf where the prior cannot make such a scene, NaN where it cannot be asked.
-    why : in a few words, where it is not finite; else empty.
-    """
-
-    name: str
-    log_density: float
-    why: str = ""
+    name: str  # of the prior: a file, a built-in one, or bare-image
+    log_density: float  # -inf where the prior cannot make such a scene, NaN where it cannot be asked
+    why: str = ""  # in a few words, where it is not finite; else empty
 
 
 class Score(NamedTuple):

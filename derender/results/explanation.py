@@ -20,17 +20,13 @@ STEP = 0.02  # share of the depth: what differs more from the middle of the wind
 class Explanation(NamedTuple):
     """What the most probable scene says of each pixel, at the size of the image as it came.
 
-    Attributes
-    ----------
     label : (H, W) int32, index into `names`; or FLOOR; BACKGROUND (walls, clutter, another table, the room behind);
         UNEXPLAINED: something is seen that is none of these.
-    depth : (H, W) float32 metres of the surface that explains the pixel; NaN where nothing does.
-    names : names of the solids, without floors, in the order of the graph's vertices.
     """
 
     label: np.ndarray
-    depth: np.ndarray
-    names: tuple[str, ...]
+    depth: np.ndarray  # (H, W) float32 metres of the surface that explains the pixel; NaN where nothing does
+    names: tuple[str, ...]  # names of the solids, without floors, in the order of the graph's vertices
 
     def share(self, seen: np.ndarray, within: float = 0.03) -> float:
         """Return which share of the valid pixels of `seen` (H, W) is explained to so many metres."""
@@ -53,8 +49,6 @@ def explain(
 ) -> Explanation:
     """Return the Explanation of an image by a scene.
 
-    Parameters
-    ----------
     graph : the scene, its root in the camera's axes. seen : (H, W) float metres, NaN or 0 = no return.
     camera : of this image. noise : standard deviation in metres of what is seen of the floor.
     background : (H, W) bool, pixels that show neither floor nor solid, or what hides one; each is explained by the

@@ -24,16 +24,11 @@ LEAST_PATCHES = 8  # fewer tell nothing
 
 
 class Noise(NamedTuple):
-    """Standard deviation sigma_0 + growth z^2 at a depth z, metres.
+    """Standard deviation sigma_0 + growth z^2 at a depth z, metres."""
 
-    Attributes
-    ----------
-    sigma : at the median depth. sigma_0 : metres; growth : 1/m.
-    """
-
-    sigma: float
+    sigma: float  # at the median depth. sigma_0 : metres
     sigma_0: float
-    growth: float
+    growth: float  # 1/m
 
     def at(self, depth: np.ndarray) -> np.ndarray:
         """Return the standard deviation at depths in metres."""
@@ -81,28 +76,21 @@ MOST_LABEL = 65535  # of 16 bits
 class Fit(NamedTuple):
     """What the best scene says of an image (H, W).
 
-    Attributes
-    ----------
     label : uint16; k where the pixel shows the k-th object of `derender show --json`, 0 where it shows a plane, what
         the model takes as background, or nothing.
-    depth : float32 metres along the optical axis of what explains the pixel; NaN where nothing does.
     predicted : float64 metres, the depth of solids, floor and the likelihood's wall; NaN where there is none of them.
-    tolerance : float64 metres; how far off a depth may be and yet be explained.
     explained : bool; a depth was observed and lies within the tolerance of what is predicted at the pixel or, at a
         silhouette, between what is predicted about it.
-    background : bool; not that, but taken as the background as it was seen, which says nothing of it.
-    share : of the pixels with a depth, those that are explained or background.
-    noise : Noise that flat patches of the image show.
     """
 
     label: np.ndarray
-    depth: np.ndarray
+    depth: np.ndarray  # float32 metres along the optical axis of what explains the pixel; NaN where nothing does
     predicted: np.ndarray
-    tolerance: np.ndarray
+    tolerance: np.ndarray  # float64 metres; how far off a depth may be and yet be explained
     explained: np.ndarray
-    background: np.ndarray
-    share: float
-    noise: Noise
+    background: np.ndarray  # bool; not that, but taken as the background as it was seen, which says nothing of it
+    share: float  # of the pixels with a depth, those that are explained or background
+    noise: Noise  # Noise that flat patches of the image show
 
 
 def fit_of(
@@ -114,8 +102,6 @@ def fit_of(
 ) -> Fit:
     """Return how well a scene fits an image.
 
-    Parameters
-    ----------
     observed : (H, W) float64, metres, NaN where nothing returned.
     likelihood : its numbers by name; of them `blur` (pixels) and `background` (metres, where nothing else is seen).
     told : (H, W) metres that inference says explain the pixels, as the sensor bends them, the background among them

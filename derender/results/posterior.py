@@ -40,28 +40,23 @@ UNREADABLE = (DerenderError, OSError, ValueError, KeyError, TypeError, Attribute
 class StructurePosterior:
     """Draws under one structure.
 
-    graph : a SceneGraph with this structure; its numbers that are no unknowns are the fixed ones.
     addresses : P names such as "red.contact.theta"; a rotation's four are "red.contact.qw" to "qz". Those that begin
         with "root." or "likelihood." are no numbers of the graph.
-    values : (chains, draws, P) float64.
-    log_prior, log_likelihood : (chains, draws) float64.
-    weight : posterior probability of the structure. weight_error : its standard error. weight_interval : in which it
-        lies with 90 %; None where nothing was said of its error.
+    weight_interval : in which it lies with 90 %; None where nothing was said of its error.
     root_pose : (chains, draws, 4, 4) float64 where the root's pose is unknown, else None: the graph has it.
-    periods : (P,) of float or None, of angles.
     extras : numbers and arrays worth keeping, by name (acceptance by kernel, evidence ...).
     """
 
-    graph: SceneGraph
+    graph: SceneGraph  # a SceneGraph with this structure; its numbers that are no unknowns are the fixed ones
     addresses: tuple[str, ...]
-    values: np.ndarray
-    log_prior: np.ndarray
-    log_likelihood: np.ndarray
-    weight: float = 1.0
-    periods: tuple[float | None, ...] = ()
+    values: np.ndarray  # (chains, draws, P) float64
+    log_prior: np.ndarray  # (chains, draws) float64
+    log_likelihood: np.ndarray  # (chains, draws) float64
+    weight: float = 1.0  # posterior probability of the structure
+    periods: tuple[float | None, ...] = ()  # (P,) of float or None, of angles
     root_pose: np.ndarray | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
-    weight_error: float = 0.0
+    weight_error: float = 0.0  # its standard error
     weight_interval: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
@@ -131,16 +126,15 @@ class Posterior:
     """A posterior over scene graphs.
 
     parts : the structures found, any order; their weights sum to one, less what a search may have missed.
-    seed, command : what made it; version : of derender that did.
     meta : what else is worth knowing, as JSON would hold it (the camera, seconds, lost chains ...).
     explanation : what the most probable scene says of each pixel of the image, where that was worked out; a file does
         not hold it.
     """
 
     parts: tuple[StructurePosterior, ...]
-    seed: int | None = None
-    command: str = ""
-    version: str = __version__
+    seed: int | None = None  # what made it
+    command: str = ""  # what made it
+    version: str = __version__  # of derender that did
     meta: Mapping[str, Any] = field(default_factory=dict)
     explanation: Explanation | None = None
 

@@ -24,22 +24,17 @@ class Blocks(NamedTuple):
 
     Neighbouring pixels share their errors, so a block counts as one observation.
 
-    rows, columns : (N,) int, image coordinates of the blocks' first pixels; side : of a block, pixels.
-    observed : (N,) metres, mean depth of the pixels that returned one.
-    scored : (S,) int, numbers of the draws in each chain that were scored.
-    log_likelihood : (chains, S, N), of all pixels of the block.
-    drawn : (D,) int, numbers of the draws in each chain of which images were drawn.
-    predicted : (chains, D, N) metres, mean depth of the same pixels in an image drawn from the likelihood.
+    rows, columns : (N,) int, image coordinates of the blocks' first pixels
     """
 
     rows: np.ndarray
     columns: np.ndarray
-    side: int
-    observed: np.ndarray
-    scored: np.ndarray
-    log_likelihood: np.ndarray
-    drawn: np.ndarray
-    predicted: np.ndarray
+    side: int  # of a block, pixels
+    observed: np.ndarray  # (N,) metres, mean depth of the pixels that returned one
+    scored: np.ndarray  # (S,) int, numbers of the draws in each chain that were scored
+    log_likelihood: np.ndarray  # (chains, S, N), of all pixels of the block
+    drawn: np.ndarray  # (D,) int, numbers of the draws in each chain of which images were drawn
+    predicted: np.ndarray  # (chains, D, N) metres, mean depth of the same pixels in an image drawn from the likelihood
 
 
 def blocks_of(posterior: Posterior, observed: np.ndarray, camera: Camera, rng: np.random.Generator) -> Blocks:

@@ -33,8 +33,6 @@ BESIDE, MOST_BESIDE = 6, 0.12  # pixels about a thing, and the share of its own 
 class Drawing:
     """The floor and the things as they are drawn, and the frame that they are compared with.
 
-    Attributes
-    ----------
     camera : Camera. start : first.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
     misfit : Misfit. observed, spread : (H, W) metres. backdrop : (H, W) depth of what lies behind and is no floor.

@@ -24,34 +24,23 @@ MOST_BYTES = 4_000_000_000  # of a film in one file
 
 
 class Timing(NamedTuple):
-    """What the camera file says of time and gravity, each None where it says nothing.
+    """What the camera file says of time and gravity, each None where it says nothing."""
 
-    fps : frames a second. gravity : (3,) m/s^2 in camera axes. times : (T,) seconds.
-    """
-
-    fps: float | None = None
-    gravity: np.ndarray | None = None
-    times: np.ndarray | None = None
+    fps: float | None = None  # frames a second
+    gravity: np.ndarray | None = None  # (3,) m/s^2 in camera axes
+    times: np.ndarray | None = None  # (T,) seconds
 
 
 class Film(NamedTuple):
-    """Frames of one camera.
+    """Frames of one camera."""
 
-    Attributes
-    ----------
-    names : of the frames. frames : (T, H, W) float64 metres, NaN where nothing returned, or a list of such images.
-    camera : Camera. camera_is_guess : True where nobody gave one. times : (T,) float64, seconds, increasing.
-    gravity : (3,) m/s^2, camera axes of the first frame, or None: as the scene's floor lies.
-    fps_is_guess : True where the frame rate was assumed.
-    """
-
-    names: list[str]
-    frames: Sequence[np.ndarray]
+    names: list[str]  # of the frames
+    frames: Sequence[np.ndarray]  # (T, H, W) float64 metres, NaN where nothing returned, or a list of such images
     camera: Camera
-    camera_is_guess: bool
-    times: np.ndarray
-    gravity: np.ndarray | None
-    fps_is_guess: bool
+    camera_is_guess: bool  # True where nobody gave one
+    times: np.ndarray  # (T,) float64, seconds, increasing
+    gravity: np.ndarray | None  # (3,) m/s^2, camera axes of the first frame, or None: as the scene's floor lies
+    fps_is_guess: bool  # True where the frame rate was assumed
 
 
 def frame_files(sources: Sequence[str | Path]) -> list[Path]:
@@ -143,8 +132,6 @@ def checked_times(times: np.ndarray, where: Any) -> np.ndarray:
 def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
     """Read the frames of folders, globs, files, or of one .npz with depth (T, H, W).
 
-    Parameters
-    ----------
     sources : paths. camera : a camera file; default camera.json beside the frames. depth_scale : millimetres a unit.
     fps : frames a second; goes before what the camera file says.
 

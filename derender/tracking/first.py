@@ -20,22 +20,17 @@ KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 class Start(NamedTuple):
     """The beginning of a film.
 
-    Attributes
-    ----------
-    things : the solids that stand, lie or fly. floor : (4, 4) floor frame (z up) to camera, or None.
-    down : (3,) unit direction of gravity in camera axes, so far as the scene tells.
     sigma, growth, blur : the sensor's noise, sd = sigma + growth z^2, metres, and its blur in pixels.
-    temper : pixels that tell as much as one independent one.
     searched : whether the poses' covariances are only room for a search, so that the frame itself tells their spread.
     """
 
-    things: list[Thing]
-    floor: np.ndarray | None
-    down: np.ndarray
+    things: list[Thing]  # the solids that stand, lie or fly
+    floor: np.ndarray | None  # (4, 4) floor frame (z up) to camera, or None
+    down: np.ndarray  # (3,) unit direction of gravity in camera axes, so far as the scene tells
     sigma: float
     growth: float
     blur: float
-    temper: float
+    temper: float  # pixels that tell as much as one independent one
     searched: bool = False
 
     def copy(self) -> "Start":

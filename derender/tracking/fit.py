@@ -164,8 +164,6 @@ def fit(
 ):
     """Move what moves to where the energy is least, in place; return (energy, steps taken).
 
-    Parameters
-    ----------
     misfit : Misfit. poses : (N, 4, 4), sizes : (N, 3) of all solids, written.
     members : (N,) bool, what moves. frame : (4, 4), goes with it, written. expected : (4, 4), the prior's mean of it.
     grown : index of the thing that may grow; usual : (3,) the prior's mean of its extents; ties : (G, 3).

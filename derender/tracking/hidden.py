@@ -21,17 +21,11 @@ LONGEST = 0.6  # seconds: what falls from two metres rests or goes on as it did
 
 
 class Hidden(NamedTuple):
-    """What may have become of one thing since it was seen last, `age` frames ago.
+    """What may have become of one thing since it was seen last, `age` frames ago."""
 
-    Attributes
-    ----------
-    paths : (K, T, 4, 4) poses to the world in the frames since then. costs : (K,) nats so far.
-    seen : (6, 6) covariance of its pose when it was seen last, world axes.
-    """
-
-    paths: np.ndarray
-    costs: np.ndarray
-    seen: np.ndarray
+    paths: np.ndarray  # (K, T, 4, 4) poses to the world in the frames since then
+    costs: np.ndarray  # (K,) nats so far
+    seen: np.ndarray  # (6, 6) covariance of its pose when it was seen last, world axes
     age: int = 0
 
     @property

@@ -31,8 +31,6 @@ BETTER = 50.0  # nats by which another pass must be better in sum
 class Passes:
     """Passes over a whole film.
 
-    Parameters
-    ----------
     frames : sequence of (H, W). camera : Camera. gravity : (3,) or None. step : seconds. moving_camera : bool.
     begin : (depth) -> Start, what one frame shows. look : (depth) -> Posterior, of the best scene only, for what
     comes in later, or None. progress : called after each frame with the share done, or None.
@@ -109,8 +107,6 @@ class Passes:
 class Pass:
     """One pass over a film: from a frame, forward and, where that is not the first one, backward.
 
-    Attributes
-    ----------
     anchor : the frame. start : what is there. forward, backward : Recorder, Recorder or None.
     cut : the frame of a cut, or None.
     """

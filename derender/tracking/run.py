@@ -79,17 +79,13 @@ def track_to_folder(
 ) -> Outcome:
     """Follow the things of a film and write track.npz, track.json, events.jsonl and report.html.
 
-    Parameters
-    ----------
     sources : folders, patterns, files, or one .npz with depth (T, H, W). options : of the first frame's inference.
     output : folder; None: the first source's name with _tracked. camera, depth_scale : as of one image.
     fps : frames a second. moving_camera : whether the camera may move.
     watch : go on with frames as they come into the folder, until none has come for ten seconds.
     tell : called with each event as a line of JSON, while watching as soon as it is known.
 
-    Raises
-    ------
-    DerenderError : whatever is wrong with the frames, the camera or the folder.
+    Raises DerenderError : whatever is wrong with the frames, the camera or the folder.
     """
     started = time.monotonic()
     film = first_of(sources, camera, depth_scale, fps) if watch else read_film(sources, camera, depth_scale, fps)

@@ -20,33 +20,26 @@ TIES = {
 class Thing:
     """A solid that is followed.
 
-    Attributes
-    ----------
-    name : unique. type : of its shape. kind : code of scene.solids. size : (3,) full extents, metres.
-    pose : (4, 4), to the world: the camera's axes of the first frame.
     covariance : (6 + G, 6 + G) of its centre and turn (world axes) and the numbers of its size along `ties`.
     velocity, spin, acceleration : (3,) metres and radians a second, metres a second squared, world axes.
     state : still, moving, hidden (nothing of it can be seen), lost (what is seen there is something else) or gone.
-    quiet : frames on end in which it has hardly moved. waiting : frames on end in which it was not seen.
-    hidden : where it may be while nothing shows it, or None.
-    usual_misfit : share of its pixels that are off while all is well. usual_cost, usual_off :
-        nats a pixel about it then, and the share of those pixels that are off.
+    usual_cost, usual_off : nats a pixel about it then, and the share of those pixels that are off.
     """
 
-    name: str
-    type: str
-    kind: int
-    size: np.ndarray
-    pose: np.ndarray
+    name: str  # unique
+    type: str  # of its shape
+    kind: int  # code of scene.solids
+    size: np.ndarray  # (3,) full extents, metres
+    pose: np.ndarray  # (4, 4), to the world: the camera's axes of the first frame
     covariance: np.ndarray
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
     spin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     acceleration: np.ndarray = field(default_factory=lambda: np.zeros(3))
     state: str = STILL
-    quiet: int = 0
-    waiting: int = 0
-    hidden: Hidden | None = None
-    usual_misfit: float = 0.05
+    quiet: int = 0  # frames on end in which it has hardly moved
+    waiting: int = 0  # frames on end in which it was not seen
+    hidden: Hidden | None = None  # where it may be while nothing shows it, or None
+    usual_misfit: float = 0.05  # share of its pixels that are off while all is well
     usual_cost: float = 0.5
     usual_off: float = 0.01
 
@@ -72,20 +65,15 @@ class Thing:
 class Seen(NamedTuple):
     """What the filter says of one frame.
 
-    Attributes
-    ----------
-    poses : (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far. covariances : (N, 6, 6) of
-        centre and turn, camera axes. states : (N,) of str. pixels : (N, 4), see fit.pixels_of. view : (4, 4), world to
-        camera. rounds : sets of normal equations. blobs : of what nothing explains. cost, valid : nats of the whole
-        frame, and its pixels with a return.
+    cost, valid : nats of the whole frame, and its pixels with a return.
     """
 
-    poses: np.ndarray
-    covariances: np.ndarray
-    states: list[str]
-    pixels: np.ndarray
-    view: np.ndarray
-    rounds: int
-    blobs: list
+    poses: np.ndarray  # (N, 4, 4) to camera, NaN where a thing is not there or lost; N things so far
+    covariances: np.ndarray  # (N, 6, 6) of centre and turn, camera axes
+    states: list[str]  # (N,) of str
+    pixels: np.ndarray  # (N, 4), see fit.pixels_of
+    view: np.ndarray  # (4, 4), world to camera
+    rounds: int  # sets of normal equations
+    blobs: list  # of what nothing explains
     cost: float
     valid: int

@@ -25,39 +25,26 @@ UP = 9.81  # m/s^2 along the floor's normal where nobody gave gravity
 
 @dataclass
 class Track:
-    """What tracking found. T frames, N things.
+    """What tracking found. T frames, N things."""
 
-    Attributes
-    ----------
-    names, types : (N,). kinds : (N,) of scene.solids. times : (T,) seconds. frames : names of the frames.
-    sizes : (T, N, 3) metres, as known at each frame. poses : (T, N, 4, 4) to camera, NaN where not there or lost.
-    covariances : (T, N, 6, 6) of centre and turn, camera axes. states : T lists of N: still, moving, hidden, lost or
-        gone.
-    parent_probability : (T, N, 2 + N): nothing, the floor, each thing. views : (T, 4, 4) first camera to this one.
-    floor : (4, 4) to the first camera, or None. gravity : (3,) m/s^2, first camera's axes.
-    rounds : (T,) sets of normal equations. pixels : (T, N, 4), see fit.pixels_of.
-    notes : what was assumed, as sentences. cut : the first frame that is not tracked, or None.
-    pixel : radians between two pixels in the middle of the image; 0 where that is not known.
-    """
-
-    names: list[str]
-    types: list[str]
-    kinds: np.ndarray
-    times: np.ndarray
-    frames: list[str]
-    sizes: np.ndarray
-    poses: np.ndarray
-    covariances: np.ndarray
-    states: list[list[str]]
-    parent_probability: np.ndarray
-    views: np.ndarray
-    floor: np.ndarray | None
-    gravity: np.ndarray
-    rounds: np.ndarray
-    pixels: np.ndarray
-    notes: list[str] = field(default_factory=list)
-    cut: int | None = None
-    pixel: float = 0.0
+    names: list[str]  # (N,)
+    types: list[str]  # (N,)
+    kinds: np.ndarray  # (N,) of scene.solids
+    times: np.ndarray  # (T,) seconds
+    frames: list[str]  # names of the frames
+    sizes: np.ndarray  # (T, N, 3) metres, as known at each frame
+    poses: np.ndarray  # (T, N, 4, 4) to camera, NaN where not there or lost
+    covariances: np.ndarray  # (T, N, 6, 6) of centre and turn, camera axes
+    states: list[list[str]]  # T lists of N: still, moving, hidden, lost or gone
+    parent_probability: np.ndarray  # (T, N, 2 + N): nothing, the floor, each thing
+    views: np.ndarray  # (T, 4, 4) first camera to this one
+    floor: np.ndarray | None  # (4, 4) to the first camera, or None
+    gravity: np.ndarray  # (3,) m/s^2, first camera's axes
+    rounds: np.ndarray  # (T,) sets of normal equations
+    pixels: np.ndarray  # (T, N, 4), see fit.pixels_of
+    notes: list[str] = field(default_factory=list)  # what was assumed, as sentences
+    cut: int | None = None  # the first frame that is not tracked, or None
+    pixel: float = 0.0  # radians between two pixels in the middle of the image; 0 where that is not known
 
     def parents(self) -> list[list[str | None]]:
         """Return T lists of N: what each thing most probably rests on; None in the air, in a hand or not there."""
@@ -85,8 +72,6 @@ def upright(gravity: Any) -> np.ndarray:
 class Recorder:
     """Follows frame after frame and keeps what was found, so that a growing film can be told of at any time.
 
-    Parameters
-    ----------
     depth : (H, W) the first frame. camera : Camera. start : first.Start, what is there. gravity : (3,) or None.
     step : seconds between frames. moving_camera : whether the camera may move. infer : (depth) -> Posterior, for what
     comes in later, or None.

@@ -49,8 +49,6 @@ TURNS = [a @ b for a in (np.eye(4), X, X @ X, X.T, Z, Z.T) for b in (np.eye(4), 
 class Tracker(Drawing):
     """Follows things through frames.
 
-    Parameters
-    ----------
     camera : Camera. start : first.Start. depth : (H, W) metres, the first frame. gravity : (3,) m/s^2, camera axes.
     step : seconds between frames. moving_camera : whether the camera may move.
     """

@@ -15,16 +15,11 @@ MOST = 3  # blobs that are looked at, the largest first
 
 
 class Blob(NamedTuple):
-    """Pixels that belong together and that nothing explains.
+    """Pixels that belong together and that nothing explains."""
 
-    Attributes
-    ----------
-    mask : (H, W) bool. pixels : how many. centre : (3,) middle of the seen points, camera axes, metres.
-    """
-
-    mask: np.ndarray
-    pixels: int
-    centre: np.ndarray
+    mask: np.ndarray  # (H, W) bool
+    pixels: int  # how many
+    centre: np.ndarray  # (3,) middle of the seen points, camera axes, metres
 
 
 def blobs_of(tracker: "Tracker") -> list[Blob]:
