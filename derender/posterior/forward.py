@@ -18,10 +18,7 @@ WIDTH, HEIGHT = 160, 120  # of the camera where a file has none
 
 @dataclass(frozen=True)
 class Draw:
-    """One draw from a document.
-
-    camera, likelihood : as in the document, the likelihood's numbers drawn too.
-    """
+    """One draw from a document. camera, likelihood : as in the document, the likelihood's numbers drawn too."""
 
     graph: SceneGraph  # the scene
     camera: Camera

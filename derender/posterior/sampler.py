@@ -19,10 +19,7 @@ KEYS = ("kernels", "order", "thin", "particles", "population", "chains", "draws"
 
 
 class Settings(NamedTuple):
-    """How chains are run.
-
-    kernels : entries such as {"drift": {"weight": 0.5}}, or None: the default mixture.
-    """
+    """How chains are run. kernels : entries such as {"drift": {"weight": 0.5}}, or None: the default mixture."""
 
     kernels: list[dict[str, Any]] | None = None
     cycle: bool = False  # kernels take turns, in the order of the file, instead of being drawn by weight

@@ -154,10 +154,7 @@ class Sampler(Protocol):
 
 
 class Plan(NamedTuple):
-    """What one run of several chains is.
-
-    chains, warmup, draws : counts; warm-up rounds and draws are per chain.
-    """
+    """What one run of several chains is. chains, warmup, draws : counts; warm-up rounds and draws are per chain."""
 
     sampler: Sampler  # walks each chain
     seed: int  # chain k uses the k-th spawn of its SeedSequence

@@ -154,10 +154,7 @@ ROOT_BODY = Body(shapes["frame"])
 
 @dataclass(frozen=True)
 class Constraint:
-    """An undirected relation between two objects.
-
-    first, second : names of vertices; their order says nothing.
-    """
+    """An undirected relation between two objects. first, second : names of vertices; their order says nothing."""
 
     first: str
     second: str

@@ -35,10 +35,7 @@ GAPS = 60  # draws looked at
 
 
 class Candidate(NamedTuple):
-    """A contact besides the tree's.
-
-    mean, spread : metres, of the gap between them over the draws.
-    """
+    """A contact besides the tree's. mean, spread : metres, of the gap between them over the draws."""
 
     name: str  # the solid, and what else it may rest on
     other: str  # the solid, and what else it may rest on

@@ -34,10 +34,7 @@ class Likelihood:
     of_image: tuple[str, ...] = ()  # names of the numbers on which `beside` depends
 
     def complete(self, values: Numbers) -> dict[str, float]:
-        """Return a number for every parameter.
-
-        Raises DerenderError : an unknown name, or a number out of range.
-        """
+        """Return a number for every parameter. Raises DerenderError : an unknown name, or a number out of range."""
         known = {parameter.name: parameter for parameter in self.parameters}
         result = {name: float(parameter.default or 0.0) for name, parameter in known.items()}
         for name, value in (values or {}).items():

@@ -26,10 +26,7 @@ def renderer_names() -> list[str]:
 
 
 def find_renderer(name: str) -> Any:
-    """Import and return a renderer by name.
-
-    Raises DerenderError : no renderer of that name; says which there are.
-    """
+    """Import and return a renderer by name. Raises DerenderError : no renderer of that name; says which there are."""
     if name in RENDERERS:
         return importlib.import_module(RENDERERS[name])
     for point in entry_points(group=ENTRY_POINT_GROUP):
