@@ -99,7 +99,7 @@ MUTATIONS = [
          "scale = 0.5 if angle < 1e-12 else math.sin(1.0 *", KERNELS),
         ("sweep: no jacobian", "posterior/compiled/evaluate.py", "values[NOW, PRIOR] + correction",
          "values[NOW, PRIOR]", COMPILED),
-        ("compiled: area element of contacts", "posterior/compiled/contacts.py",
+        ("compiled: area element of contacts", "posterior/compiled/evaluate.py",
          "log_jacobian -= math.log(area_element(", "log_jacobian -= 0.5 * math.log(area_element(", COMPILED),
         ("compiled: rests-on x .25", "posterior/compiled/prior.py", "total -= 0.5 * (away / row[SCALE]) ** 2",
          "total -= 0.125 * (away / row[SCALE]) ** 2", (*COMPILED, *RELATIONS)),

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
-from derender.detection.local_planes import local_planes
 from derender.detection.outline import convex_outline, ends_of, outline_planes
+from derender.detection.patches import local_planes
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.segments import segments
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from derender.detection.floor import back_project
 from derender.detection.floors import find_floor
-from derender.detection.noise import noise_of
+from derender.detection.pyramid import noise_of
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
 from derender.render.raycast.evaluator import DepthEvaluator

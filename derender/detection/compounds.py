@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from derender.detection.freestanding import NEARER, outline_shares
-from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of, vertical_axis
+from derender.detection.patches import local_planes
 from derender.detection.search.bodies import APART, TIGHT
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle

@@ -7,9 +7,8 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.compounds import compounds
-from derender.detection.existence import returns_about
 from derender.detection.floor import NoFloor, sensor_deviation
-from derender.detection.freestanding import freestanding
+from derender.detection.freestanding import freestanding, returns_about
 from derender.detection.leftovers import leftovers
 from derender.detection.levels import floor_below
 from derender.detection.pyramid import reduced_by

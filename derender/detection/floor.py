@@ -12,9 +12,8 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.compilation.cache import njit
-from derender.detection.local_planes import local_planes
-from derender.detection.noise import noise_of
-from derender.detection.pyramid import intrinsics
+from derender.detection.patches import local_planes
+from derender.detection.pyramid import intrinsics, noise_of
 from derender.errors import DerenderError
 from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE
 

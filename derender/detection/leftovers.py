@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
-from derender.detection.existence import LEAST_EXISTENCE, existence_of
+from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of
 from derender.detection.search.bodies import APART, body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes

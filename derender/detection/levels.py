@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from derender.detection.floor import LEVEL, back_project
-from derender.detection.local_planes import local_planes
 from derender.detection.outline import ends_of
+from derender.detection.patches import local_planes
 from derender.detection.search.bodies import APART, TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.search.proposals import smallest_rectangle

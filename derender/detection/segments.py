@@ -8,8 +8,8 @@ that it costs less than another thing.
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.local_planes import separation
 from derender.detection.outline import convex_outline
+from derender.detection.patches import separation
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.scene.priors.bare_image import Things
 

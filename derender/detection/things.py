@@ -13,9 +13,9 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
-from derender.detection.existence import LEAST_EXISTENCE, existence_of
-from derender.detection.local_planes import local_planes, separation
+from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
+from derender.detection.patches import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near

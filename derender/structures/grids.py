@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.camera.intrinsics import Camera
-from derender.detection.noise import spread_of
+from derender.detection.pyramid import spread_of
 from derender.detection.solids.beliefs import Beliefs, box_log_density
 from derender.detection.solids.graph import FLOOR_NAME, ON_A_FACE, TILTS, floating, periods_of, without
 from derender.render.raycast.depth import render_depth

@@ -77,8 +77,7 @@ def steps_of_chains() -> None:
 
     from derender.compilation.cache import address_of
     from derender.document import read_prior_document
-    from derender.posterior.compiled.contacts import stand_all
-    from derender.posterior.compiled.evaluate import sweep
+    from derender.posterior.compiled.evaluate import stand_all, sweep
     from derender.posterior.compiled.model import Calls, calls_of, chain_of, kernels_of, model_of, objects_below
     from derender.posterior.kernels import mixture
     from derender.posterior.kernels.base import first_tuning

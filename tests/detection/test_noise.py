@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from derender.detection.noise import estimate_blur, noise_of, spread_of
+from derender.detection.pyramid import estimate_blur, noise_of, spread_of
 from derender.detection.search.searches import refocused
 from derender.detection.solids.image import ROW, draw, make_image, make_row
 from derender.detection.solids.misfit import added_misfit, misfit_map

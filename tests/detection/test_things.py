@@ -9,10 +9,10 @@ from table_scenes import CAMERA, TABLE, seen_on_the_table
 
 from derender.detection.compounds import adrift, falling, goes_on, hangs_on, held_by_another, neck, slope_of
 from derender.detection.estimate import point_estimate
-from derender.detection.existence import outstanding
+from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import interior, swaps
-from derender.detection.local_planes import local_planes
 from derender.detection.outline import foot_radius, vertical_axis
+from derender.detection.patches import local_planes
 from derender.detection.search.bodies import APART
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.detection.local_planes import separation
+from derender.detection.patches import separation
 from derender.detection.search.proposals import (
     THINNEST,
     UP,

@@ -40,9 +40,8 @@ from derender.detection.floors import (
     prior_of,
     tolerance_of,
 )
-from derender.detection.noise import estimate_blur
 from derender.detection.patches import Patches, find_patches
-from derender.detection.pyramid import blurred_jumps, reduce, reduced_by, sampled, single_pixels
+from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.scene.priors.bare_image import Floors

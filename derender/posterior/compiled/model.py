@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import address_of
-from derender.posterior.compiled.contacts import put_down, reattach, stand_all
-from derender.posterior.compiled.evaluate import ELSEWHERE, FIXED_ROOT, FREE_ROOT, LOOKED_AT
+from derender.posterior.compiled.evaluate import (
+    ELSEWHERE,
+    FIXED_ROOT,
+    FREE_ROOT,
+    LOOKED_AT,
+    put_down,
+    reattach,
+    stand_all,
+)
 from derender.posterior.compiled.layout import (
     CONTACT,
     HELD,

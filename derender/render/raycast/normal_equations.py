@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import address_of, call_for_nothing, njit
-from derender.render.raycast.antialias import draw_antialiased
+from derender.render.raycast.antialias import TWO, draw_antialiased
 from derender.render.raycast.canvas import (
     FACE_BITS,
     FACE_MASK,
@@ -37,7 +37,6 @@ from derender.render.raycast.canvas import (
     new_canvas,
 )
 from derender.render.raycast.convex import FACES
-from derender.render.raycast.integral import TWO
 from derender.render.raycast.outline import DEPTH, LINES, NORMAL
 from derender.scene.solids import CYLINDER
 

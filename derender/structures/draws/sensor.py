@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.calibration import likeliest
-from derender.detection.noise import LEAST_SIGMA, MOST_SIGMA, noise_of
+from derender.detection.pyramid import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.detection.solids.image import ROW
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
