@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,32 +66,23 @@ def read_settings(section: Any) -> Settings:
     return settings
 
 
+@dataclass(eq=False)
 class MixtureSampler:
     """A mixture or cycle of kernels on a target, for `chains.run_chain`.
 
-    target : the posterior.
-    parts : the mixture.
-    thin : steps for each draw. cycle : kernels take turns instead of being drawn by weight.
-    particles : draws from the prior of which importance resampling takes the start.
     population : particles of each tempered population that `prepared` sends out to find the mode; 1: none, the start
         is the resampled draw.
     """
 
-    segment = 100
-
-    def __init__(
-        self,
-        target: Any,
-        parts: list[Part],
-        thin: int = 20,
-        cycle: bool = False,
-        particles: int = 100,
-        population: int = 16,
-    ) -> None:
-        self.target, self.parts, self.thin, self.cycle = target, parts, thin, cycle
-        self.particles, self.population = particles, population
-        self.places: np.ndarray | None = None
-        self.learned: Tuning | None = None
+    segment: int = field(default=100, init=False)
+    target: Any  # the posterior
+    parts: list[Part]  # the mixture
+    thin: int = 20  # steps for each draw
+    cycle: bool = False  # kernels take turns instead of being drawn by weight
+    particles: int = 100  # draws from the prior of which importance resampling takes the start
+    population: int = 16
+    places: np.ndarray | None = None  # (n, P) that pilots found, and what fits them
+    learned: Tuning | None = None
 
     @functools.cached_property
     def _first(self) -> Backend:

@@ -41,6 +41,7 @@ class Distribution:
     names: tuple[str, ...] = ()  # of the parameters, in the order in which YAML lists them
     defaults: tuple[float, ...] = ()  # values of the last parameters, which may then be left out
     dimensionless: tuple[str, ...] = ()  # parameters without a unit; all others have that of the number itself
+    positive: tuple[str, ...] = ()  # parameters that have to be above 0
     lowest: float = -math.inf  # the least value, where support is from there upwards
     compiled: bool = False  # whether density and draw can be compiled
     size: int = 1  # how many numbers a value has (1; a rotation's quaternion: 4)
@@ -59,6 +60,8 @@ class Distribution:
         for name, value in zip(self.names, self.parameters, strict=True):
             if not math.isfinite(value):
                 raise DerenderError(f"{self.name}: {name} is {value}", remedy="give a finite number")
+            if name in self.positive and value <= 0:
+                raise DerenderError(f"{self.name}: {name} {value:g} is not positive", remedy=remedy)
         fault = self.fault()
         if fault:
             raise DerenderError(f"{self.name}: {fault}", remedy=remedy)
@@ -94,8 +97,8 @@ class Distribution:
         raise NotImplementedError
 
     def mean(self) -> float:
-        """Return the mean (on a circle: the mean direction)."""
-        raise NotImplementedError
+        """Return the mean (on a circle: the mean direction): of many families the first parameter."""
+        return self.parameters[0]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Distribution) and (self.name, self.parameters) == (other.name, other.parameters)

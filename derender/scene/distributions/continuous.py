@@ -20,6 +20,7 @@ class Normal(Distribution):
     """Normal with a mean and a standard deviation."""
 
     names = ("mean", "sd")
+    positive = ("sd",)
     compiled = True
 
     @staticmethod
@@ -31,18 +32,12 @@ class Normal(Distribution):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] + row[1] * rng.standard_normal()
 
-    def fault(self) -> str | None:
-        return None if self.parameters[1] > 0 else f"sd {self.parameters[1]:g} is not positive"
-
     def cdf(self, x: float) -> float:
         mean, sd = self.parameters
         return 0.5 * math.erfc((mean - x) / (sd * math.sqrt(2.0)))
 
     def quantile(self, probability: float) -> float:
         return NormalDist(*self.parameters).inv_cdf(probability)
-
-    def mean(self) -> float:
-        return self.parameters[0]
 
 
 @distributions.register("log-normal")
@@ -51,6 +46,7 @@ class LogNormal(Distribution):
 
     lowest = 0.0
     names = ("median", "log_sd")
+    positive = ("median",)
     dimensionless = ("log_sd",)
     compiled = True
 
@@ -68,9 +64,7 @@ class LogNormal(Distribution):
         return math.exp(row[2] + row[1] * rng.standard_normal())
 
     def fault(self) -> str | None:
-        median, log_sd = self.parameters
-        if median <= 0:
-            return f"median {median:g} is not positive"
+        log_sd = self.parameters[1]
         return None if 0 < log_sd <= 20 else f"log_sd {log_sd:g} is not in (0, 20]"
 
     def _row(self) -> tuple[float, ...]:
@@ -93,7 +87,7 @@ class Exponential(Distribution):
     """Positive, with a mean."""
 
     lowest = 0.0
-    names = ("mean",)
+    names = positive = ("mean",)
     compiled = True
 
     @staticmethod
@@ -104,17 +98,11 @@ class Exponential(Distribution):
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[0] * rng.standard_exponential()
 
-    def fault(self) -> str | None:
-        return None if self.parameters[0] > 0 else f"mean {self.parameters[0]:g} is not positive"
-
     def cdf(self, x: float) -> float:
         return -math.expm1(-x / self.parameters[0]) if x > 0 else 0.0
 
     def quantile(self, probability: float) -> float:
         return -self.parameters[0] * math.log1p(-probability)
-
-    def mean(self) -> float:
-        return self.parameters[0]
 
 
 @distributions.register("gamma")
@@ -122,7 +110,7 @@ class Gamma(Distribution):
     """Positive, with a shape and a scale; the mean is their product."""
 
     lowest = 0.0
-    names = ("shape", "scale")
+    names = positive = ("shape", "scale")
     dimensionless = ("shape",)
     compiled = True
 
@@ -136,10 +124,6 @@ class Gamma(Distribution):
     @staticmethod
     def draw(rng: np.random.Generator, row: Any) -> Any:
         return row[1] * rng.standard_gamma(row[0])
-
-    def fault(self) -> str | None:
-        shape, scale = self.parameters
-        return None if shape > 0 and scale > 0 else "shape and scale have to be positive"
 
     def _row(self) -> tuple[float, ...]:
         shape, scale = self.parameters
@@ -294,6 +278,7 @@ class TruncatedNormal(Interval):
     """Normal with a mean and a standard deviation before it was cut to [lower, upper]."""
 
     names = ("mean", "sd", "lower", "upper")
+    positive = ("sd",)
     compiled = True
 
     @staticmethod
@@ -332,8 +317,6 @@ class TruncatedNormal(Interval):
 
     def fault(self) -> str | None:
         mean, sd, lower, upper = self.parameters
-        if sd <= 0:
-            return f"sd {sd:g} is not positive"
         if lower < upper and max(lower - mean, mean - upper) > 30.0 * sd:
             return "the interval is more than 30 standard deviations from the mean"
         return super().fault()
@@ -362,6 +345,7 @@ class VonMises(Distribution):
     """On [0, period] (a full turn unless given), with a mean direction and a concentration."""
 
     names = ("mean", "concentration", "period")
+    positive = ("period",)
     defaults = (TWO_PI,)
     dimensionless = ("concentration",)
     compiled = True
@@ -399,9 +383,7 @@ class VonMises(Distribution):
         return x
 
     def fault(self) -> str | None:
-        _, concentration, period = self.parameters
-        if period <= 0:
-            return f"period {period:g} is not positive"
+        concentration = self.parameters[1]
         return None if 0 <= concentration <= 1e8 else f"concentration {concentration:g} is not in [0, 1e8]"
 
     def _row(self) -> tuple[float, ...]:

@@ -134,9 +134,6 @@ class Poisson(Distribution):
     def fault(self) -> str | None:
         return None if 0 < self.parameters[0] <= 1e4 else f"mean {self.parameters[0]:g} is not in (0, 1e4]"
 
-    def mean(self) -> float:
-        return self.parameters[0]
-
 
 @distributions.register("geometric")
 class Geometric(Distribution):

@@ -6,7 +6,7 @@ A prior with terms samples by rejection, exactly; its log density is then known 
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,6 +75,7 @@ def sample_until_allowed(rng: np.random.Generator, sample: Callable, terms: tupl
 
 
 @term_types.register("no-overlap")
+@dataclass(eq=False)
 class NoOverlap:
     """No two solids enter each other: `no-overlap`, or `no-overlap: {depth: 0.5 mm, scale: 1 mm}`.
 
@@ -84,11 +85,9 @@ class NoOverlap:
     scale : None rules deeper overlap out; a length makes the log density -(excess depth / scale)^2 / 2 for each pair.
     """
 
-    name: str
-
-    def __init__(self, depth: float = 0.0005, scale: float | None = None) -> None:
-        self.depth = depth
-        self.scale = scale
+    name: str = field(init=False)
+    depth: float = 0.0005
+    scale: float | None = None
 
     def log_density(self, graph: SceneGraph) -> float:
         from derender.scene.separation import overlaps
@@ -96,31 +95,27 @@ class NoOverlap:
         excess = overlaps(graph.solids()) - self.depth
         if self.scale is None:
             return -math.inf if (excess > 0.0).any() else 0.0
-        return (
-            -0.25 * float(np.sum(np.square(np.maximum(excess, 0.0)))) / self.scale**2
-        )  # every pair stands there twice
+        squares = float(np.sum(np.square(np.maximum(excess, 0.0))))  # every pair stands there twice
+        return -0.25 * squares / self.scale**2
 
     @classmethod
     def read(cls, node: Node | None, names: tuple[str, ...]) -> Term:
         if node is None:
             return cls()
-        section = node.section().allow("depth", "scale")
-        depth = section["depth"].number("m", lower=0.0) if "depth" in section else 0.0005
-        scale = section["scale"].number("m", lower=1e-9) if "scale" in section else None
-        return cls(depth, scale)
+        section, least = node.section().allow("depth", "scale"), {"depth": 0.0, "scale": 1e-9}
+        return cls(**{key: section[key].number("m", lower=lower) for key, lower in least.items() if key in section})
 
 
 @term_types.register("does-not-touch")
+@dataclass(eq=False)
 class DoesNotTouch:
     """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`.
 
     relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
     """
 
-    name: str
-
-    def __init__(self, relation: Constraint) -> None:
-        self.relation = relation
+    name: str = field(init=False)
+    relation: Constraint
 
     @property
     def least(self) -> float:
@@ -144,20 +139,19 @@ class DoesNotTouch:
 
 
 @term_types.register("rests-on")
+@dataclass(eq=False)
 class RestsOn:
     """An object rests on a second one too: `rests-on: [deck, pier]`, or `{objects: [deck, pier], slack: 2 mm}`.
 
     `supports: [pier]` in an object's entry says the same, with a slack of 1 mm. The log density is
     -(residual / slack)^2 / 2, see `separation.rest_residual`: up is the normal of the face that it rests on, so its
     other support ends at the same height and lies below it.
-
-    name, support : of the two. slack : metres.
     """
 
-    name: str
-
-    def __init__(self, child: str, support: str, slack: float = 0.001) -> None:
-        self.child, self.support, self.slack = child, support, slack
+    name: str = field(init=False)
+    child: str
+    support: str
+    slack: float = 0.001  # metres
 
     def bearing(self, graph: SceneGraph) -> tuple[str, np.ndarray]:
         """Return the parent, and the direction (3,) that is up in its axes."""
@@ -186,13 +180,12 @@ class RestsOn:
 
 
 @term_types.register("at-most")
+@dataclass(eq=False)
 class AtMost:
     """No more than so many objects, floors and frames not counted: `at-most: 4`."""
 
-    name: str
-
-    def __init__(self, count: int) -> None:
-        self.count = count
+    name: str = field(init=False)
+    count: int
 
     def log_density(self, graph: SceneGraph) -> float:
         bounded = sum(shapes[vertex.shape].bounded for vertex in graph.vertices)
