@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from derender.detection.search.greedy import Settings
-from derender.detection.solids.image import Image, draw, make_row, rotation_of
+from derender.detection.solids.image import SIZE, Image, draw, make_row
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import misfit_map
 from derender.detection.solids.polish import FREE
@@ -86,9 +86,7 @@ class Placement:
         label[:] = np.where(label >= 0, np.array([*unknown, -1])[label], label)
         for k, item in enumerate(placed):
             if item.known is not None and k != skip:
-                vertices, triangles = item.known.triangles
-                centre = np.ascontiguousarray(item.row[10:13])
-                draw_known(self.image, vertices, triangles, rotation_of(item.row).copy(), centre, k, depth, label)
+                draw_known(self.image, *item.known.triangles, item.row, k, depth, label)
         misfit_map(self.image, depth, misfit)
         return depth, label, misfit
 
@@ -97,7 +95,7 @@ class Placement:
         return np.array([item.row for item in placed]).reshape(-1, 16)
 
     def starts(self, known: Known, anchor: int, bases: Any) -> Iterator[Any]:
-        """Yield (rotation, centre, base) from which an object may be refined where a solid was found."""
+        """Yield (row, base) from which an object may be refined where a solid was found."""
         row = self.state.rows[anchor]
         middles = [row[10:12]]
         seen = (self.label == anchor) & (self.image.depth > 0)
@@ -112,38 +110,28 @@ class Placement:
             low = float((vertices @ rotation[2]).min())
             for middle in middles:
                 for base in bases:
-                    yield rotation, np.array([*middle, base - low]), base
+                    yield make_row(known.proxy, rotation, [*middle, base - low], known.size), base
 
-    def refine(
-        self,
-        known: Known,
-        rotation: np.ndarray,
-        centre: np.ndarray,
-        base: float,
-        rows: np.ndarray,
-        skip: int,
-        view: tuple[np.ndarray, np.ndarray, np.ndarray],
-        rounds: int,
-        heat: float = 2.0,
-        scales: np.ndarray = SCALES,
-    ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return (energy, rotation, centre) of one object annealed against the rest of the scene."""
-        vertices, triangles = known.triangles
-        size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
-        rotation, centre, energy, _ = walk_known(
-            self.rng, self.image, vertices, triangles, np.ascontiguousarray(rotation), np.ascontiguousarray(centre),
-            known.proxy, size, in_the_way(rows, self.settings), skip, view[0], view[2], base, self.settings.slack,
-            self.tilt, scales.copy(), rounds, heat, 1.0, True,
+    def refine(self, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int, view: Any, rounds: int,
+               heat: float = 2.0, scales: np.ndarray = SCALES) -> tuple[float, np.ndarray]:  # fmt: skip
+        """Return (energy, row) of one object annealed against the rest of the scene."""
+        row, energy = self.walked(self.rng, known, row, base, rows, skip, view, scales.copy(), rounds, heat, 1.0, True)
+        return energy, row
+
+    def walked(self, rng: np.random.Generator, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int,
+               view: Any, scales: np.ndarray, rounds: int, heat: float, temper: float, adapt: bool) -> Any:  # fmt: skip
+        """Return (row, energy) of one object walked, see `walk_known`. view : depth, label and misfit without it."""
+        start = row.copy()
+        start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
+        row, energy = walk_known(
+            rng, self.image, *known.triangles, start, in_the_way(rows, self.settings), skip, view[0], view[2], base,
+            self.settings.slack, self.tilt, scales, rounds, heat, temper, adapt,
         )  # fmt: skip
-        return energy, rotation, centre
+        row[SIZE:] = known.size
+        return row, energy
 
     def best_pose(
-        self,
-        known: Any,
-        anchor: int,
-        placed: list[Placed],
-        view: tuple[np.ndarray, np.ndarray, np.ndarray],
-        skip: int = -1,
+        self, known: Any, anchor: int, placed: list[Placed], view: Any, skip: int = -1
     ) -> tuple[float, Placed]:
         """Return (energy, Placed) of the best pose of an object at an anchor."""
         rows = self.rows(placed)
@@ -156,20 +144,16 @@ class Placement:
         vertices, triangles = known.triangles
         points, buffer = np.empty((len(vertices), 4)), np.empty(self.image.depth.shape)
         looked = []
-        for rotation, centre, base in self.starts(known, anchor, bases):
-            change, _ = known_misfit(
-                self.image, vertices, triangles, rotation, centre, view[0], view[2], points, buffer
-            )
-            looked.append((change, len(looked), rotation, centre, base))
-        looked.sort()
+        for row, base in self.starts(known, anchor, bases):
+            change, _ = known_misfit(self.image, vertices, triangles, row, view[0], view[2], points, buffer)
+            looked.append((change, len(looked), row, base))
         refined = []
-        for _, number, rotation, centre, base in looked[:TRIED]:
-            energy, rotation, centre = self.refine(known, rotation, centre, base, rows, skip, view, 70)
-            refined.append((energy, number, rotation, centre, base))
-        refined.sort()
-        _, _, rotation, centre, base = refined[0]
-        energy, rotation, centre = self.refine(known, rotation, centre, base, rows, skip, view, 200, 1.5, SCALES / 3)
-        return energy, Placed(known, make_row(known.proxy, rotation, centre, known.size), anchor, base, -energy)
+        for _, number, row, base in sorted(looked, key=lambda each: each[:2])[:TRIED]:
+            energy, row = self.refine(known, row, base, rows, skip, view, 70)
+            refined.append((energy, number, row, base))
+        _, _, row, base = min(refined, key=lambda each: each[:2])
+        energy, row = self.refine(known, row, base, rows, skip, view, 200, 1.5, SCALES / 3)
+        return energy, Placed(known, row, anchor, base, -energy)
 
     @staticmethod
     def above(row: np.ndarray, other: np.ndarray) -> bool:
@@ -284,7 +268,8 @@ class Placement:
 
     def add_unknown(self, placed: list[Placed]) -> list[Placed]:
         """Return the scene with those solids of the first search that it still needs."""
-        left = sorted(set(range(len(self.state))) - {item.anchor for item in placed}, key=self.state_bottom)
+        left = sorted(set(range(len(self.state))) - {item.anchor for item in placed},
+                      key=lambda anchor: lowest(self.state.rows[anchor]))  # fmt: skip
         for anchor in left:
             if len(placed) >= self.settings.max_objects:
                 break
@@ -304,10 +289,6 @@ class Placement:
         stranger = settings.believed.loose.stranger
         known = np.log((1.0 - stranger) / stranger)  # nats, of the prior odds of being one of the library's objects
         return settings.price + 0.5 * sizes * settings.cube_bonus + tilted + known * settings.temper
-
-    def state_bottom(self, anchor: Any) -> Any:
-        """Return how high a solid of the first search begins."""
-        return lowest(self.state.rows[anchor])
 
     def unknown(self, anchor: int) -> Placed:
         """Return the solid of the first search as it was."""
@@ -344,10 +325,8 @@ class Placement:
                 if item.known is None:
                     row, _, _ = self.polished(item, placed, k, (*view, 0.0))
                 else:
-                    pose = rotation_of(item.row).copy(), item.row[10:13].copy()
-                    _, rotation, centre = self.refine(item.known, *pose, item.base, self.rows(placed), k, view, 200,
-                                                      1.0001 - sweep, SCALES / 6)  # fmt: skip
-                    row = make_row(item.known.proxy, rotation, centre, item.known.size)
+                    _, row = self.refine(item.known, item.row, item.base, self.rows(placed), k, view, 200,
+                                         1.0001 - sweep, SCALES / 6)  # fmt: skip
                 placed[k] = replace(item, row=row)
         return placed
 
@@ -358,8 +337,7 @@ class Placement:
         own = placed[k]
         found = []
         if own.known is not None:
-            pose = rotation_of(own.row).copy(), own.row[10:13].copy()
-            energy, _, _ = self.refine(own.known, *pose, own.base, rows, k, view, 1, 0.0)
+            energy, _ = self.refine(own.known, own.row, own.base, rows, k, view, 1, 0.0)
             found.append((energy + self.settings.price, own))
         for known in self.library:
             if known is not own.known:

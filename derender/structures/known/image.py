@@ -1,6 +1,7 @@
 """How well an object of known shape explains the image, drawn by its triangles; its pose refined: compiled.
 
-As in image.py and polish.py of solids/, in the floor frame; a pose is a rotation (3, 3) and centre (3,).
+As in image.py and polish.py of solids/, in the floor frame. An object is the row of what stands for it, a proxy, whose
+rotation and centre are its own.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ ACCEPTANCE, GAIN = 0.25, 0.3  # wanted share of accepted steps; change of a log 
 
 
 @njit(cache=True, nogil=True)
-def project(image, vertices, rotation, centre, points):
+def project(image, vertices, row, points):
     """Fill points (V, 4) with pixel column, row, inverse depth, height over the floor; return (i0, i1, j0, j1).
 
     The rectangle is empty where a vertex lies behind the camera.
@@ -28,9 +29,9 @@ def project(image, vertices, rotation, centre, points):
     height, width = image.depth.shape
     for k in range(vertices.shape[0]):
         a, b, c = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-        x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + centre[0]
-        y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + centre[1]
-        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + centre[2]
+        x = row[1] * a + row[2] * b + row[3] * c + row[10]
+        y = row[4] * a + row[5] * b + row[6] * c + row[11]
+        z = row[7] * a + row[8] * b + row[9] * c + row[12]
         w = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
         points[k, 3] = z
         if w < 1e-3:
@@ -62,11 +63,11 @@ def rasterise(triangles, points, i0, i1, j0, j1, buffer):
 
 
 @njit(cache=True, nogil=True)
-def draw_known(image, vertices, triangles, rotation, centre, index, depth, label):
+def draw_known(image, vertices, triangles, row, index, depth, label):
     """Draw one object into depth and label (H, W), in place."""
     points = np.empty((vertices.shape[0], 4))
     buffer = np.empty(depth.shape)
-    i0, i1, j0, j1 = project(image, vertices, rotation, centre, points)
+    i0, i1, j0, j1 = project(image, vertices, row, points)
     rasterise(triangles, points, i0, i1, j0, j1, buffer)
     for j in range(j0, j1):
         for i in range(i0, i1):
@@ -76,13 +77,13 @@ def draw_known(image, vertices, triangles, rotation, centre, index, depth, label
 
 
 @njit(cache=True, nogil=True)
-def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, points, buffer):
+def known_misfit(image, vertices, triangles, row, depth, misfit, points, buffer):
     """Return (change of the misfit when the object is added to a scene, height of its lowest vertex).
 
     points (>= V, 4) and buffer (H, W) are scratch.
     """
     height, width = image.depth.shape
-    i0, i1, j0, j1 = project(image, vertices, rotation, centre, points)
+    i0, i1, j0, j1 = project(image, vertices, row, points)
     low = 1e30
     for k in range(vertices.shape[0]):
         low = min(low, points[k, 3])
@@ -112,113 +113,60 @@ def known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, po
 
 
 @njit(cache=True, nogil=True)
-def standing_energy(row, low, base, others, skip, slack, lean, tilt):
-    """Return the energy of standing off its base, of sinking into the floor or into others, and of leaning.
-
-    row : the object's proxy; low : its lowest point; base : height of what it stands on, NaN for none.
-    lean : radians from the way it was said to lie; tilt : their standard deviation.
-    """
-    return resting_energy(row, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2
-
-
-@njit(cache=True, nogil=True)
-def rotate_about(rotation, axis, angle):
-    """Turn the rotation (3, 3) about an axis of the floor frame, in place."""
+def rotate_about(row, axis, angle):
+    """Turn an object about an axis of the floor frame through its centre, in place."""
     c, s = np.cos(angle), np.sin(angle)
-    a, b = (axis + 1) % 3, (axis + 2) % 3
+    a, b = 1 + 3 * ((axis + 1) % 3), 1 + 3 * ((axis + 2) % 3)
     for column in range(3):
-        x, y = rotation[a, column], rotation[b, column]
-        rotation[a, column], rotation[b, column] = c * x - s * y, s * x + c * y
+        x, y = row[a + column], row[b + column]
+        row[a + column], row[b + column] = c * x - s * y, s * x + c * y
 
 
 @njit(cache=True, nogil=True)
-def fill_row(row, kind, rotation, centre, size):
-    """Write the proxy's row, in place."""
-    row[0] = kind
-    for a in range(3):
-        for b in range(3):
-            row[1 + 3 * a + b] = rotation[a, b]
-        row[10 + a] = centre[a]
-        row[13 + a] = size[a]
-
-
-@njit(cache=True, nogil=True)
-def walk_known(
-    rng,
-    image,
-    vertices,
-    triangles,
-    start_rotation,
-    start_centre,
-    proxy,
-    size,
-    others,
-    skip,
-    depth,
-    misfit,
-    base,
-    slack,
-    tilt,
-    scale,
-    rounds,
-    heat,
-    temper,
-    adapt,
-):
-    """Walk the pose of one object, the rest of the scene held still.
+def walk_known(rng, image, vertices, triangles, start, others, skip, depth, misfit, base, slack, tilt, scale, rounds,
+               heat, temper, adapt):  # fmt: skip
+    """Return (row, energy) of one object walked from `start` (ROW,), the rest of the scene held still.
 
     Steps: along the floor's x, y, z; turns about the vertical and about the floor's x and y through the centre. Each is
     its own reverse with the sign changed and keeps Lebesgue x Haar, so the log acceptance ratio is the difference of
     energies alone.
 
-    proxy, size : kind and (3,) extents of what stands for it against `others` (N, ROW), of which `skip` is left out.
-    depth, misfit : (H, W) of the scene without it. base : height that its lowest point is held to, NaN for none.
+    others : (N, ROW), what it must not enter, of which `skip` is left out. depth, misfit : (H, W) of the scene without
+        it. base : height that its lowest point is held to, NaN for none.
+    tilt : standard deviation of the radians by which it leans from the way it was said to lie.
     scale : (6,) metres, standard deviation of each step (turns: times 8 rad/m), changed in place where `adapt`.
     heat : temperature at the start, falling to 0: annealing, after which the best is returned; 1: Metropolis, after
         which the last is returned (exact once `adapt` is over). temper : what the misfit is divided by.
-
-    Returns
-    -------
-    rotation, centre, energy, change of the misfit.
     """
     annealing = heat != 1.0
-    rotation, centre = start_rotation.copy(), start_centre.copy()
-    down = np.argmax(np.abs(rotation[2]))
-    points, buffer, row = np.empty((vertices.shape[0], 4)), np.empty(image.depth.shape), np.empty(16)
-    change, low = known_misfit(image, vertices, triangles, rotation, centre, depth, misfit, points, buffer)
-    fill_row(row, proxy, rotation, centre, size)
-    lean = np.arccos(min(abs(rotation[2, down]), 1.0))
-    energy = change / temper + standing_energy(row, low, base, others, skip, slack, lean, tilt)
-    best_rotation, best_centre, best, best_change = rotation.copy(), centre.copy(), energy, change
-    trial_rotation, trial_centre = rotation.copy(), centre.copy()
-    for k in range(rounds):
-        move = int(STEPS * rng.random())
-        step = scale[move] * rng.standard_normal()
-        trial_rotation[:] = rotation
-        trial_centre[:] = centre
+    row, trial, best, least = start.copy(), start.copy(), start.copy(), np.inf
+    energy = np.inf
+    down = 7 + np.argmax(np.abs(row[7:10]))
+    points, buffer = np.empty((vertices.shape[0], 4)), np.empty(image.depth.shape)
+    for k in range(-1, rounds):  # the first time it is where it begins
+        move, step = 0, 0.0
+        if k >= 0:
+            move = int(STEPS * rng.random())
+            step = scale[move] * rng.standard_normal()
+        trial[:] = row
         if move < 3:
-            trial_centre[move] += step
+            trial[10 + move] += step
         else:
-            rotate_about(trial_rotation, 2 if move == 3 else move - 4, 8.0 * step)
-        fill_row(row, proxy, trial_rotation, trial_centre, size)
-        lean = np.arccos(min(abs(trial_rotation[2, down]), 1.0))
-        new_change, low = known_misfit(
-            image, vertices, triangles, trial_rotation, trial_centre, depth, misfit, points, buffer
-        )
-        new = new_change / temper + standing_energy(row, low, base, others, skip, slack, lean, tilt)
+            rotate_about(trial, 2 if move == 3 else move - 4, 8.0 * step)
+        change, low = known_misfit(image, vertices, triangles, trial, depth, misfit, points, buffer)
+        lean = np.arccos(min(abs(trial[down]), 1.0))
+        new = change / temper + (resting_energy(trial, low, others, skip, base, slack) + 0.5 * (lean / tilt) ** 2)
         temperature = heat * (1.0 - k / rounds) if annealing else 1.0
-        accepted = compiled_log_threshold(rng) * temperature < energy - new
+        accepted = k < 0 or compiled_log_threshold(rng) * temperature < energy - new
         if accepted:
-            rotation[:] = trial_rotation
-            centre[:] = trial_centre
-            energy, change = new, new_change
-            if energy < best:
-                best_rotation[:] = rotation
-                best_centre[:] = centre
-                best, best_change = energy, change
-        if adapt:
+            row[:] = trial
+            energy = new
+            if energy < least:
+                best[:] = row
+                least = energy
+        if adapt and k >= 0:
             adapted = compiled_adapted_scale(scale[move], 1.0 if accepted else 0.0, ACCEPTANCE, GAIN)
             scale[move] = min(max(adapted, SHORTEST), LONGEST)
     if annealing:
-        return best_rotation, best_centre, best, best_change
-    return rotation, centre, energy, change
+        return best, least
+    return row, energy

@@ -18,15 +18,13 @@ from derender.detection.solids.graph import (
     vertex_of,
     without,
 )
-from derender.detection.solids.image import Image, make_row, rotation_of
+from derender.detection.solids.image import Image, rotation_of
 from derender.detection.solids.polish import WALK_MOVES, walk
 from derender.detection.solids.state import FLOOR, NOTHING, State, in_the_way
 from derender.results.posterior import StructurePosterior
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
-from derender.scene.solids import MESH
 from derender.structures.draws.numbers import numbers_at, parameters_of
-from derender.structures.known.identities import SCALES, SHRUNK, Placed, Placement, identity_probabilities
-from derender.structures.known.image import walk_known
+from derender.structures.known.identities import SCALES, Placed, Placement, identity_probabilities
 from derender.structures.known.library import Known
 
 STEPS = 24  # of each object between two draws
@@ -207,20 +205,15 @@ def walk_one(
 ) -> Placed:
     """Return one solid after some Metropolis steps given the others."""
     item, settings, image = placed[k], placement.settings, placement.image
-    depth, _, misfit = placement.view(placed, k)
-    rows = in_the_way(placement.rows(placed), settings)
+    depth, _, misfit = view = placement.view(placed, k)
     if item.known is None:
+        rows = in_the_way(placement.rows(placed), settings)
         row = walk(rng, image, item.row, item.form, item.cube, rows, k, depth, misfit, item.base, NOTHING,
                    settings.slack, settings.tilt, scale, STEPS, settings.temper, adapt)  # fmt: skip
         return replace(item, row=row)
-    known = item.known
-    vertices, triangles = known.triangles
-    size = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
-    rotation, centre, _, _ = walk_known(
-        rng, image, vertices, triangles, rotation_of(item.row).copy(), item.row[10:13].copy(), known.proxy, size, rows,
-        k, depth, misfit, item.base, settings.slack, placement.tilt, scale, STEPS, 1.0, settings.temper, adapt,
-    )  # fmt: skip
-    return replace(item, row=make_row(known.proxy, rotation, centre, known.size))
+    row, _ = placement.walked(rng, item.known, item.row, item.base, placement.rows(placed), k, view, scale, STEPS, 1.0,
+                              settings.temper, adapt)  # fmt: skip
+    return replace(item, row=row)
 
 
 def places_of(graph: SceneGraph, placed: list[Placed], names: list[str]) -> dict[str, tuple[np.ndarray, None]]:
