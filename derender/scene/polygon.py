@@ -56,30 +56,16 @@ def upper(x, theta, a, b, c, d, radius):
     y = 0.5 * (height - rise_1 - rise_2)
     offset = min(max(x, left - radius), -left + radius) - left
     # `offset` is measured from the vertex walked to; the arc about it ends where the next edge's normal points.
-    length_1 = math.hypot(width_1, rise_1)
-    if length_1 > 0.0:
-        normal_x, normal_y = -rise_1 / length_1, width_1 / length_1
-        if offset <= radius * normal_x:
-            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
-        if offset <= radius * normal_x + width_1:
-            return y + radius * normal_y + rise_1 * (offset - radius * normal_x) / width_1
-        offset -= width_1
-        y += rise_1
-    if a > 0.0:
-        if offset <= 0.0:
-            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
-        if offset <= a:
-            return y + radius
-        offset -= a
-    length_2 = math.hypot(width_2, rise_2)
-    if length_2 > 0.0:
-        normal_x, normal_y = -rise_2 / length_2, width_2 / length_2
-        if offset <= radius * normal_x:
-            return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
-        if offset <= radius * normal_x + width_2:
-            return y + radius * normal_y + rise_2 * (offset - radius * normal_x) / width_2
-        offset -= width_2
-        y += rise_2
+    for width, rise in ((width_1, rise_1), (a, 0.0), (width_2, rise_2)):
+        length = math.hypot(width, rise)
+        if length > 0.0:
+            normal_x, normal_y = -rise / length, width / length
+            if offset <= radius * normal_x:
+                return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
+            if offset <= radius * normal_x + width:
+                return y + radius * normal_y + rise * (offset - radius * normal_x) / width
+            offset -= width
+            y += rise
     return y + math.sqrt(max(radius * radius - offset * offset, 0.0))
 
 
