@@ -303,17 +303,8 @@ def part_at(
     poses = None
     if any(address.startswith("root.") for address in target.space.addresses):
         poses = np.array([[target.root_pose(draw) for draw in chain] for chain in values])
-    return StructurePosterior(
-        target.template,
-        target.space.addresses,
-        values,
-        log_prior,
-        log_likelihood,
-        weight,
-        target.space.periods,
-        poses,
-        extras,
-    )
+    return StructurePosterior(target.template, target.space.addresses, values, log_prior, log_likelihood, weight,
+                              target.space.periods, poses, extras)  # fmt: skip
 
 
 def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: int) -> StructurePosterior:

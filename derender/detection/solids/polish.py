@@ -182,25 +182,8 @@ def propose(rng, row, trial, origin, form, cube, tilt, scale):
 
 
 @njit(cache=True, nogil=True)
-def polish(
-    rng,
-    image,
-    start,
-    form,
-    cube,
-    others,
-    skip,
-    depth,
-    misfit,
-    bottom,
-    carried,
-    slack,
-    tilt,
-    temper,
-    rounds,
-    first_step,
-    heat,
-):
+def polish(rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, temper, rounds,
+           first_step, heat):  # fmt: skip
     """Return (row, energy, misfit change) of the best solid found in `rounds` tries.
 
     start : (ROW,) the solid; form : UPRIGHT or FREE; cube : keep its edges equal.
@@ -246,25 +229,8 @@ def polish(
 
 
 @njit(cache=True, nogil=True)
-def walk(
-    rng,
-    image,
-    start,
-    form,
-    cube,
-    others,
-    skip,
-    depth,
-    misfit,
-    bottom,
-    carried,
-    slack,
-    tilt,
-    scale,
-    steps,
-    temper,
-    adapt,
-):
+def walk(rng, image, start, form, cube, others, skip, depth, misfit, bottom, carried, slack, tilt, scale, steps,
+         temper, adapt):  # fmt: skip
     """Return the solid after `steps` Metropolis steps on its density given all others.
 
     Each kind of step is drawn with its own fixed scale and is its own reverse with the sign changed (a pivot keeps its

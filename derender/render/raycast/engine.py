@@ -218,17 +218,8 @@ def load_state(state, poses, sizes):
         _prepare(state, CURRENT, k)
     settings[PENDING], settings[REGIONS] = 0, 0
     whole_image(settings, region)
-    call_for_nothing(
-        settings[DRAW],
-        settings,
-        state.parameters,
-        state.images,
-        state.kind,
-        state.prepared,
-        state.rectangle,
-        CURRENT,
-        region,
-    )
+    call_for_nothing(settings[DRAW], settings, state.parameters, state.images, state.kind, state.prepared,
+                     state.rectangle, CURRENT, region)  # fmt: skip
     return _rescore(settings, state.parameters, state.total, state.taps, state.images, state.strip, region)
 
 
