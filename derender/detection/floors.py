@@ -67,19 +67,15 @@ class Candidate(NamedTuple):
     odds: float  # nats, what its share of the pixels says of it, and how it lies
 
 
-def find_floor(depth: np.ndarray, camera: Camera | dict[str, float],
-               gravity: tuple[float, float, float] | np.ndarray | None = None,
-               believed: Floors | None = None) -> Floor:  # fmt: skip
+def find_floor(depth: np.ndarray, camera: Camera | dict[str, float], believed: Floors | None = None) -> Floor:
     """Find the plane that most likely is the floor: a large one that faces the image's upper edge.
 
     depth : (H, W) float metres, NaN = no return.
-    gravity : (3,) in camera axes, the direction in which things fall, where the camera knows it: only a level plane
-        is a floor then, if there is one.
     believed : Floors of a prior; None: those of the built-in one.
 
     Raises DerenderError where fewer than 50 pixels have depth or no plane holds a tenth of them.
     """
-    return fitted(depth, back_project(depth, camera), floors_of(depth, camera, gravity, believed)[0])
+    return fitted(depth, back_project(depth, camera), floors_of(depth, camera, None, believed)[0])
 
 
 def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: float = 1.0) -> Floor:

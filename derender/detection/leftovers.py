@@ -119,7 +119,7 @@ def with_solid(rng: np.random.Generator, seen: Observation, state: State, mask: 
     hypotheses = list(body_hypotheses(points, image.origin, settings.shapes, bottom))
     if "box" in settings.shapes:
         turns = np.pi / 2 * np.arange(YAWS) / YAWS
-        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False, ()) for yaw in turns]
+        hypotheses += [Hypothesis(box_about(points, yaw, bottom), UPRIGHT, False) for yaw in turns]
     for h in hypotheses:
         row, energy, _ = run_polish(rng, image, state, -1, h.row, h.form, h.cube, view, bottom, settings, ROUNDS)
         tries.append((energy + complexity(int(row[0]), h.form, h.cube, settings), len(tries), row, h))

@@ -21,7 +21,6 @@ from derender.sampling.diagnostics import mean_ess
 ROUNDS = 100  # of the fixed point's iteration, at most; each halves the error or better
 EXACT = 1e-8  # nats between two rounds at which it has converged
 LEAST_FREEDOM = 5.0  # degrees of freedom of t: heavier tails than any normal-like density has
-TRUSTED = 3.0  # draws for each coordinate that the covariance believed beforehand is worth
 ROUNDING = 1e-10  # share of a coordinate's variance by which a covariance is kept from being singular
 
 
@@ -30,12 +29,6 @@ class Evidence(NamedTuple):
 
     log: float  # its logarithm
     standard_error: float  # of the logarithm
-    effective_sample_size: float  # of independent draws from the density that would tell as much: 1 / standard_error^2
-
-
-def evidence_of(log: float, standard_error: float) -> Evidence:
-    """Return the Evidence of a logarithm with this error."""
-    return Evidence(log, standard_error, 1.0 / max(standard_error, 1e-9) ** 2)
 
 
 def evidence(
@@ -44,23 +37,21 @@ def evidence(
     draws: np.ndarray,
     log_density: np.ndarray,
     count: int,
-    believed: np.ndarray | None = None,
 ) -> Evidence:
     """Return the Evidence of a density over R^D.
 
     target : log densities (m,) of points (m, D).
     draws : (n, D), of the density, in the order of a chain; log_density : (n,), there.
     count : points that are drawn of the fitted density, for each half.
-    believed : (D, D) covariance that few draws are to be mixed with, None for none.
     """
     size = draws.shape[1]
     if size == 0:
-        return Evidence(float(target(draws[:1])[0]), 0.0, math.inf)
+        return Evidence(float(target(draws[:1])[0]), 0.0)
     middle = len(draws) // 2
     halves = (slice(0, middle), slice(middle, None))
     found = []
     for fitted, bridged in (halves, halves[::-1]):
-        mean, factor = fit(draws[fitted], believed)
+        mean, factor = fit(draws[fitted])
         freedom = max(LEAST_FREEDOM, float(size))
         points = draw_t(rng, mean, factor, freedom, count)
         at_draws = log_density[bridged] - log_t(draws[bridged], mean, factor, freedom)
@@ -69,7 +60,7 @@ def evidence(
     logs = [each.log for each in found]
     apart = 0.5 * abs(logs[0] - logs[1])
     within = 0.5 * math.hypot(found[0].standard_error, found[1].standard_error)
-    return evidence_of(float(np.mean(logs)), max(apart, within))
+    return Evidence(float(np.mean(logs)), max(apart, within))
 
 
 def bridge(at_draws: np.ndarray, at_points: np.ndarray) -> Evidence:
@@ -89,7 +80,7 @@ def bridge(at_draws: np.ndarray, at_points: np.ndarray) -> Evidence:
         if abs(log - before) < EXACT:
             break
     spread = relative_variance(first) / len(at_points) + relative_variance(second) / worth
-    return evidence_of(log + shift, math.sqrt(spread))
+    return Evidence(log + shift, math.sqrt(spread))
 
 
 def _log_mean(logs: np.ndarray) -> float:
@@ -102,16 +93,9 @@ def relative_variance(logs: np.ndarray) -> float:
     return float(weights.var() / max(weights.mean() ** 2, 1e-300))
 
 
-def fit(draws: np.ndarray, believed: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean (D,) of draws (n, D) and the Cholesky factor (D, D) of their covariance.
-
-    It is mixed with what was believed before, as worth TRUSTED draws for each coordinate.
-    """
-    size = draws.shape[1]
+def fit(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean (D,) of draws (n, D) and the Cholesky factor (D, D) of their covariance."""
     covariance = np.atleast_2d(np.cov(draws.T))
-    if believed is not None:
-        share = len(draws) / (len(draws) + TRUSTED * size)
-        covariance = share * covariance + (1.0 - share) * believed
     diagonal = np.maximum(np.diag(covariance), 1e-18)
     return draws.mean(axis=0), np.linalg.cholesky(covariance + ROUNDING * np.diag(diagonal))
 

@@ -19,7 +19,6 @@ class Info(NamedTuple):
     """What diagnostics need of a step."""
 
     accepted: bool  # whether the state changed
-    log_ratio: float  # -inf where it was impossible
     name: str  # of the kernel
 
 
@@ -39,7 +38,7 @@ def adapted_scale(scale: float, rate: float, wanted: float, gain: float) -> floa
 def decide(rng: np.random.Generator, old: State, new: State, log_ratio: float, name: str) -> tuple[State, Info]:
     """Return the new state with probability min(1, exp(log ratio)), else the old one, and what happened."""
     accepted = log_threshold(rng) < log_ratio
-    return (new if accepted else old), Info(accepted, log_ratio, name)
+    return (new if accepted else old), Info(accepted, name)
 
 
 compiled_log_threshold = njit(cache=True, nogil=True)(log_threshold)

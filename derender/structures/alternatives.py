@@ -26,7 +26,7 @@ from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, flat_top, shadows_overlap, with_bottom
-from derender.sampling.evidence import evidence_of
+from derender.sampling.evidence import Evidence
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import HELD, PARENT, make_chart, support_of
@@ -359,7 +359,7 @@ def weighed_whole(
     if not trials:
         return []
     everyone = (best, *trials)
-    near = [evidence_of(near_evidence(each), NEAR_ERROR) for each in everyone]
+    near = [Evidence(near_evidence(each), NEAR_ERROR) for each in everyone]
     first = max(each.log for each in near)
     likely = [k for k in range(len(near)) if near[k].log > first - IMPROBABLE]
     tasks = [partial(evidence_over, refined=everyone[k]) for k in likely]

@@ -21,7 +21,7 @@ from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import ROW, rotation_of
 from derender.detection.solids.state import State
-from derender.sampling.evidence import Evidence, evidence_of
+from derender.sampling.evidence import Evidence
 from derender.structures.draws.chart import make_chart, place_rows
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
@@ -64,7 +64,7 @@ def evidence_over(rng: np.random.Generator, refined: Refined, solids: tuple[int,
     members = list(range(len(values))) if solids is None else members_of(chart, solids)
     if not members:
         held = sum(load(engine_of(chart, sensor), chart, values))
-        return evidence_of(held, 0.0)
+        return Evidence(held, 0.0)
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
     drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
     return log_evidence(rng, chart, sensor, values, drawn, members)
@@ -183,7 +183,7 @@ def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]
     that happens to be.
     """
     held, more = evidence_over(rng, refined, places), over_blur(rng, refined, places)
-    return evidence_of(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
+    return Evidence(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
 
 
 def averaged(logs: np.ndarray, errors: np.ndarray) -> dict[str, float]:

@@ -296,7 +296,7 @@ def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, sh
         row = row.copy()
         row[10:12] += 0.01
         row[13:16] *= 1.1
-        rough.append(Hypothesis(row, UPRIGHT, False, ()))
+        rough.append(Hypothesis(row, UPRIGHT, False))
     pool = []
     assert explain_otherwise(rng, Task(image, Settings(), rough[len(right) :]), state, pool) is state
     new = explain_otherwise(rng, Task(image, Settings(), rough), state, pool)

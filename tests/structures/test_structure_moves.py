@@ -214,10 +214,10 @@ def test_over_a_gap_a_solid_floats():
 def test_what_is_nearly_a_cube_is_tried_as_one():
     origin = np.array([0.0, -0.6, 0.5])
     nearly = make_row(BOX, rotation_z(0.3)[:3, :3], [0.0, 0.0, 0.035], [0.068, 0.072, 0.07])
-    cube = as_cube(Hypothesis(nearly, UPRIGHT, False, ()), origin)
+    cube = as_cube(Hypothesis(nearly, UPRIGHT, False), origin)
     assert cube.cube and cube.row[13:16] == pytest.approx([0.07] * 3)
     assert cube.row[12] == pytest.approx(0.035) and nearly[13] == 0.068  # on the floor still; the other is as it was
-    long = Hypothesis(make_row(BOX, np.eye(3), [0.0, 0.0, 0.035], [0.068, 0.09, 0.07]), UPRIGHT, False, ())
+    long = Hypothesis(make_row(BOX, np.eye(3), [0.0, 0.0, 0.035], [0.068, 0.09, 0.07]), UPRIGHT, False)
     assert as_cube(long, origin) is long
 
 

@@ -17,7 +17,7 @@ from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.document import read_prior_document
 from derender.render.likelihoods import likelihoods
-from derender.sampling.evidence import evidence_of
+from derender.sampling.evidence import Evidence
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
 from derender.structures import alternatives
@@ -83,7 +83,7 @@ def test_an_integral_that_failed_gives_way_to_the_normal_about_the_mode(monkeypa
 
     def failed(rng, refined):
         wrong = 100.0 if len(refined.state) == 1 else 0.0
-        return evidence_of(evidence_over(rng, refined).log + wrong, 60.0)
+        return Evidence(evidence_over(rng, refined).log + wrong, 60.0)
 
     monkeypatch.setattr(alternatives, "evidence_over", failed)
     (kept,) = weighed_whole(rng, best, [fewer], RULES, QUICK)
@@ -96,7 +96,7 @@ def test_an_integral_that_is_sure_is_what_is_told(monkeypatch):
     fewer = best.state.without(1)
 
     def surer(rng, refined):
-        return evidence_of(shift if len(refined.state) == 1 else 0.0, 0.1)
+        return Evidence(shift if len(refined.state) == 1 else 0.0, 0.1)
 
     monkeypatch.setattr(alternatives, "evidence_over", surer)
     (told,) = weighed_whole(np.random.default_rng(8), best, [fewer], RULES, QUICK)

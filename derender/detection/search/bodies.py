@@ -131,7 +131,7 @@ def body_hypotheses(points: np.ndarray, origin: Any, shapes: Any, bottom: Any = 
     box = box_about(points, smallest_rectangle(points[:, :2]), bottom)
     turn, middle, wide, height = rotation_of(box)[:2, :2], box[10:13], box[13:15], box[15]
     if "box" in shapes or "cube" in shapes:
-        yield Hypothesis(box, UPRIGHT, False, ())
+        yield Hypothesis(box, UPRIGHT, False)
     # a round solid shows its near half: as wide as it seems from the camera, and as deep
     away = middle[:2] - origin[:2]
     away = away / max(np.linalg.norm(away), 1e-9)
@@ -141,15 +141,15 @@ def body_hypotheses(points: np.ndarray, origin: Any, shapes: Any, bottom: Any = 
     centre = near * away + 0.5 * (across.min() + across.max()) * np.array([-away[1], away[0]])
     if "cylinder" in shapes:
         row = make_row(CYLINDER, np.eye(3), [*centre, middle[2]], [diameter, diameter, height])
-        yield Hypothesis(row, UPRIGHT, False, ())
+        yield Hypothesis(row, UPRIGHT, False)
         if bottom == 0.0:
             yield lying_cylinder(points, turn, wide)
     if "sphere" in shapes:
         radius = 0.5 * diameter
-        yield Hypothesis(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE, False, ())
+        yield Hypothesis(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE, False)
         middle, radius = fit_sphere(points)
         if 0.3 * diameter < radius < diameter:
-            yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False, ())
+            yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False)
 
 
 def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hypothesis:
@@ -162,4 +162,4 @@ def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hy
     middle = centre[0] * across + centre[1] * UP + 0.5 * (along.min() + along.max()) * axis
     rotation = np.column_stack([across, UP, axis])
     return Hypothesis(make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, max(np.ptp(along), THINNEST)]),
-                      FREE, False, ())  # fmt: skip
+                      FREE, False)  # fmt: skip

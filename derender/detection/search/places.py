@@ -137,7 +137,7 @@ def guesses(
     found = []
     for way in ways:
         row = best_guess(rng, way, image, points, bottom, depth, misfit, GUESSES)
-        found.append(Hypothesis(row, UPRIGHT if way in (TALL, ROUND) else FREE, False, ()))
+        found.append(Hypothesis(row, UPRIGHT if way in (TALL, ROUND) else FREE, False))
     return found
 
 

@@ -25,7 +25,6 @@ class Hypothesis(NamedTuple):
     row: np.ndarray  # (ROW,) float64, see solids/image.py
     form: int  # UPRIGHT (its own z axis is the floor's) or FREE
     cube: bool  # whether its edges are equal by construction
-    patches: tuple[int, ...]  # indices of the patches that suggested it
 
 
 class Surface(NamedTuple):
@@ -277,7 +276,7 @@ def hidden_intervals(
 def box_between(rotation: Any, low: Any, high: Any, form: Any, group: Any) -> Iterator[Any]:
     """Yield the box between two corners given along its own axes."""
     size = np.maximum(high - low, THINNEST)
-    yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False, tuple(group))
+    yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False)
 
 
 MOST_CORNERS = 16  # of an outline, three of which a circle goes through
@@ -300,7 +299,7 @@ def spheres(surface: Any, group: Any) -> Iterator[Any]:
     if 0.008 < radius < 0.3 and np.median(residual) < 3 * surface.sigma + 0.02 * radius:
         if abs(centre[2] - radius) < 0.25 * radius:
             centre = np.array([centre[0], centre[1], radius])
-        yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False, tuple(group))
+        yield Hypothesis(make_row(SPHERE, np.eye(3), centre, np.full(3, 2 * radius)), FREE, False)
 
 
 def cylinder_axes(surface: Surface, group: tuple[int, ...]) -> list[np.ndarray]:
@@ -367,7 +366,7 @@ def cylinders(surface: Any, group: Any) -> Iterator[Any]:
             middle = centre[0] * u + centre[1] * v + 0.5 * (low + high) * axis
             rotation = np.column_stack([u, v, axis])
             row = make_row(CYLINDER, rotation, middle, [2 * radius, 2 * radius, high - low])
-            yield Hypothesis(row, form, False, tuple(group))
+            yield Hypothesis(row, form, False)
 
 
 def lying_circle(flat: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, float]:

@@ -15,7 +15,7 @@ in either way, so an incremental value equals the full one but for the order of 
 """
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -69,10 +69,10 @@ from derender.render.raycast.state import (
     set_reach,
     taps_of,
 )
-from derender.scene.solids import MESH, Solids
+from derender.scene.solids import MESH
 
 if TYPE_CHECKING:
-    from derender.camera.intrinsics import Camera
+    pass
 
 
 def _make_blur(radius: int) -> Kernel:
@@ -326,20 +326,12 @@ def settle_state(state, source):
             total[CURRENT] = fresh
 
 
-def new_engine(
-    camera: "Camera",
-    observed: np.ndarray,
-    solids: Solids,
-    kind: int,
-    parameters: np.ndarray,
-    blur: float,
-    beside: np.ndarray | None = None,
-) -> EngineState:
-    """Return the state of one chain, see `state.new_state`, with the addresses of what its kernels call.
+def new_engine(*image: Any) -> EngineState:
+    """Return `new_state(*image)`, the state of one chain, with the addresses of what its kernels call.
 
     So only what it needs is compiled: one blur, one likelihood, the rasteriser where there are meshes.
     """
-    state = new_state(camera, observed, solids, kind, parameters, blur, beside)
+    state = new_state(*image)
     settings, images, index = state.settings, state.images, CURRENT
     meshes = state.vertices, state.triangles, state.starts
     settings[BOUND], settings[RASTERISE] = bound_address(), rasterise_address(*meshes, images[0])
@@ -355,7 +347,7 @@ def new_engine(
         state.regions[0, 0],
     )
     settings[BLUR] = _blur_address(state)
-    settings[RATE] = address_of(SCORES[kind], state.parameters, images, *6 * [index])
+    settings[RATE] = address_of(SCORES[int(settings[LIKELIHOOD])], state.parameters, images, *6 * [index])
     return state
 
 

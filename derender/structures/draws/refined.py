@@ -18,7 +18,7 @@ from derender.detection.solids.image import ROW
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
-from derender.sampling.evidence import Evidence, draw_t, evidence_of, fit, log_t
+from derender.sampling.evidence import Evidence, draw_t, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
@@ -334,7 +334,7 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
     if members:
         steps = LOCAL_STEPS * len(solids)
         (drawn,) = sample(rng, chart, sensor, values, 1, LOCAL_DRAWS, steps, members)
-        mean, factor = fit(drawn.values[:, members], None)
+        mean, factor = fit(drawn.values[:, members])
         points = np.tile(values, (BLUR_POINTS, 1))
         points[:, members] = draw_t(rng, mean, WIDER * factor, FREEDOM, BLUR_POINTS)
         proposed = log_t(points[:, members], mean, WIDER * factor, FREEDOM)
@@ -361,7 +361,7 @@ def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...
     log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
     groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
     apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]
-    return evidence_of(log, float(np.std(apart) / np.sqrt(len(groups))))
+    return Evidence(log, float(np.std(apart) / np.sqrt(len(groups))))
 
 
 def near_evidence(refined: Refined, solids: tuple[int, ...] | None = None) -> float:

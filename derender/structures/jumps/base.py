@@ -207,7 +207,7 @@ def log_proposal_ratio(move: Move, words: Vocabulary, graph: SceneGraph, choice:
 
 def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move, state: State) -> tuple[State, Info]:
     """Take one Metropolis-Hastings-Green step."""
-    refused = state, Info(False, -math.inf, move.name)
+    refused = state, Info(False, move.name)
     choice = move.draw(rng, words, state.graph)
     if choice is None:
         return refused
