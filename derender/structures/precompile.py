@@ -94,7 +94,7 @@ def steps_of_chains() -> None:
     values = target.space.sample(rng)
     parts = mixture(target.space, default_parts())
     model = model_of(target, lambda kernel, *arguments: 0)
-    chain = chain_of(target, model, False)
+    chain = chain_of(target, False)
     no_places = dict.fromkeys(range(len(parts)), np.empty(0))
     kernels = kernels_of(target.space, parts, first_tuning(target.space, values), frozenset(), no_places,
                          [Calls()] * len(parts), lambda objects: objects_below(target, objects))  # fmt: skip

@@ -235,7 +235,8 @@ def boxes_along(surface: Any, group: Any, rotation: Any, form: Any) -> Iterator[
         ))  # fmt: skip
     for x, y, z in product(*intervals):
         low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
-        yield from box_between(rotation, low, high, form, group)
+        size, middle = np.maximum(high - low, THINNEST), rotation @ ((low + high) / 2)
+        yield Hypothesis(make_row(BOX, rotation, middle, size), form, False)
 
 
 def with_planes(
@@ -271,12 +272,6 @@ def hidden_intervals(
     if np.isnan(high):
         return [(low, low + guess) for guess in guesses]
     return [(high - guess, high) for guess in guesses]
-
-
-def box_between(rotation: Any, low: Any, high: Any, form: Any, group: Any) -> Iterator[Any]:
-    """Yield the box between two corners given along its own axes."""
-    size = np.maximum(high - low, THINNEST)
-    yield Hypothesis(make_row(BOX, rotation, rotation @ ((low + high) / 2), size), form, False)
 
 
 MOST_CORNERS = 16  # of an outline, three of which a circle goes through

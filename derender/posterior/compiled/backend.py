@@ -224,7 +224,7 @@ class CompiledBackend:
         self._first = target.graph(somewhere).solids()  # the engine needs one scene to size its arrays
         evaluator = target.images.evaluator()
         evaluator.load(self._first)
-        self._blank = chain_of(target, self.model, cycle), evaluator
+        self._blank = chain_of(target, cycle), evaluator
         self._calls = calls_of(target, parts, self.model, self._blank[0])
         self._programs: deque[tuple[Tuning, Kernels, dict[int, np.ndarray]]] = deque(maxlen=MOST_PROGRAMS)
         self._begin()

@@ -241,7 +241,7 @@ ELSEWHERE = -1  # form of a kernel whose steps the caller takes
 
 
 @njit(cache=True, nogil=True)
-def pick(rng, table, numbers, flags):
+def pick(rng, numbers, flags):
     """Return the number of the next kernel: by weight, or in turns."""
     count = len(numbers)
     flags[STEPS] += 1
@@ -265,7 +265,7 @@ def sweep(rng, model, kernels, chain, engine, done, draws, thin, temperature, ke
     unknowns, laws, values = model.unknowns, model.laws, chain.values
     size = model.places.shape[1]
     for taken in range(done, draws * thin):
-        k = pick(rng, kernels.table, kernels.numbers, chain.flags)
+        k = pick(rng, kernels.numbers, chain.flags)
         form = kernels.table[FORM, k]
         if form == ELSEWHERE:
             return taken, k

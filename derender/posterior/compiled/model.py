@@ -225,7 +225,7 @@ def held(target: "SceneTarget") -> dict[str, int]:
     }
 
 
-def chain_of(target: Any, model: Model, cycle: bool) -> Chain:
+def chain_of(target: Any, cycle: bool) -> Chain:
     """Return the arrays of a chain that stands at the template, not loaded yet. cycle : kernels take turns."""
     graph = target.template
     count, solids = len(graph.vertices), len(graph.solid_names)
