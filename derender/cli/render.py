@@ -173,13 +173,11 @@ def _sensor(name: str) -> Callable[..., Any]:
 
 
 def _picture(engine: Any, solids: "Solids", names: Any, camera: Any) -> np.ndarray:
-    """Return (height, width, 3) uint8, by the renderer's own means or from its depth."""
+    """Return (height, width, 3) uint8, shaded from a renderer's depth."""
     from derender.render.renderers.preview import draw_preview, enlarged
     from derender.report.pictures import colours_of
 
     camera = enlarged(camera, max(1, -(-PREVIEW_WIDTH // camera.width)))
-    if hasattr(engine, "render_colour"):
-        return engine.render_colour(solids, camera, colours_of(solids, names))
     return draw_preview(engine.render_depth, solids, camera, colours_of(solids, names))
 
 

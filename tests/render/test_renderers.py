@@ -173,7 +173,6 @@ def test_a_kept_scene_forgets_what_was_drawn_before():
     pyrender = find_renderer("pyrender")
     scenes = [(random_scene(rng, count), CAMERAS[count % 3]) for count in (3, 6, 1, 4)]
     first = [pyrender.render_depth(*scene) for scene in scenes]
-    pyrender.render_colour(*scenes[1])
     for scene, (depth, label) in reversed(list(zip(scenes, first, strict=True))):
         again = pyrender.render_depth(*scene)
         assert np.array_equal(again[0], depth, equal_nan=True) and np.array_equal(again[1], label)
@@ -232,10 +231,7 @@ def test_the_picture_shows_each_solid_in_its_colour(name):
     solids, camera = random_scene(rng, 4), CAMERAS[0]
     renderer = find_renderer(name)
     colours = np.array([[200, 200, 200], [255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], dtype=np.uint8)
-    if name == "pyrender":
-        picture = renderer.render_colour(solids, camera, colours)
-    else:
-        picture = draw_preview(renderer.render_depth, solids, camera, colours)
+    picture = draw_preview(renderer.render_depth, solids, camera, colours)
     assert picture.shape == (120, 160, 3) and picture.dtype == np.uint8
     depth, label = renderer.render_depth(solids, camera)
     sure = away_from_silhouettes(label, depth)

@@ -1,7 +1,7 @@
-"""Depth, labels and colour by OpenGL: pyrender on OSMesa or EGL, one off-screen renderer for the whole process.
+"""Depth and labels by OpenGL: pyrender on OSMesa or EGL, one off-screen renderer for the whole process.
 
-This renderer is the independent witness for `raycast`, and draws the colour preview. Its accuracy is that of a 24-bit
-depth buffer, so the near and far planes are fitted to each scene.
+This renderer is the independent witness for `raycast`. Its accuracy is that of a 24-bit depth buffer, so the near and
+far planes are fitted to each scene.
 
 This is the one place that imports pyrender and PyOpenGL. pyrender 0.1.45 is the last release and pins PyOpenGL 3.1.0,
 which asks for the patches below; each says what it cures. They are harmless with newer PyOpenGL and with the fork
@@ -21,7 +21,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.render.renderers.preview import SUPERSAMPLING, default_colours, enlarged
+from derender.render.renderers.preview import enlarged
 from derender.scene.solids import BOX, CYLINDER, MESH, PLANE, SPHERE, Solids
 
 PLATFORMS = {"osmesa": "OSMesa", "egl": "EGL"}  # our order of preference, and the library that each needs
@@ -141,21 +141,6 @@ def render_depth(
     return blocks.mean(axis=(1, 3)), label[middle::antialias, middle::antialias].copy()
 
 
-def render_colour(solids: Solids, camera: Camera, colours: np.ndarray | None = None) -> np.ndarray:
-    """Render a shaded picture on white.
-
-    colours : (N, 3) uint8, one for each solid; default: a palette for solids, light grey for planes.
-
-    Returns (height, width, 3) uint8.
-    """
-    if colours is None:
-        colours = default_colours(solids)
-    sampled = enlarged(camera, SUPERSAMPLING)
-    picture = _shared_renderer(os.getpid()).draw_colour(solids, sampled, colours)
-    blocks = picture.reshape(camera.height, SUPERSAMPLING, camera.width, SUPERSAMPLING, 3)
-    return np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
-
-
 @functools.lru_cache(maxsize=1)
 def _shared_renderer(process: int) -> "OpenGLRenderer":
     """Return this process's renderer: contexts do not survive a fork, and making many exhausts EGL."""
@@ -170,18 +155,16 @@ class OpenGLRenderer:
         self.offscreen = self.pyrender.OffscreenRenderer(64, 64)
         # On OSMesa pyrender would make a new context for each image size; a frame buffer object needs none.
         self.offscreen._platform.supports_framebuffers = lambda: True
-        self.scene = self.pyrender.Scene(bg_color=np.ones(4), ambient_light=np.full(3, 0.3))
+        self.scene = self.pyrender.Scene()
         self.eye = self.scene.add(self.pyrender.IntrinsicsCamera(1, 1, 0, 0), pose=FLIP)
         self.nodes: list[Any] = []
         self.keys: list[Any] = []
-        self.meshes: dict[Any, Any] = {}
-        self._add_lights()
 
     def draw(self, solids: Solids, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Return depth (0 where nothing is hit) and label of one sample a pixel."""
         if not len(solids.kind):
             return np.zeros(camera.shape), np.full(camera.shape, -1, dtype=np.int32)
-        self._pose(solids, camera, None)
+        self._pose(solids, camera)
         number = {
             node: ((index + 1) & 255, (index + 1) >> 8 & 255, (index + 1) >> 16)
             for index, node in enumerate(self.nodes)
@@ -192,15 +175,10 @@ class OpenGLRenderer:
 
     def draw_depth(self, solids: Solids, camera: Camera) -> np.ndarray:
         """Return depth alone, (height, width) float32, 0 where nothing is hit: pyrender at its fastest."""
-        self._pose(solids, camera, None)
+        self._pose(solids, camera)
         return self.offscreen.render(self.scene, self.pyrender.RenderFlags.DEPTH_ONLY)
 
-    def draw_colour(self, solids: Solids, camera: Camera, colours: np.ndarray) -> np.ndarray:
-        """Return (height, width, 3) uint8."""
-        self._pose(solids, camera, colours)
-        return self.offscreen.render(self.scene, self.pyrender.RenderFlags.NONE)[0]
-
-    def _pose(self, solids: Solids, camera: Camera, colours: np.ndarray | None) -> None:
+    def _pose(self, solids: Solids, camera: Camera) -> None:
         """Bring the kept scene to these solids and this camera."""
         self.offscreen.viewport_width, self.offscreen.viewport_height = camera.width, camera.height
         near, far = clipping_planes(solids, camera)
@@ -208,7 +186,7 @@ class OpenGLRenderer:
         # OpenGL's pixel centres are at half integers.
         eye.fx, eye.fy, eye.cx, eye.cy = camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5
         eye.znear, eye.zfar = near, far
-        keys = [self._key(solids, index, colours) for index in range(len(solids.kind))]
+        keys = [self._key(solids, index) for index in range(len(solids.kind))]
         while len(self.nodes) > len(keys):
             self.scene.remove_node(self.nodes.pop())
             self.keys.pop()
@@ -226,13 +204,12 @@ class OpenGLRenderer:
                 self.scene.set_pose(self.nodes[index], matrix)
 
     @staticmethod
-    def _key(solids: Solids, index: int, colours: np.ndarray | None) -> tuple:
+    def _key(solids: Solids, index: int) -> tuple:
         kind = int(solids.kind[index])
-        colour = None if colours is None else tuple(map(int, colours[index]))
         if kind != MESH:
-            return kind, colour
+            return (kind,)
         vertices, triangles = solids.meshes[solids.mesh[index]]
-        return kind, colour, vertices.tobytes(), triangles.tobytes()
+        return kind, vertices.tobytes(), triangles.tobytes()
 
     def _mesh(self, key: tuple, solids: Solids, index: int) -> Any:
         """Return the pyrender mesh of a key, kept while the scene shows it."""
@@ -241,7 +218,7 @@ class OpenGLRenderer:
                 return node.mesh
         import trimesh
 
-        kind, colour = key[:2]
+        kind = key[0]
         if kind == PLANE:
             corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
             shape = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
@@ -254,22 +231,7 @@ class OpenGLRenderer:
         else:
             vertices, triangles = solids.meshes[solids.mesh[index]]
             shape = trimesh.Trimesh(vertices, triangles, process=False)
-        material = None
-        if colour is not None:
-            shade = [*((channel / 255) ** 2.2 for channel in colour), 1.0]  # pyrender's shader is linear
-            material = self.pyrender.MetallicRoughnessMaterial(
-                baseColorFactor=shade, metallicFactor=0.0, roughnessFactor=0.75, alphaMode="OPAQUE", doubleSided=True
-            )
-        return self.pyrender.Mesh.from_trimesh(shape, material=material, smooth=kind == SPHERE)
-
-    def _add_lights(self) -> None:
-        for direction, strength in (((0.5, 1.0, 0.6), 1.9), ((-0.8, 0.3, 0.6), 0.8), ((0.0, -0.2, 1.0), 0.5)):
-            back = -np.array(direction) / np.linalg.norm(direction)
-            side = np.cross([0.0, 0.0, 1.0] if abs(back[2]) < 0.9 else [1.0, 0.0, 0.0], back)
-            side /= np.linalg.norm(side)
-            pose = np.eye(4)
-            pose[:3, :3] = np.column_stack([side, np.cross(back, side), back])
-            self.scene.add(self.pyrender.DirectionalLight(intensity=strength), pose=pose)
+        return self.pyrender.Mesh.from_trimesh(shape, smooth=kind == SPHERE)
 
 
 def clipping_planes(solids: Solids, camera: Camera) -> tuple[float, float]:
