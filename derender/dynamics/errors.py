@@ -31,14 +31,11 @@ LEVER = 2.0
 class Scales(NamedTuple):
     """Their logarithms are what is learnt; `Prior` says what is believed of them before.
 
-    Attributes
-    ----------
-    impact : error of an impact, as a share of its change of velocity.
     steady : error of resting and sliding contacts between two frames, as a share of gravity's change of velocity.
     tracking, turning : by how much the stated errors of centres and of turns are to be multiplied.
     """
 
-    impact: float
+    impact: float  # error of an impact, as a share of its change of velocity
     steady: float
     tracking: float
     turning: float

@@ -46,35 +46,20 @@ STAYS, STAYS_SPEED = 1e-5, 1e-3
 
 
 class Path(NamedTuple):
-    """A film of the engine.
+    """A film of the engine."""
 
-    Attributes
-    ----------
-    states : (T, N, 13); at the cuts they are unknowns, elsewhere the engine's.
-    arrived : (T, N, 13), where the engine arrives from the frame before.
-    offsets : (N, 3), tracked centre minus true centre, metres.
-    coordinates : (P,), of the material.
-    """
-
-    states: np.ndarray
-    arrived: np.ndarray
-    offsets: np.ndarray
-    coordinates: np.ndarray
+    states: np.ndarray  # (T, N, 13); at the cuts they are unknowns, elsewhere the engine's
+    arrived: np.ndarray  # (T, N, 13), where the engine arrives from the frame before
+    offsets: np.ndarray  # (N, 3), tracked centre minus true centre, metres
+    coordinates: np.ndarray  # (P,), of the material
 
 
 class Errors(NamedTuple):
-    """Covariances of the residuals about a path.
+    """Covariances of the residuals about a path."""
 
-    Attributes
-    ----------
-    factors : N lower Cholesky factors (6 F, 6 F) of each body's covariance over its F tracked frames.
-    defects : (T, N, 12), variances of the states at cuts.
-    log_determinant : half the log determinant of all.
-    """
-
-    factors: list[np.ndarray]
-    defects: np.ndarray
-    log_determinant: float
+    factors: list[np.ndarray]  # N lower Cholesky factors (6 F, 6 F) of each body's covariance over its F tracked frames
+    defects: np.ndarray  # (T, N, 12), variances of the states at cuts
+    log_determinant: float  # half the log determinant of all
 
 
 class Shooting(Impacts):
@@ -198,8 +183,6 @@ class Shooting(Impacts):
 
         The Z = size + P unknowns are the changes at the cuts in order, offsets, and coordinates.
 
-        Parameters
-        ----------
         sides : 2, or 1 for half the work and less accuracy.
         """
         by_pose, by_defect = (

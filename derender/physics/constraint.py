@@ -53,9 +53,7 @@ def assume_stable(posterior: Posterior) -> tuple[Posterior, float]:
 
     The weight of each structure is multiplied by the share of its draws that stand; the others' draws are dropped.
 
-    Raises
-    ------
-    DerenderError : no draw stands.
+    Raises DerenderError : no draw stands.
     """
     found = [(part, _standing(part)) for part in posterior.parts]
     weights = [part.weight * float(mask.mean()) for part, mask in found]

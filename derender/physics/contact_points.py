@@ -309,8 +309,6 @@ def all_contacts(
 ):
     """Return every contact point among bodies.
 
-    Parameters
-    ----------
     kind (N,), pose (N, 4, 4), size (N, 3) ; vertices (V, 3), vertex_start (N + 1,) : of meshes, in the scene's frame,
     normals (F, 3), normal_start (N + 1,) : of their faces ; held (N,) : bodies that do not move ; joined (N, N) bool :
     pairs that the graph says are in contact ; radius (N,) : of a ball around each body's centre.

@@ -94,8 +94,6 @@ class Diverged(DerenderError):
 class World:
     """A compiled model of a scene and its state.
 
-    Parameters
-    ----------
     matter : the scene.
     keep_contacts : whether the distances at the start are the rest distances (see the module); without it the bodies
         are as they are, for measuring gaps.
@@ -106,8 +104,6 @@ class World:
         at the start, is elastic or leans.
     units : of the engine; None: the scene's own.
 
-    Attributes
-    ----------
     names : of the bodies, in the order of all arrays.
     moving : indices of those that can move.
     model, data : MuJoCo's, in the engine's units.

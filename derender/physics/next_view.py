@@ -42,22 +42,14 @@ LARGEST = 160  # columns of the images that candidates are rendered at
 
 
 class NextView(NamedTuple):
-    """A candidate camera and what its image is expected to tell.
+    """A candidate camera and what its image is expected to tell."""
 
-    Attributes
-    ----------
-    pose : (4, 4), camera to the first camera's axes. turn : radians about the scene from the camera that was there,
-        seen from above anticlockwise; elevation : radians above the floor. moved : metres between the cameras.
-    nats : expected information by what it is about, see ABOUT.
-    spreads : standard deviation (before, after) of each size, metres, by address.
-    """
-
-    pose: np.ndarray
-    turn: float
-    elevation: float
-    moved: float
-    nats: dict[str, float]
-    spreads: dict[str, tuple[float, float]]
+    pose: np.ndarray  # (4, 4), camera to the first camera's axes
+    turn: float  # radians about the scene from the camera that was there, seen from above anticlockwise
+    elevation: float  # radians above the floor
+    moved: float  # metres between the cameras
+    nats: dict[str, float]  # expected information by what it is about, see ABOUT
+    spreads: dict[str, tuple[float, float]]  # standard deviation (before, after) of each size, metres, by address
 
 
 def next_views(
@@ -67,9 +59,7 @@ def next_views(
 
     camera : whose images are to come. likelihood : type and numbers of the noise of its images. about : one of ABOUT.
 
-    Raises
-    ------
-    DerenderError : nothing stands in the scene.
+    Raises DerenderError : nothing stands in the scene.
     """
     best = posterior.best_graph()
     if not sizes_of(best):

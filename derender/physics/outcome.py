@@ -32,43 +32,29 @@ LEAST_DRAWS = 10
 class Outcome(NamedTuple):
     """What happens to a scene.
 
-    Attributes
-    ----------
-    verdict : "stands", "settles" or "falls", by the simulation where there is one, else by statics.
-    stable : whether it stands.
-    fallen : who moved, the first first. first_moved : when, seconds by name.
     displacement, rotation : the greatest distance and angle from where it began, metres and radians by name.
-    by_engine : the verdict of each engine asked.
     margin : the least horizontal acceleration that topples or slides something, g; None where it was not asked for.
-    forces : contact forces that hold the scene, where asked for and where it can be held.
-    trajectory : of the simulation, or None.
-    matter : what was simulated.
     """
 
-    verdict: str
-    stable: bool
-    fallen: tuple[str, ...]
-    first_moved: dict[str, float]
+    verdict: str  # "stands", "settles" or "falls", by the simulation where there is one, else by statics
+    stable: bool  # whether it stands
+    fallen: tuple[str, ...]  # who moved, the first first
+    first_moved: dict[str, float]  # when, seconds by name
     displacement: dict[str, float]
     rotation: dict[str, float]
-    by_engine: dict[str, str]
+    by_engine: dict[str, str]  # the verdict of each engine asked
     margin: float | None
-    forces: tuple[ContactForce, ...]
-    trajectory: Trajectory | None
-    matter: Matter
+    forces: tuple[ContactForce, ...]  # contact forces that hold the scene, where asked for and where it can be held
+    trajectory: Trajectory | None  # of the simulation, or None
+    matter: Matter  # what was simulated
 
 
 class Chance(NamedTuple):
-    """A probability known from draws.
+    """A probability known from draws."""
 
-    Attributes
-    ----------
-    probability : see `chance_of`. error : its Monte Carlo standard error. draws : how many.
-    """
-
-    probability: float
-    error: float
-    draws: int
+    probability: float  # see `chance_of`
+    error: float  # its Monte Carlo standard error
+    draws: int  # how many
 
 
 def simulate_scene(
@@ -90,8 +76,6 @@ def simulate_scene(
 ) -> Outcome:
     """Return what happens to a scene.
 
-    Parameters
-    ----------
     scene : a graph, its distributions drawn by `rng`, or bodies.
     engine : "mujoco", "statics" (which knows no pushes: it judges the scene at rest) or "both".
     duration : seconds. early : stop as soon as the verdict is known; the trajectory is then short.
@@ -99,9 +83,7 @@ def simulate_scene(
     margin, forces : whether these are wanted.
     rng : of jitter and of what is a distribution; None: seed 0, and means.
 
-    Raises
-    ------
-    DerenderError : an unknown object or engine, a text that cannot be read, numbers that diverge.
+    Raises DerenderError : an unknown object or engine, a text that cannot be read, numbers that diverge.
     """
     from derender.physics.simulate import simulate
     from derender.physics.verdict import judge
@@ -203,8 +185,6 @@ def probability(
 ) -> Chance:
     """Return how probable an event is over scenes, such as the draws of a posterior.
 
-    Parameters
-    ----------
     event : what an `Outcome` must be like; or a verdict ("stands", "settles", "falls"), or the name of an object that
         moves.
     until : stop as soon as the standard error is no greater, after 10 draws at least.

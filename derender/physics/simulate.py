@@ -36,8 +36,6 @@ def simulate(
 ) -> Trajectory:
     """Let a scene go and return its trajectory.
 
-    Parameters
-    ----------
     duration : seconds.
     frames_per_second : poses that are kept.
     early : stop as soon as the verdict is known: all are at rest, or all have moved by five times the tolerance, or
@@ -45,9 +43,7 @@ def simulate(
     disturbance : what is done to the scene meanwhile.
     timestep : in units of sqrt(s / g), s the smallest extent; None: as `World` chooses.
 
-    Raises
-    ------
-    Diverged : where speeds or forces are beyond what the engine can follow, at a quarter of the step too.
+    Raises Diverged : where speeds or forces are beyond what the engine can follow, at a quarter of the step too.
     """
     from derender.physics.mujoco_model import BOUNCING_TIMESTEP, MOVING_TIMESTEP, Diverged
 
@@ -128,16 +124,12 @@ Vector = Sequence[float] | np.ndarray
 class Rollout:
     """A scene compiled once, simulated with numbers that are given at each call.
 
-    Parameters
-    ----------
     matter : the scene; what a call does not say is as it says.
     timestep : seconds; None: .003 sqrt(s / g), s the smallest extent (.3 ms for 10 cm), less where something is
         elastic. Restitution is calibrated for every step; longer steps lift a box that slides.
     keep_contacts : whether pairs that the scene's graph joins rest at the distance at which they start, gap or overlap
         (see `mujoco_model`). Switch it off for bodies in flight or where poses are exact.
 
-    Attributes
-    ----------
     names : of the bodies that move, in the order of the poses returned.
     step : seconds.
     """
@@ -171,8 +163,6 @@ class Rollout:
     ) -> np.ndarray:
         """Return where the moving bodies are at `times`, (T, M, 4, 4) float64, body to the frame of the scene.
 
-        Parameters
-        ----------
         times : (T,) seconds from the start, ascending, 0 or more; poses between steps are those of the nearest step.
         poses : (4, 4) by name, at the start.
         velocity, angular_velocity : (3,) by name, m / s of the centre of mass and rad / s, in the frame of the scene.
@@ -180,9 +170,7 @@ class Rollout:
         said). elasticity : restitution by name (of a pair: the greater). gravity : (3,) m / s^2.
         pushes : forces on centres of mass.
 
-        Raises
-        ------
-        Diverged : where the numbers are beyond what the engine can follow.
+        Raises Diverged : where the numbers are beyond what the engine can follow.
         """
         world = self._world
         world.set_masses({**self._mass, **(mass or {})})

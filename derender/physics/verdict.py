@@ -16,22 +16,13 @@ ROTATION_TOLERANCE = np.deg2rad(10.0)
 
 
 class Trajectory(NamedTuple):
-    """Poses of bodies over time.
+    """Poses of bodies over time."""
 
-    Attributes
-    ----------
-    names : of the bodies.
-    sizes : (N, 3) float64, full extents in metres.
-    times : (T,) float64, seconds, from 0.
-    poses : (T, N, 4, 4) float64, body to the frame of the scene.
-    resting : whether everything was at rest at the end.
-    """
-
-    names: tuple[str, ...]
-    sizes: np.ndarray
-    times: np.ndarray
-    poses: np.ndarray
-    resting: bool = False
+    names: tuple[str, ...]  # of the bodies
+    sizes: np.ndarray  # (N, 3) float64, full extents in metres
+    times: np.ndarray  # (T,) float64, seconds, from 0
+    poses: np.ndarray  # (T, N, 4, 4) float64, body to the frame of the scene
+    resting: bool = False  # whether everything was at rest at the end
 
     def greatest_displacement(self) -> dict[str, float]:
         """Return how far from where it began each body's centre came at any time, metres."""
@@ -86,21 +77,15 @@ TOPPLED = np.cos(np.deg2rad(45.0))
 class Verdict(NamedTuple):
     """Whether a scene stands.
 
-    Attributes
-    ----------
-    stable : whether every body stayed where it was, at all times.
-    fallen : names of those that did not, the first to move first.
-    displacement : the greatest distance from where it began, metres by name.
-    rotation : the greatest angle, radians by name.
     word : "stands"; "settles": something moved and came to rest as the same structure, every body on what bore it
         before and the same side up; or "falls".
     first_moved : when each of `fallen` left its place, seconds.
     """
 
-    stable: bool
-    fallen: tuple[str, ...]
-    displacement: dict[str, float]
-    rotation: dict[str, float]
+    stable: bool  # whether every body stayed where it was, at all times
+    fallen: tuple[str, ...]  # names of those that did not, the first to move first
+    displacement: dict[str, float]  # the greatest distance from where it began, metres by name
+    rotation: dict[str, float]  # the greatest angle, radians by name
     word: str = STANDS
     first_moved: dict[str, float] = {}  # noqa: RUF012 - never changed
 
@@ -170,8 +155,6 @@ AFTERMATH = 2.0
 class Fate:
     """What decides the verdict on a scene while it is simulated.
 
-    Parameters
-    ----------
     matter : the scene at the start. length : metres, its smallest extent.
     """
 

@@ -111,10 +111,7 @@ def tree_places(objects: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, flo
 
 
 def trace_svg(draws: np.ndarray) -> str:
-    """Return the traces of the chains.
-
-    draws : (chains, draws) float64.
-    """
+    """Return the traces of the chains. draws : (chains, draws) float64."""
     width, height = TRACE_SIZE
     finite = draws[np.isfinite(draws)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)

@@ -146,22 +146,8 @@ def motions_of(members, frame, grown, ties, motions):
 
 
 @njit(cache=True, nogil=True)
-def fit(
-    misfit,
-    poses,
-    sizes,
-    members,
-    frame,
-    expected,
-    grown,
-    usual,
-    ties,
-    information,
-    temper,
-    rounds,
-    tolerance,
-    curvature,
-):
+def fit(misfit, poses, sizes, members, frame, expected, grown, usual, ties, information, temper, rounds, tolerance,
+        curvature):  # fmt: skip
     """Move what moves to where the energy is least, in place; return (energy, steps taken).
 
     misfit : Misfit. poses : (N, 4, 4), sizes : (N, 3) of all solids, written.

@@ -109,13 +109,10 @@ class NoOverlap:
 @term_types.register("does-not-touch")
 @dataclass(eq=False)
 class DoesNotTouch:
-    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`.
-
-    relation : the scene's own record of it, with the margin in metres that must lie between their surfaces.
-    """
+    """Two objects keep a distance: `does-not-touch: [a, b]`, or `{objects: [a, b], margin: 5 mm}`."""
 
     name: str = field(init=False)
-    relation: Constraint
+    relation: Constraint  # the scene's own record of it, with the margin in metres that must lie between their surfaces
 
     @property
     def least(self) -> float:
