@@ -63,16 +63,19 @@ def from_quaternion(quat_wxyz: Any, position: Any = (0.0, 0.0, 0.0)) -> np.ndarr
     length = math.sqrt(sum(part * part for part in quat))
     if not 0.0 < length < math.inf:
         raise ValueError("a quaternion needs a finite length above zero")
-    w, x, y, z = (part / length for part in quat)
-    px, py, pz = position
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), px],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x), py],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y), pz],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    pose = np.eye(4)
+    pose[:3, :3] = np.reshape(rotation_numbers(*(part / length for part in quat)), (3, 3))
+    pose[:3, 3] = position
+    return pose
+
+
+def rotation_numbers(w: float, x: float, y: float, z: float) -> tuple[float, ...]:
+    """Return the nine numbers, row by row, of a unit quaternion's rotation: plain Python that numba compiles too."""
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
 
 
 def quaternion(pose: np.ndarray) -> np.ndarray:

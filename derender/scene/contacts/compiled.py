@@ -11,6 +11,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.scene.polygon import offset_from_uv, uv_from_offset
+from derender.scene.pose import rotation_numbers
 from derender.scene.shapes import shapes
 from derender.scene.shapes.base import FACE_NAMES
 from derender.scene.shapes.kinds import CORNER_NAMES, EDGE_NAMES, box_feature, signs_of
@@ -42,6 +43,7 @@ def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 _ROTATIONS, _SIGNS, _AXES = _tables()
+_rotation_of = njit(cache=True, nogil=True)(rotation_numbers)
 
 
 @njit(cache=True, nogil=True)
@@ -57,22 +59,6 @@ def outline(kind, size, code):
         return 0.0, 0.0, 0.5 * size[0], 0.0
     first, second = _AXES[code, 0], _AXES[code, 1]
     return (size[first] if first >= 0 else 0.0), (size[second] if second >= 0 else 0.0), 0.0, 0.0
-
-
-@njit(cache=True, nogil=True)
-def _rotation_of(w, x, y, z):
-    """Return the nine numbers, row by row, of a unit quaternion's rotation."""
-    return (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
 
 
 @njit(cache=True, nogil=True)
