@@ -14,10 +14,10 @@ import pytest
 from jump_worlds import generator, prior_of
 from test_jumps import Twin
 
-from derender.scene.graph import ROOT
+from derender.scene.graph import ROOT, Vertex
 from derender.scene.pose import random_rotation, rotation_angle, rotation_z, translation
 from derender.scene.priors.objects import ROTATION
-from derender.structures.jumps.base import Birth, Death, Vocabulary, moves
+from derender.structures.jumps.base import Vocabulary, moves
 from derender.structures.jumps.proposal import (
     Hypothesis,
     HypothesisProposal,
@@ -173,7 +173,7 @@ class Evenly(Twin):
     """Takes the place of a birth on another block, whose prior is beta(20, 20), for uniform."""
 
     def log_choice(self, words, graph, choice):
-        u = choice.vertex.contact.values.get("u") if isinstance(choice, Birth) else None
+        u = choice.contact.values.get("u") if isinstance(choice, Vertex) else None
         return super().log_choice(words, graph, choice) - (19.0 * math.log(4.0 * u * (1.0 - u)) if u else 0.0)
 
 
@@ -226,7 +226,7 @@ def test_a_death_has_half_the_probability_whichever_leaf_it_takes():
     words, move, leaves = Vocabulary(prior_of("blocks")), moves["birth-death"], set()
     for seed in range(12):
         graph = scene(words, seed)
-        deaths = [math.exp(move.log_choice(words, graph, Death(name))) for name in words.leaves(graph)]
+        deaths = [math.exp(move.log_choice(words, graph, name)) for name in words.leaves(graph)]
         assert math.fsum(deaths) == pytest.approx(0.5)
         leaves.add(len(deaths))
     assert len(leaves) > 1

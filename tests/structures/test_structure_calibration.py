@@ -16,7 +16,8 @@ from scipy.stats import chi2
 from test_jump_posterior import CAMERA, TINY, VALUES, key_of, likelihood_of
 
 from derender.render.raycast.evaluator import DepthEvaluator
-from derender.structures.jumps.base import Birth, BirthDeath, Target, Vocabulary, evaluate
+from derender.scene.graph import Vertex
+from derender.structures.jumps.base import BirthDeath, Target, Vocabulary, evaluate
 from derender.structures.jumps.chain import walk
 
 STATES = 15  # of a chain besides the truth
@@ -120,7 +121,7 @@ def test_a_birth_of_wrong_density_is_not(monkeypatch):
 
     def forgetful(self, words, graph, choice):
         value = honest(self, words, graph, choice)
-        return value - 2.0 if isinstance(choice, Birth) else value
+        return value - 2.0 if isinstance(choice, Vertex) else value
 
     monkeypatch.setattr(BirthDeath, "log_choice", forgetful)
     ranks, off, against = calibration(60, 10, 2500)

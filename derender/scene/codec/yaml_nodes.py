@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from derender.errors import DerenderError
@@ -22,20 +23,14 @@ _NOT_TEXT = re.compile(
 _VERSION = re.compile(r"[0-9]+(\.[0-9]+){2,}")  # text to them all: other writers of YAML leave its quotes out
 
 
+@dataclass(eq=False)
 class Node:
-    """A place in a file.
-
-    file : name of the file, for messages.
-    line : int, from 1.
-    address : str, dotted path from the top, such as "objects.red.side".
-    """
+    """A place in a file."""
 
     kind = "value"
-
-    def __init__(self, file: str, line: int, address: str) -> None:
-        self.file = file
-        self.line = line
-        self.address = address
+    file: str  # its name, for messages
+    line: int  # from 1
+    address: str  # dotted path from the top, such as "objects.red.side"
 
     @property
     def where(self) -> str:
@@ -72,17 +67,12 @@ class Node:
         raise NotImplementedError
 
 
+@dataclass(eq=False)
 class Item(Node):
-    """A single value.
+    """A single value."""
 
-    raw : str, the text as it stands in the file.
-    quoted : bool, it stood in quotes: text, whatever it looks like.
-    """
-
-    def __init__(self, file: str, line: int, address: str, raw: str, quoted: bool) -> None:
-        super().__init__(file, line, address)
-        self.raw = raw
-        self.quoted = quoted
+    raw: str  # the text as it stands in the file
+    quoted: bool  # it stood in quotes: text, whatever it looks like
 
     @property
     def kind(self) -> str:  # type: ignore[override]
@@ -167,14 +157,12 @@ class Item(Node):
         return self.raw
 
 
+@dataclass(eq=False)
 class List(Node):
     """A sequence of nodes."""
 
     kind = "a list"
-
-    def __init__(self, file: str, line: int, address: str, nodes: list[Node]) -> None:
-        super().__init__(file, line, address)
-        self.nodes = nodes
+    nodes: list[Node]
 
     def sequence(self, length: int | None = None) -> list[Node]:
         """Return the nodes; with `length` there must be as many."""
@@ -186,15 +174,13 @@ class List(Node):
         return [node.plain() for node in self.nodes]
 
 
+@dataclass(eq=False)
 class Section(Node):
     """Keys with values, in the order of the file."""
 
     kind = "a section"
-
-    def __init__(self, file: str, line: int, address: str, nodes: dict[str, Node], lines: dict[str, int]) -> None:
-        super().__init__(file, line, address)
-        self.nodes = nodes
-        self.lines = lines
+    nodes: dict[str, Node]
+    lines: dict[str, int]  # of each key
 
     def section(self) -> Section:
         return self

@@ -338,23 +338,12 @@ class Wiggle(Move):
         return Applied(target.graph(moved), choice._replace(tangent=-choice.tangent))
 
 
-class Birth(NamedTuple):
-    """vertex : to be added."""
-
-    vertex: Vertex
-
-
-class Death(NamedTuple):
-    """name : of the leaf to be removed."""
-
-    name: str
-
-
 @moves.register("birth-death")
 class BirthDeath(Move):
     """With probability one half each: add an object drawn from the proposal b, or remove one leaf of the l there are.
 
-    The choices of a birth are the new vertex itself, so the map only moves numbers between scene and choices:
+    The choices of a birth are the new vertex itself, those of a death the leaf's name, so the map only moves numbers
+    between scene and choices:
 
         birth: log ratio = log posterior(G + v) - log posterior(G) - log l(G + v) - log b(v | G)
         death: the negative, with the vertex removed in place of v.
@@ -364,18 +353,17 @@ class BirthDeath(Move):
 
     def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
         if rng.random() < 0.5:
-            vertex = words.proposal.sample(rng, words, graph)
-            return None if vertex is None else Birth(vertex)
+            return words.proposal.sample(rng, words, graph)
         leaves = words.leaves(graph)
-        return Death(leaves[int(rng.random() * len(leaves))]) if leaves else None
+        return leaves[int(rng.random() * len(leaves))] if leaves else None
 
     def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
-        if isinstance(choice, Birth):
-            return math.log(0.5) + words.proposal.log_density(words, graph, choice.vertex)
+        if isinstance(choice, Vertex):
+            return math.log(0.5) + words.proposal.log_density(words, graph, choice)
         leaves = words.leaves(graph)
-        return math.log(0.5) + log_uniform_choice(len(leaves)) if choice.name in leaves else -math.inf
+        return math.log(0.5) + log_uniform_choice(len(leaves)) if choice in leaves else -math.inf
 
     def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
-        if isinstance(choice, Birth):
-            return Applied(graph.add(choice.vertex), Death(choice.vertex.name))
-        return Applied(graph.remove(choice.name), Birth(graph.vertex(choice.name)))
+        if isinstance(choice, Vertex):
+            return Applied(graph.add(choice), choice.name)
+        return Applied(graph.remove(choice), graph.vertex(choice))
