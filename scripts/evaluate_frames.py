@@ -88,10 +88,10 @@ class Score(NamedTuple):
 
 def read_frame(folder, name, label):
     """Return the Frame of this name."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     path = folder / f"{name}.npy"
-    depth = np.load(path).astype(float) if path.exists() else np.asarray(Image.open(folder / f"{name}.png")) / 1000.0
+    depth = np.load(path).astype(float) if path.exists() else imageio.imread(folder / f"{name}.png") / 1000.0
     camera = Camera.from_file(folder / f"{name}_camera.json", depth.shape)
     source = np.stack(np.indices(depth.shape), axis=-1)
     return Frame(np.where(depth > 0, depth, np.nan), camera, label, source)
@@ -328,8 +328,8 @@ def score(frame, posterior, seconds):
 
 def draw_picture(path, frame, posterior):
     """Write a picture: depth in grey, a colour for each solid, labelled boxes white, difficult ones grey."""
+    import imageio.v3 as imageio
     from matplotlib import colormaps
-    from PIL import Image
 
     depth, told = frame.depth, posterior.explanation
     low, high = np.nanquantile(depth, [0.01, 0.97])
@@ -348,7 +348,7 @@ def draw_picture(path, frame, posterior):
         outline = inside & ~((frame.source > low + 1) & (frame.source < high - 1)).all(axis=2)
         for image in (picture, beside):
             image[outline] = 0.6 if item["difficult"] else 1.0
-    Image.fromarray((255 * np.clip(np.hstack([beside, picture]), 0, 1)).astype(np.uint8)).save(path)
+    imageio.imwrite(path, (255 * np.clip(np.hstack([beside, picture]), 0, 1)).astype(np.uint8))
 
 
 def of_all(answers):

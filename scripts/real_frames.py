@@ -28,11 +28,11 @@ def real_folder():
 
 def read_frame(folder, stem, camera_name=None):
     """Return (depth (H, W) in metres, NaN = no return, camera dict) of a frame: a 16-bit image and its camera file."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     camera = json.loads((folder / (camera_name or f"{stem}_camera.json")).read_text())
     path = folder / "depth" / f"{stem}.png" if camera_name else folder / f"{stem}_depth.png"
-    depth = np.asarray(Image.open(path)).astype(float) * camera["depth_scale"] / 1000
+    depth = imageio.imread(path).astype(float) * camera["depth_scale"] / 1000
     return np.where(depth > 0, depth, np.nan), camera
 
 
@@ -47,7 +47,7 @@ def predicted_labels(told, depth):
 
 def evaluate_mosd(folder, options, verbose):
     """Return the table row of the 45 Kinect frames (F1 of masks and of support edges) and a text on the sizes."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     folder = folder / "mosd"
     graphs = json.loads((folder / "support_graph.json").read_text())
@@ -61,7 +61,7 @@ def evaluate_mosd(folder, options, verbose):
         posterior = infer_structure(depth, camera, options, np.random.default_rng(0))
         graph = posterior.best_graph()
         seconds.append(time.perf_counter() - start)
-        label = np.asarray(Image.open(folder / "label" / path.name)) // 10
+        label = imageio.imread(folder / "label" / path.name) // 10
         predicted, names = predicted_labels(posterior.explanation, depth)
         ids = [k for k in np.unique(label) if k >= 2]
         overlap = np.array([[np.sum((predicted == j + 1) & (label == k)) / np.sum((predicted == j + 1) | (label == k))

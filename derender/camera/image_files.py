@@ -304,11 +304,9 @@ def encode_png(depth: np.ndarray, depth_scale: float, path: str | Path) -> bytes
 
 def encode_tiff(depth: np.ndarray) -> bytes:
     """Return the bytes of a float32 .tiff."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
-    stream = io.BytesIO()
-    Image.fromarray(depth).save(stream, "TIFF")
-    return stream.getvalue()
+    return imageio.imwrite("<bytes>", depth, extension=".tiff", plugin="pillow")
 
 
 def read_numbers(path: str | Path, what: str, remedy: str) -> np.ndarray:

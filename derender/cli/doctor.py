@@ -12,7 +12,9 @@ import click
 from derender import __version__
 from derender.cli import options
 
-PACKAGES = "numpy scipy numba mujoco trimesh matplotlib click PyYAML pillow OpenEXR pyrender PyOpenGL arviz".split()
+PACKAGES = (
+    "numpy scipy numba mujoco trimesh matplotlib click PyYAML imageio pillow OpenEXR pyrender PyOpenGL arviz".split()
+)
 # Draws a cube at 0.5 m and compares one depth; in a process of its own, since OpenGL's platform is chosen once in each
 # and a broken driver may take the process with it.
 CHECK = """

@@ -182,9 +182,9 @@ def _picture(engine: Any, solids: "Solids", names: Any, camera: Any) -> np.ndarr
 
 
 def _write_picture(target: str, picture: np.ndarray) -> None:
-    from PIL import Image
+    import imageio.v3 as imageio
 
     from derender.atomic import atomic_path
 
     with atomic_path(target) as temporary:
-        Image.fromarray(picture).save(temporary)
+        imageio.imwrite(temporary, picture)

@@ -70,15 +70,14 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
 
 def write_animation(path: str | Path, pictures: list[np.ndarray]) -> None:
     """Write a GIF, or WebP or MP4 by the suffix; the first two repeat after a pause at their end."""
-    from PIL import Image
+    import imageio.v3 as imageio
 
     if Path(path).suffix.lower() == ".mp4":
         _write_film(Path(path), np.stack(pictures))
         return
     pause = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
     with atomic_path(path) as temporary:
-        first, *others = map(Image.fromarray, pictures)
-        first.save(temporary, save_all=True, append_images=others, duration=pause, loop=0)
+        imageio.imwrite(temporary, np.stack(pictures), plugin="pillow", duration=pause, loop=0)
 
 
 def film_writer(path: str | Path) -> str:

@@ -3,10 +3,10 @@
 import json
 import shutil
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from PIL import Image
 
 from derender import data_path
 from derender.camera.depth_file import write_depth
@@ -197,7 +197,7 @@ def read_made(path):
 
 def test_depths_out_of_a_camera_s_range_are_told(folder, tmp_path):
     depth = np.full((24, 32), 12000, np.uint16)  # tenths of millimetres, which no camera file says
-    Image.fromarray(depth).save(tmp_path / "tenths.png")
+    imageio.imwrite(tmp_path / "tenths.png", depth)
     arguments = (tmp_path / "tenths.png", "-o", tmp_path / "out")
     assert "12 m away" in infer(*arguments).stderr
     assert "m away" not in infer(*arguments, "--depth-scale", 0.1).stderr

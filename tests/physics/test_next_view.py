@@ -2,11 +2,11 @@
 
 import json
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from on_floor import face, on_floor
-from PIL import Image
 
 from derender.camera.depth_file import DepthImage
 from derender.camera.intrinsics import Camera
@@ -105,7 +105,7 @@ def test_the_picture_from_behind_has_the_colours_of_the_one_that_was_seen(tmp_pa
     told = dict.fromkeys(ABOUT, 1.0)
     views = [NextView(behind, np.pi, 0.5, 1.0, told, {}), NextView(np.eye(4), 0.0, 0.5, 0.0, told, {})]
     write_picture(tmp_path / "poses.png", graph, CAMERA, views, "sizes")
-    picture = np.asarray(Image.open(tmp_path / "poses.png"))[:, :320].astype(int)
+    picture = imageio.imread(tmp_path / "poses.png")[:, :320].astype(int)
     red = picture[..., 0] - picture[..., 2] > 20  # planes are a grey that is 7 redder than blue
     assert red[:, 160:].sum() > 1000 and not red[:, :160].any()
 
