@@ -21,7 +21,7 @@ from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.things import Cost, clear_of_edges, made_thing
+from derender.detection.things import Cost, clear_of_edges, made_thing, silhouette, without_background
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
@@ -67,6 +67,23 @@ def test_the_intervals_of_a_things_size_hold_the_best_one(scene):
     told = next(item for item in scene_json(posterior.best_graph(), posterior)["objects"] if item["type"] == "thing")
     for size, (low, high) in zip(told["size"], told["size_interval"], strict=True):
         assert low < size < high
+
+
+def test_a_solid_of_which_hardly_anything_is_seen_is_there_by_chance():
+    """A box that fits a few pixels beside a hole, and would fill the hole, was an object."""
+    image = seen_on_the_table([(BOX, -0.12, 0.0, (0.08, 0.08, 0.1), None), (BOX, 0.1, 0.0, (0.1, 0.1, 0.08), None)])
+    seen, state = observe(image, CAMERA), State()
+    to_floor = np.linalg.inv(seen.floor.pose) @ TABLE
+    for x, size in ((-0.12, (0.08, 0.08, 0.1)), (0.1, (0.1, 0.1, 0.08))):
+        place = to_floor @ translation(x, 0.0, 0.5 * size[2])
+        state = state.add(make_row(BOX, place[:3, :3], place[:3, 3], np.array(size)), UPRIGHT, False)
+    assert len(without_background(seen, state, [])[1]) == 2
+    right = silhouette(seen.image, state, 1)
+    hole = right & (np.cumsum(right, axis=0) > 0.2 * right.sum(axis=0))  # a fifth of each column is left, its top
+    holed = observe(np.where(hole, np.nan, image), CAMERA)
+    there, kept, _ = without_background(holed, state, [])
+    assert len(kept) == 1 and kept.rows[0, 10] < 0.0
+    assert there.behind[right & ~hole].mean() > 0.8
 
 
 def test_a_thing_that_stands_alone_has_draws_of_its_own():
