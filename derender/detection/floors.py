@@ -33,6 +33,7 @@ from derender.scene.priors.bare_image import Floors
 # Of the pixels: the least of a level plane to which others are no match, and of a floor before a wall that the camera
 # faces; the least of any floor, unless there is none.
 FLOOR_SHARE, SMALL_FLOOR = 0.1, 0.06
+ROOM_FLOOR = 0.03  # of one square to that wall with nothing under it: a camera held level shows little of a room's
 # Cosine between the normals of a wall and of the floor before it, at most; times as rough as others that may be.
 ACROSS, ROUGH = 0.5, 2.0
 NEAR_PLANE = 3.0  # standard deviations of consumer sensors, or of the noise that neighbours show, off a plane at most
@@ -112,12 +113,17 @@ def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any
     if odds[best] < np.log(believed.none):
         raise NoFloor(NO_PLANE, remedy=SAY_FLOOR)
     if gravity is None and np.hypot(*normal[best, :2]) < FACING:
-        score, _ = scores(sample, ROUGH * near, normal, offset, believed.under, 1.0)
-        before = (score > FLOOR_SHARE) & (-normal[:, 1] > UPWARD) & (np.abs(normal @ normal[best]) < ACROSS)
-        if before.any():
-            best = int(np.argmax(np.where(before, score, 0.0)))
-            at = ROUGH * float(np.median(near[np.abs(sample @ normal[best] - offset[best]) < ROUGH * near]))
-            return [Candidate(normal[best], float(offset[best]), at, float(odds[best]))]
+        upright = (-normal[:, 1] > UPWARD) & (np.abs(normal @ normal[best]) < ACROSS)
+        score, _ = scores(sample, near, normal, offset, believed.under)
+        lowest = (score > ROOM_FLOOR) & (score == share) & (np.abs(normal @ normal[best]) < SQUARE)
+        plain = lowest | (score > FLOOR_SHARE)
+        rough, _ = scores(sample, ROUGH * near, normal, offset, believed.under, 1.0)
+        for fits, times, kept in ((score, 1.0, plain), (rough, ROUGH, rough > FLOOR_SHARE)):
+            before = kept & upright
+            if before.any():
+                best = int(np.argmax(np.where(before, fits, 0.0)))
+                at = times * float(np.median(near[np.abs(sample @ normal[best] - offset[best]) < times * near]))
+                return [Candidate(normal[best], float(offset[best]), at, float(odds[best]))]
     found: list[Candidate] = []
     free = np.ones(len(sample), bool)
     kept = np.flatnonzero(odds > odds[best] - CLOSE)

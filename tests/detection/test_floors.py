@@ -58,6 +58,16 @@ def test_a_table_before_a_wall_is_the_floor_however_the_image_is_turned(rng, tur
     assert find_floor(turned, camera).pose[:3, 2] @ normal > 0.999
 
 
+def test_of_a_room_that_a_level_camera_sees_the_floor_is_the_little_at_the_bottom(rng):
+    """The wall opposite fills most of the image, a cupboard the side of it, the floor a twentieth."""
+    wall, side = plane_depth(np.array([0.0, 0.0, 1.0]), 2.4), plane_depth(np.array([1.0, 0.0, 0.05]), 0.9)
+    floor = plane_depth(np.array([0.0, 1.0, 0.02]), 0.9)
+    depth = np.fmin(np.fmin(wall, side), floor)
+    assert 0.03 < np.mean(depth == floor) < 0.06
+    found = find_floor(depth + 0.003 * depth**2 * rng.standard_normal(depth.shape), WIDE)
+    assert found.pose[:3, 2] @ [0.0, -1.0, -0.02] > LEVEL
+
+
 def seen_at(scale):
     """Return (Observation, label (H, W)) of a carton on a table and a long box beside, all so many times as large."""
     boxes = [((0.0, 0.0, 0.06), (0.1, 0.08, 0.12)), ((-0.42, 0.2, 0.15), (0.05, 0.8, 0.3))]
