@@ -50,8 +50,8 @@ DEPTH, SHALLOW = 0.7, 0.35
 # to lie farther from its edge, at least.
 SMEARED, CLEAR = 2.0, 0.3
 # Of a solid's silhouette, less what others of the scene hide, the least that shows it: what fits a few pixels and would
-# be seen where something nearer is, or nothing returned, is there by chance. (Of 26 solids on labelled frames two showed
-# in under .13, neither right; all others in .60 or more.)
+# be seen where something nearer is, or nothing returned, is there by chance. (Of 26 solids on labelled frames two, both
+# wrong, showed in under .13 of it; all others in .60 or more.)
 LEAST_SHOWN = 0.25
 BENEATH = 0.5  # share of a thing's points over a solid's top from which on it stands there
 

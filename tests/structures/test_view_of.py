@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
+from derender.detection.search.greedy import Settings
+from derender.detection.solids.state import State
+from derender.render.blur import blur
 from derender.scene.pose import rotation_x, translation
 from derender.structures.draws import refined
-from derender.structures.draws.refined import BEFORE, view_of
+from derender.structures.draws.refined import BEFORE, View, floor_pose_of, refine, view_of
 from derender.structures.draws.sensor import floor_depth, shown
 
 CAMERA = {"fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5, "width": 32, "height": 24}
@@ -73,3 +76,13 @@ def test_a_single_climb_to_the_mode_is_not_heated(monkeypatch, tries, heated):
     monkeypatch.setattr(refined, "climb", climb)
     refined.best_climb(np.random.default_rng(0), None, None, np.zeros(2), None, tries)
     assert met == [refined.TEMPERATURES if heated else ()] * tries
+
+
+def test_a_floor_on_which_nothing_stands_stays_where_it_was_found():
+    """The floor of a bin rises towards its walls: drawn to that, one ended a centimetre over what was seen of it."""
+    rng, camera = np.random.default_rng(0), Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+    dents = blur(0.004 * rng.standard_normal(camera.shape), 1.5)
+    rises = np.minimum(np.arange(64), np.arange(64)[::-1]) < 6
+    observed = floor_depth(POSE, camera) + dents - 0.025 * rises
+    found = refine(rng, [View(camera, observed, shared=True)], POSE, State(), Settings().rules)
+    assert np.allclose(floor_pose_of(found), POSE)

@@ -157,6 +157,8 @@ def refine(rng: np.random.Generator, views: list[View], floor_pose: np.ndarray, 
     )
     sensor = first._replace(others=tuple(others))
     start = refined_at(state, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    if not len(state) and all(view.shared for view in views):
+        return start  # each pixel says so little of where a floor is that the few just over it would draw it to them
     refined = settled(rng, best_climb(rng, state, chart, values, sensor, tries), tries)
     refined = with_lost_back(rng, start, refined)
     kept = without_unseen(refined.state, refined)
