@@ -41,6 +41,7 @@ def in_metres(posterior: "Posterior", unit: float) -> "Posterior":
     parts = tuple(part_in_metres(part, unit) for part in posterior.parts)
     meta = dict(posterior.meta)
     meta["noise"] *= unit
+    meta["faces"] *= unit
     meta["other_floors"] = [{**each, "plane": (*each["plane"][:3], each["plane"][3] * unit)}
                             for each in meta.get("other_floors", [])]  # fmt: skip
     meta["likelihood"] = likelihood_in_metres(meta["likelihood"], unit)

@@ -179,6 +179,7 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"the populations' log evidences are {max(evidence) - min(evidence):.1f} apart")
     structures = posterior.meta.get("structure_chains", {})
     chains, draws, _ = posterior.best_part.values.shape
+    notes: list[Doubt] = []
     if draws < 4:
         return tuple(map(Doubt, doubts))
     largest, smallest = limits(chains * draws)
@@ -188,6 +189,12 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
     elif max(shares) - min(shares) > SHARES_APART:
         spread = f"{min(shares):.2f} in one, {max(shares):.2f} in another"
         doubts.append(f"the chains disagree about the structure: the likeliest has {spread}")
+    slightly = [row for row in rows if doubtful(row) and left_open(posterior, row) < posterior.meta.get("faces", 0.0)]
+    if slightly:
+        row = max(slightly, key=lambda row: left_open(posterior, row))
+        known = f"which is known to {1000 * left_open(posterior, row):.1f} mm all the same"
+        notes = [Doubt(f"the chains disagree about {row['address']}, {known}", False)]
+        rows = [row for row in rows if not any(row is other for other in slightly)]
     worst, least = worst_of(rows)
     if worst and worst["r_hat"] > largest:
         doubts.append(f"the chains disagree: R-hat of {worst['address']} is {worst['r_hat']:.3f}")
@@ -195,7 +202,21 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
         doubts.append(f"{least['address']} has only {least['ess_bulk']:.0f} effective draws")
     if any(map(doubtful, rows)):
         doubts[-1] += f"; --draws {enough_draws(rows)} would do"
-    return tuple(map(Doubt, doubts))
+    return (*map(Doubt, doubts), *notes)
+
+
+def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
+    """Return by how many metres, one standard deviation of all chains, what is open of a number moves its object.
+
+    A length by itself, an angle at half the object's diagonal; inf for any other number. Real faces are off by the
+    `faces` of a posterior's `meta`: chains that disagree about less tell the same.
+    """
+    name = row["address"].partition(".")[0]
+    graph = posterior.best_part.graph
+    size = graph.body(name).size() if name in graph.names else None
+    if size is None or row["unit"] not in ("mm", "°"):
+        return np.inf
+    return float(row["draws"].std() * (1.0 if row["unit"] == "mm" else 0.5 * np.linalg.norm(size)))
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:
@@ -224,7 +245,7 @@ def verdict(doubts: Sequence[Doubt], rows: Sequence[Mapping[str, Any]]) -> list[
     told = [f"not to be trusted: {doubt.words}" for doubt in doubts if doubt.serious]
     notes = [f"worth knowing: {doubt.words}" for doubt in doubts if not doubt.serious]
     worst, least = worst_of(rows)
-    if told or not rows:
+    if told or not rows or any(map(doubtful, rows)):
         return told + notes
     if worst is None or least is None:  # no two chains to compare
         return ["nothing speaks against this scene; without draws nothing tells how sure it is", *notes]

@@ -215,6 +215,7 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     things = [thing for each in observations for thing in each.things]
     settings = settings_for(case.settings, seen)
     meta: dict[str, Any] = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
+            "faces": case.beliefs.loose.faces if seen.correlation > CORRELATED else 0.0,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "other_floors": [rival._asdict() for rival in seen.rivals],
             "no_floor": seen.no_floor, "interrupted": interrupted,

@@ -1,11 +1,13 @@
 """What chains say of a posterior, and how many draws would do; probabilities said no finer than their error."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from derender.report.tables import parameter_rows
 from derender.results.table import probability_text
-from derender.results.trust import Doubt, doubtful, enough_draws, limits, trusted, verdict
+from derender.results.trust import Doubt, chain_doubts, doubtful, enough_draws, limits, trusted, verdict
 
 
 def chains(correlation, draws, rng, count=2):
@@ -36,6 +38,26 @@ def test_good_chains_need_no_more_than_they_have_and_a_margin():
     rows = parameter_rows(["a.x"], np.random.default_rng(1).standard_normal((2, 200, 1)))
     assert not doubtful(rows[0]) and enough_draws(rows) == 500
     assert limits(999) != limits(1000)
+
+
+def seen_by_a_sensor(faces):
+    """Return what stands for a posterior of a box of 12 by 16 by 0 cm, 10 cm from its middle to its corners."""
+    body = SimpleNamespace(size=lambda: np.array([0.12, 0.16, 0.0]))
+    graph = SimpleNamespace(names=("box_1",), body=lambda name: body)
+    part = SimpleNamespace(values=np.zeros((2, 100, 1)), extras={}, graph=graph)
+    return SimpleNamespace(meta={"faces": faces}, best_part=part)
+
+
+@pytest.mark.parametrize("address, spread", [("box_1.contact.theta", 0.01), ("box_1.width", 0.001)])
+def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address, spread):
+    values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
+    rows = parameter_rows([address], spread * values / values.std())
+    assert doubtful(rows[0])
+    (note,) = chain_doubts(seen_by_a_sensor(0.003), rows)
+    assert not note.serious and "known to 1.0 mm" in note.words
+    assert verdict((note,), rows) == [f"worth knowing: {note.words}"]
+    for faces in (0.0, 0.0008):  # of a drawn image, and of one in which faces are off by less than the chains
+        assert not trusted(chain_doubts(seen_by_a_sensor(faces), rows))
 
 
 def test_what_is_worth_knowing_comes_last_and_harms_nothing():
