@@ -49,26 +49,20 @@ class Placed:
     cube: bool = False  # of a solid of unknown sizes, as in State
 
 
+@dataclass(eq=False)
 class Placement:
-    """Puts known objects into one image.
+    """Puts known objects into one image."""
 
-    rng, image, settings : as in search. state : what the first search found.
-    library : Known objects. others : whether solids that are none of them may be there.
-    """
+    rng: np.random.Generator
+    image: Image
+    state: State  # what the first search found
+    settings: Settings
+    library: tuple[Known, ...]
+    others: bool  # whether solids that are none of them may be there
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        image: Image,
-        state: State,
-        settings: Settings,
-        library: tuple[Known, ...],
-        others: bool,
-    ) -> None:
-        self.rng, self.image, self.state, self.settings = rng, image, state, settings
-        self.library, self.others = library, others
-        self.tilt = max(settings.tilt, LEAST_TILT)
-        _, self.label, _, _ = self.view_of(state.rows)
+    def __post_init__(self) -> None:
+        self.tilt = max(self.settings.tilt, LEAST_TILT)
+        _, self.label, _, _ = self.view_of(self.state.rows)
         self.rivals: list[tuple[float, list[Placed], set[int]]] = []  # nats worse; instead of what at which anchors
 
     def view_of(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
