@@ -17,12 +17,16 @@ from derender import __version__
 from derender.detection.floor import read_floor
 from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import any_sensor
+from derender.detection.solids.graph import floating, scene_graph
 from derender.document import Document, read_prior_document
 from derender.errors import DerenderError
 from derender.results.posterior import Posterior
 from derender.sampling.chains import Plan, fingerprint, run_chains
-from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex
+from derender.scene.pose import inverse
+from derender.scene.priors.terms import total_log_density
 from derender.scene.priors.tree import FixedRoot, FreeRoot, LookedAtRoot, written
+from derender.scene.shapes import shapes
 from derender.scene.shapes.kinds import ROTATIONS
 from derender.structures.jumps.base import Target, Vocabulary
 from derender.structures.jumps.chain import JumpSampler, posterior_of
@@ -90,8 +94,6 @@ def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, a
 def _named(
     kind: Any, entry: Any, pose: np.ndarray, size: Any, turns: Any, up: Any, likely: Any, length: Any, angle: Any
 ) -> list[Hypothesis]:
-    from derender.scene.shapes import shapes
-
     variants: list[Hypothesis] = []
     rounded = entry.type in ("cylinder", "sphere")  # which turn about its own axis tells nothing of
     for turn in turns:
@@ -113,34 +115,26 @@ def start_graph(words: Vocabulary, base: SceneGraph, seen: SceneGraph) -> SceneG
     A solid that no contact holds, or that enters others more than the prior's terms allow even when it is shrunk by a
     few per cent, is left out: jumps may bring it back.
     """
-    from derender.scene.priors.terms import total_log_density
-
     graph = base
     for vertex in seen.vertices:
         if vertex.body.size() is None:
             continue
-        alone = SceneGraph(seen.root_pose, (Vertex(vertex.name, vertex.shape, vertex.parameters, ROOT, Contact("6dof",
-            values=_floating(seen.poses()[vertex.name], seen.root_pose)), vertex.options),), seen.gravity)  # fmt: skip
+        contact = floating(inverse(seen.root_pose) @ seen.poses()[vertex.name])
+        hung = Vertex(vertex.name, vertex.shape, vertex.parameters, ROOT, contact, vertex.options)
+        alone = SceneGraph(seen.root_pose, (hung,), seen.gravity)
         options = []
         proposal = HypothesisProposal(hypotheses_of(words, alone, 0.002, 0.03))
         for component in proposal.components(words, graph):
             options.append((component.weight * (2.0 if component.parent == vertex.parent else 1.0), component))
         for _, component in sorted(options, key=lambda pair: -pair[0])[:6]:
-            placed = _placed(words, graph, component, total_log_density)
+            placed = _placed(words, graph, component)
             if placed is not None:
                 graph = placed
                 break
     return graph
 
 
-def _floating(pose, root_pose):
-    from derender.scene.contacts import contacts
-    from derender.scene.pose import inverse
-
-    return contacts["6dof"].invert(inverse(np.asarray(root_pose, float)) @ pose).phi
-
-
-def _placed(words: Any, graph: SceneGraph, component: Any, total_log_density: Any) -> Any:
+def _placed(words: Any, graph: SceneGraph, component: Any) -> Any:
     """Return the graph with a component's vertex, shrunk as far as it takes; None where nothing helps."""
     for share in (1.0, 0.99, 0.97, 0.94):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
@@ -178,7 +172,6 @@ def infer_by_jumps(
     Raises DerenderError : an option that these jumps know nothing about, or no floor to put solids on.
     """
     from derender.detection.estimate import point_estimate
-    from derender.detection.solids.graph import scene_graph
     from derender.structures.infer import explanation_of, settings_of
 
     rng = np.random.default_rng(options.seed) if rng is None else rng
