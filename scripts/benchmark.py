@@ -102,8 +102,9 @@ class Engine:
             k = 1 + n % (len(self.solids.kind) - 1)
             pose = self.solids.pose[k : k + 1].copy()
             pose[0, :3, 3] += self.jitter[n % 1024]
-            self.evaluator.propose([k], pose, self.solids.size[k : k + 1])
-            self.evaluator.accept() if n % 2 else self.evaluator.reject()
+            state = self.evaluator.state
+            propose_state(state, 1, np.array([k]), pose, self.solids.size[k : k + 1].copy())
+            settle_state(state, CANDIDATE if n % 2 else CURRENT)
 
 
 class Pyrender:

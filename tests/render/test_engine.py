@@ -25,6 +25,11 @@ CASES = [
 ]
 
 
+def proposed(evaluator, indices, poses, sizes):
+    """Return the log likelihood with solids `indices` at `poses` (n, 4, 4) and `sizes` (n, 3); settle it after."""
+    return propose_state(evaluator.state, len(indices), np.array(indices), poses.copy(), sizes.copy())
+
+
 def observe(rng, solids, camera, likelihood, values):
     depth, _ = render_depth(solids, camera)
     observed = likelihoods[likelihood].sample(rng, depth, values)
@@ -160,18 +165,18 @@ def test_a_rejected_proposal_leaves_no_trace():
     solids = random_solids(rng, 6)
     evaluator = DepthEvaluator(CAMERAS[0], observe(rng, solids, CAMERAS[0], "gaussian", {}))
     before = evaluator.load(solids)
-    evaluator.propose([1], solids.pose[1:2], solids.size[1:2])
-    evaluator.reject()
+    proposed(evaluator, [1], solids.pose[1:2], solids.size[1:2])
+    settle_state(evaluator.state, CURRENT)
     images = evaluator.state.images.copy()
     for _ in range(20):
         pose = solids.pose[1:3].copy()
         pose[:, :3, 3] += rng.normal(scale=0.05, size=(2, 3))
-        evaluator.propose([1, 2], pose, solids.size[1:3])
-        evaluator.reject()
+        proposed(evaluator, [1, 2], pose, solids.size[1:3])
+        settle_state(evaluator.state, CURRENT)
     shown = slice(PAD, PAD + 64)
     for image in (DEPTH + CURRENT, DEPTH + CANDIDATE, SCORE + CURRENT, SCORE + CANDIDATE):
         np.testing.assert_array_equal(evaluator.state.images[image][:, shown], images[image][:, shown])
-    assert evaluator.propose([1], solids.pose[1:2], solids.size[1:2]) == pytest.approx(before, rel=1e-12)
+    assert proposed(evaluator, [1], solids.pose[1:2], solids.size[1:2]) == pytest.approx(before, rel=1e-12)
 
 
 def test_two_evaluators_do_not_know_each_other():
@@ -181,7 +186,7 @@ def test_two_evaluators_do_not_know_each_other():
     evaluators = [DepthEvaluator(CAMERAS[0], image) for image in observed]
     alone = [DepthEvaluator(CAMERAS[0], image).load(one) for image, one in zip(observed, solids, strict=True)]
     together = [evaluator.load(one) for evaluator, one in zip(evaluators, solids, strict=True)]
-    moved = [e.propose([1], s.pose[1:2], s.size[1:2]) for e, s in zip(evaluators, solids, strict=True)]
+    moved = [proposed(e, [1], s.pose[1:2], s.size[1:2]) for e, s in zip(evaluators, solids, strict=True)]
     assert together == alone
     assert moved == pytest.approx(alone, rel=1e-12)
 
@@ -215,8 +220,8 @@ def test_a_changed_blur_keeps_the_engine(likelihood):
         fresh = DepthEvaluator(CAMERAS[0], observed, likelihood, {"blur": pixels})
         assert evaluator.set_values({"blur": pixels}) == pytest.approx(fresh.load(solids), rel=1e-12)
         moved = solids.pose[1:2] + rng.normal(0, 0.01, (1, 4, 1)) * [0, 0, 0, 1]
-        assert evaluator.propose([1], moved, solids.size[1:2]) == fresh.propose([1], moved, solids.size[1:2])
-        evaluator.reject()
+        assert proposed(evaluator, [1], moved, solids.size[1:2]) == proposed(fresh, [1], moved, solids.size[1:2])
+        settle_state(evaluator.state, CURRENT)
     assert evaluator.state.images is images
 
 

@@ -2,24 +2,15 @@
 
 from collections.abc import Mapping
 from copy import copy
-from typing import Any
 
 import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
-from derender.render.raycast.engine import (
-    for_steps,
-    load_state,
-    new_engine,
-    propose_state,
-    rescore_state,
-    settle_state,
-    with_blur,
-)
+from derender.render.raycast.engine import for_steps, load_state, new_engine, rescore_state, with_blur
 from derender.render.raycast.score import pixel_log_densities
-from derender.render.raycast.state import CANDIDATE, CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
+from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
 from derender.scene.solids import Solids
 
 
@@ -135,25 +126,6 @@ class DepthEvaluator:
         if self.values["background"] != former["background"]:
             return load_state(state, state.pose[CURRENT].copy(), state.size[CURRENT].copy())
         return rescore_state(state)
-
-    def propose(self, indices: Any, poses: Any, sizes: Any) -> float:
-        """Return the log likelihood with solids `indices` at `poses` (n, 4, 4) and `sizes` (n, 3); settle it after."""
-        indices = np.ascontiguousarray(indices, np.int64)
-        return propose_state(
-            self._loaded(),
-            len(indices),
-            indices,
-            np.ascontiguousarray(poses, np.float64),
-            np.ascontiguousarray(sizes, np.float64),
-        )
-
-    def accept(self) -> None:
-        """Make the proposed scene the current one."""
-        settle_state(self._loaded(), CANDIDATE)
-
-    def reject(self) -> None:
-        """Forget the proposed scene."""
-        settle_state(self._loaded(), CURRENT)
 
     def per_pixel(self) -> np.ndarray:
         """Return the log density of each pixel under the current scene, (height, width) float64."""
