@@ -29,7 +29,7 @@ from derender.detection.solids.support import final_parents, flat_top, shadows_o
 from derender.sampling.evidence import Evidence
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.draws.chart import HELD, PARENT, make_chart, support_of
+from derender.structures.draws.chart import HELD, PARENT, levelled, make_chart, support_of
 from derender.structures.draws.metropolis import engine_of, load
 from derender.structures.draws.refined import (
     Refined,
@@ -68,6 +68,7 @@ SQUARER = 0.87  # times as wide as a circle is a square of about the same outlin
 FROM_SEARCH = 3  # structures that the search met, at most
 WITHIN = 30.0  # nats of the search's own energy within which they are looked at
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
+LEANING = np.radians(40.0)  # off the vertical up to which what was found leaning is tried upright, and as two stacked
 AGAIN = 2  # climbs of a changed solid that is not pruned
 QUICK, MOST_PATIENT = 50, 4.0  # steps of each temperature for one changed solid, and times as many at most
 # Structures, the likeliest if no change told anything of another, and solids, those most likely other than in the best:
@@ -191,6 +192,56 @@ def stood_up(state: State, i: int, shapes: tuple[str, ...]) -> list[State]:
     return states
 
 
+def uprighted(state: State, i: int) -> State | None:
+    """Return the state in which a solid that leans a little stands, and what stands on it is level with its top.
+
+    Noise tilts what shows in few pixels, and of one that leans a walk never comes to one that stands: that has fewer
+    coordinates. None: it stands, or leans by more than LEANING.
+    """
+    row, rotation = state.rows[i], rotation_of(state.rows[i])
+    if state.forms[i] != FREE or int(row[0]) == SPHERE:
+        return None
+    axis = int(np.argmax(np.abs(rotation[2]))) if int(row[0]) == BOX else 2
+    if abs(rotation[2, axis]) < np.cos(LEANING):
+        return None
+    order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+    bottom = 0.0 if state.parents[i] == FLOOR else highest(state.rows[state.parents[i]])
+    centre = [row[10], row[11], bottom + 0.5 * row[13 + axis]]
+    upright = make_row(int(row[0]), levelled(rotation[:, order]), centre, row[13:16][order])
+    new = changed(state, i, upright, state.cubes[i])
+    new.forms[i], new.bottoms[i] = UPRIGHT, bottom
+    for k in carried_upright(new, i):
+        new.bottoms[k] = highest(new.rows[i])
+        new.rows[k, 12] += new.bottoms[k] - lowest(new.rows[k])
+    return new
+
+
+def carried_upright(state: State, i: int) -> list[int]:
+    """Return the upright solids on solid `i`."""
+    return [k for k in range(len(state)) if state.parents[k] == i and state.forms[k] == UPRIGHT]
+
+
+def as_two(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
+    """Return the states in which a box that leans a little is two that stand on each other, boxes or cubes, each below
+    and above where half of it is: seen in few pixels, a step between the two looks like a lean."""
+    state, whole = best.state, uprighted(best.state, i)
+    if whole is None or int(state.rows[i][0]) != BOX or i in state.parents or pixels_of(best)[i] > FEW_PIXELS:
+        return []
+    row, leaning = whole.rows[i], rotation_of(state.rows[i])
+    up = leaning[:, int(np.argmax(np.abs(leaning[2])))]
+    bottom, half, aside = whole.bottoms[i], 0.5 * row[15], 0.25 * row[15] * up[:2] / up[2]
+    states = []
+    for cubes in product([cube for cube in (False, True) if ("cube" if cube else "box") in shapes], repeat=2):
+        sizes = [[half] * 3 if cube else [*row[13:15], half] for cube in cubes]
+        lower, upper = (
+            make_row(BOX, rotation_of(row), [*(row[10:12] + side * aside), bottom + (1.0 + 0.5 * side) * half], size)
+            for side, size in zip((-1.0, 1.0), sizes, strict=True)
+        )
+        new = changed(whole, i, lower, cubes[0]).add(upper, UPRIGHT, cubes[1], i, bottom + half)
+        states.append(new)
+    return states
+
+
 def of_one_solid(
     rng: np.random.Generator, best: Refined, i: int, rules: Rules, shapes: tuple[str, ...] = ()
 ) -> list[Weighed]:
@@ -214,12 +265,18 @@ def of_one_solid(
 
     found = likely([*changes(best, i), *other_shapes(best, i, shapes)])
     found += likely(as_boxes(best, likeliest_of_each(found), i))
-    propped = []
-    for state in [] if rules.floating else propped_up(best, i, shapes):
-        places = [i, len(state) - 1]
+    propped = [] if rules.floating else propped_up(best, i, shapes)
+    least = PROPPING if propped else PRUNE_THRESHOLD
+    upright = uprighted(best.state, i)
+    on_it = [] if upright is None else carried_upright(best.state, i)
+    several = []
+    for state in [*propped, *([] if upright is None else [upright]), *as_two(best, i, shapes)]:
+        places = [i, *on_it, *range(len(best.state), len(state))]
         trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, places)
-        if height(trial) > height(best) - PROPPING:
-            propped.append(with_own_sensor(rng, trial, places, WORTHWHILE))
+        if height(trial) > height(best) - max(PROMISING, least):
+            trial = with_own_sensor(rng, trial, places, WORTHWHILE)
+        if height(trial) > height(best) - least and all_seen(trial):
+            several.append(trial)
     removed = without(best, i, floor, rules)
     others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:
@@ -229,9 +286,12 @@ def of_one_solid(
     candidates = [(climbed_again(rng, trial, i, steps), [i]) for trial in likeliest_of_each(found)]
     if height(removed) > height(best) - PRUNE_THRESHOLD:
         candidates.append((removed, []))
-    candidates += [(trial, [i, len(best.state)]) for trial in likeliest_of_each(propped)]
     own = Block(best, [i])
-    return [*others, *(of_block(rng, trial, places, own) for trial, places in candidates)]
+    others += [of_block(rng, trial, places, own) for trial, places in candidates]
+    own = Block(best, [i, *on_it]) if on_it else own
+    others += [of_block(rng, trial, [i, *on_it, *range(len(best.state), len(trial.state))], own)
+               for trial in likeliest_of_each(several)]  # fmt: skip
+    return others
 
 
 def as_boxes(best: Refined, trials: list[Refined], i: int) -> list[State]:

@@ -14,7 +14,17 @@ from derender.detection.solids.state import FLOOR, State
 from derender.render.raycast.state import BLUR, RADIUS, taps_of
 from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
-from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, longer, of_one_solid, quick_steps, stood_up
+from derender.structures.alternatives import (
+    MOST_PATIENT,
+    QUICK,
+    as_boxes,
+    longer,
+    of_one_solid,
+    quick_steps,
+    stood_up,
+    uprighted,
+)
+from derender.structures.draws.chart import HELD
 from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, with_blurs_drawn
 from derender.structures.draws.refined import Refined, at_mode, members_of, refitted
 from derender.structures.draws.sensor import model_depth
@@ -246,6 +256,42 @@ def test_a_can_that_lies_is_tried_as_a_box_that_stands():
         state.rows[0, 15] == pytest.approx(0.06) and lowest(state.rows[0]) == pytest.approx(0.0) for state in states
     )
     assert stood_up(solid(CYLINDER, (0.06, 0.06, 0.1)), 0, ("box",)) == []  # it stands already
+
+
+def leaning(size, degrees=8.0, cube=False):
+    """Return the state of a solid that leans, its lowest edge on the floor."""
+    state = solid(BOX, size, cube=cube)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ state.rows[0, 1:10].reshape(3, 3)
+    state.rows[0, 1:10], state.forms[0], state.bottoms[0] = turned.ravel(), FREE, np.nan
+    state.rows[0, 12] -= lowest(state.rows[0])
+    return state
+
+
+def test_what_noise_made_lean_is_tried_upright_with_what_stands_on_it():
+    """A search ended with a leaning cube, eleven nats less likely than the one that stands, and said .999."""
+    rng = np.random.default_rng(8)
+    pair = boxes((0.0, 0.0, 0.0, (0.1, 0.12, 0.1)), (0.0, 0.0, 0.1, (0.05, 0.1, 0.08)), parents=(-1, 0))
+    sensor, _, _ = observe(rng, pair, {"sigma": 0.006, "blur": 0.5}, camera(64, 48))
+    found = leaning((0.1, 0.12, 0.1), 3.0).add(pair.rows[1], UPRIGHT, False, 0, np.nan)
+    found.rows[0, 1:10] = leaning((0.1, 0.12, 0.1), 3.0).rows[0, 1:10]
+    best = at_mode(rng, found, floor_pose(), sensor._replace(prior=PRIOR), RULES)
+    upright = [each for each in of_one_solid(rng, best, 0, RULES, ("box",)) if each.trial.state.forms == [UPRIGHT] * 2]
+    assert upright and max(each.odds for each in upright) > 3.0
+    assert upright[0].places == ((0, 1), (0, 1)) and upright[0].trial.chart.flags[1, HELD]
+    assert uprighted(pair, 0) is None and uprighted(leaning((0.1, 0.1, 0.1), 44.0), 0) is None
+
+
+def test_a_box_that_leans_in_few_pixels_is_tried_as_two_that_stand_on_each_other():
+    """Of two stacked cubes a search made one leaning box, ten nats less likely, and said .99."""
+    rng = np.random.default_rng(3)
+    pair = boxes((0.0, 0.0, 0.0, (0.054,) * 3), (-0.016, 0.0, 0.054, (0.044,) * 3), parents=(-1, 0))
+    sensor, _, _ = observe(rng, pair, {"sigma": 0.006, "blur": 0.5}, camera(64, 48))
+    one = leaning((0.046, 0.05, 0.09), -14.0)
+    best = at_mode(rng, one, floor_pose(), sensor._replace(prior=PRIOR), RULES)
+    two = [each for each in of_one_solid(rng, best, 0, RULES, ("box", "cube")) if len(each.trial.state) == 2]
+    assert two and max(each.odds for each in two) > 10.0
+    assert all(each.trial.state.parents == [FLOOR, 0] for each in two)
 
 
 def weighed(state, odds, error=0.1, places=((0,), (0,))):
