@@ -36,7 +36,7 @@ from derender.structures.draws.refined import (
     with_sensor_refitted,
 )
 from derender.structures.unexplained import SURELY, additions, hidden_expected, nearer_than_explained, spots
-from derender.structures.unions import merges, recuts
+from derender.structures.unions import merges, put_on, recuts
 from derender.structures.weighing import Weighed, made_sure, surest, surest_of_each
 
 ROUNDS = 4  # in which each solid is tried otherwise, and one more where something is unexplained, at most
@@ -144,7 +144,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     """
     rules, shapes = settings.rules, settings.shapes
     best, others = first, []
-    for found_by, most in ((merges, MOST_MERGES), (recuts, MOST_CUTS)):
+    for found_by, most in ((merges, MOST_MERGES), (recuts, MOST_CUTS), (put_on, MOST_CUTS)):
         for _ in range(most):
             former = best
             best, others = leading(best, [*others, *found_by(rng, best, rules)])

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.threads import in_threads
-from derender.detection.search.moves import corners_of, cut_anew, touching_pairs
+from derender.detection.search.moves import corners_of, cut_anew, extents_along, grown, touching_pairs
 from derender.detection.solids.beliefs import Rules
+from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import highest, lowest, penetration
 from derender.detection.solids.misfit import LIMIT
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.solids.support import final_parents
-from derender.scene.solids import BOX
+from derender.detection.solids.support import final_parents, with_bottom
+from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import (
+    LEAST_TALL,
     PROMISING,
     PRUNE_THRESHOLD,
     QUICK,
@@ -32,6 +34,8 @@ from derender.structures.draws.sensor import model_depth
 from derender.structures.weighing import Block, Weighed, of_block, with_own_sensor
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
+BESIDE = 0.02  # metres between a low box and what stands behind it that may stand on it
+UNDER = 0.5  # share of the extents of what is put on a box that the box reaches under
 DOUBTFUL = 300.0  # nats below the best mode at which one that was climbed a little is given up
 THOROUGH = 600  # for each solid where two are cut anew: all edges about them may be a little off
 FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change when it is cut anew, before any climb
@@ -112,6 +116,47 @@ def grown_into(state: State, cut: tuple[int, ...], j: int) -> State | None:
         (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
         new.bottoms[i] = new.bottoms[j] = np.nan
     return new
+
+
+def put_on(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Weighed]:
+    """Return the Weighed of a tall solid standing on a lower box beside it, which reaches under its middle, not there.
+
+    Of few noisy pixels that is one step farther or nearer below the edge between the two, which no walk takes.
+    """
+    state = best.state
+    upright = [k for k in range(len(state)) if state.forms[k] == UPRIGHT and int(state.rows[k][0]) != SPHERE]
+    tasks = [partial(put_one_on, best=best, i=i, j=j, rules=rules) for i in upright for j in upright
+             if i != j and may_stand_on(state, i, j)]  # fmt: skip
+    return [found for found in in_threads(rng, tasks) if found is not None]
+
+
+def may_stand_on(state: State, i: int, j: int) -> bool:
+    """Whether upright solid i begins below the top of box j, beside it, and ends above it."""
+    row, other = state.rows[i], state.rows[j]
+    if int(other[0]) != BOX or not lowest(row) + LEAST_TALL < highest(other) < highest(row) - LEAST_TALL:
+        return False
+    return penetration(grown(row, BESIDE), other) > 0.0
+
+
+def put_one_on(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
+    """Return the Weighed of solid i standing on box j; None where that is pruned."""
+    state = best.state
+    under, top = state.rows[j].copy(), highest(state.rows[j])
+    inner = state.rows[i].copy()
+    inner[13:15] *= UNDER
+    low, high = extents_along(under, inner)
+    low, high = np.minimum(low, -0.5 * under[13:16]), np.maximum(high, 0.5 * under[13:16])
+    low[2], high[2] = -0.5 * under[15], 0.5 * under[15]
+    under[10:13] += rotation_of(under) @ (0.5 * (low + high))
+    under[13:16] = high - low
+    new = changed(changed(state, j, under, False), i, with_bottom(state.rows[i], top), False)
+    new.parents[i], new.bottoms[i] = j, top
+    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [i, j])
+    if height(trial) > height(best) - PROMISING:
+        trial = with_own_sensor(rng, trial, [i, j], WORTHWHILE)
+    if height(trial) <= height(best) - PRUNE_THRESHOLD:
+        return None
+    return of_block(rng, trial, [i, j], Block(best, [i, j]))
 
 
 def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:

@@ -30,7 +30,7 @@ from derender.structures.draws.refined import Refined, at_mode, members_of, refi
 from derender.structures.draws.sensor import model_depth
 from derender.structures.draws.steps import touched_by
 from derender.structures.graph_posterior import leading
-from derender.structures.unions import merged
+from derender.structures.unions import merged, put_on
 from derender.structures.weighing import (
     NEAR_ERROR,
     Block,
@@ -292,6 +292,19 @@ def test_a_box_that_leans_in_few_pixels_is_tried_as_two_that_stand_on_each_other
     two = [each for each in of_one_solid(rng, best, 0, RULES, ("box", "cube")) if len(each.trial.state) == 2]
     assert two and max(each.odds for each in two) > 10.0
     assert all(each.trial.state.parents == [FLOOR, 0] for each in two)
+
+
+def test_what_stands_behind_a_lower_box_is_tried_on_it():
+    """A tall box behind a thin one was found, and said, where one cube stands on another: 25 nats less likely."""
+    rng = np.random.default_rng(1)
+    pair = boxes((0.0, 0.0, 0.0, (0.084,) * 3), (0.004, -0.022, 0.084, (0.066,) * 3), parents=(-1, 0))
+    sensor, _, _ = observe(rng, pair, {"sigma": 0.006, "blur": 0.5}, camera(48, 36))
+    behind, tall = (-0.016, 0.029, 0.0, (0.084, 0.018, 0.09)), (0.004, -0.022, 0.0, (0.07, 0.062, 0.15))
+    found = boxes(behind, tall, parents=(-1, -1))
+    best = at_mode(rng, found, floor_pose(), sensor._replace(prior=PRIOR), RULES)
+    stacked = [each for each in put_on(rng, best, RULES) if each.trial.state.parents == [FLOOR, 0]]
+    assert stacked and max(each.odds for each in stacked) > 20.0
+    assert put_on(rng, stacked[0].trial, RULES) == []
 
 
 def weighed(state, odds, error=0.1, places=((0,), (0,))):
