@@ -19,7 +19,7 @@ from derender.detection.solids.graph import matched_names, names_of, scene_graph
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
-from derender.structures.alternatives import combinations, from_search, of_one_solid
+from derender.structures.alternatives import climbed_higher, combinations, from_search, of_one_solid
 from derender.structures.bearers import by_bearer
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
@@ -151,6 +151,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
             if best is former:
                 break
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
+        best = climbed_higher(rng, best)
         former, others = one_solid_each(rng, best, others, rules, shapes)
         met = [] if number else from_search(rng, former, pool, energy, rules, settings.temper)
         best, others = leading(former, [*others, *met, *additions(rng, former, settings)])
