@@ -18,16 +18,8 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
 from derender.scene.solids import BOX, SPHERE
-from derender.structures.alternatives import (
-    LEAST_TALL,
-    PROMISING,
-    PRUNE_THRESHOLD,
-    QUICK,
-    WORTHWHILE,
-    changed,
-    climbed,
-    weighed_whole,
-)
+from derender.structures.alternatives import PROMISING, PRUNE_THRESHOLD, QUICK, WORTHWHILE, climbed, weighed_whole
+from derender.structures.changes import LEAST_TALL, changed
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import model_depth

@@ -17,7 +17,8 @@ from derender.evaluation.made_scenes import drawn_scene
 from derender.render.likelihoods import likelihoods
 from derender.scene.pose import rotation_x, rotation_z
 from derender.scene.solids import BOX
-from derender.structures.alternatives import all_seen, changes, of_one_solid, still_bears
+from derender.structures.alternatives import all_seen, of_one_solid
+from derender.structures.changes import changes, still_bears
 from derender.structures.draws.chart import HELD, make_chart
 from derender.structures.draws.refined import at_mode
 from derender.structures.draws.sensor import Sensor, model_depth

@@ -14,17 +14,8 @@ from derender.detection.solids.state import FLOOR, State
 from derender.render.raycast.state import BLUR, RADIUS, taps_of
 from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
-from derender.structures.alternatives import (
-    MOST_PATIENT,
-    QUICK,
-    as_boxes,
-    climbed_higher,
-    longer,
-    of_one_solid,
-    quick_steps,
-    stood_up,
-    uprighted,
-)
+from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
+from derender.structures.changes import longer, stood_up, uprighted
 from derender.structures.draws.chart import HELD
 from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, with_blurs_drawn
 from derender.structures.draws.refined import Refined, at_mode, height, members_of, refined_at, refitted
