@@ -320,14 +320,19 @@ def read_numbers(path: str | Path, what: str, remedy: str) -> np.ndarray:
     data = read_bytes(path, MOST_BYTES, what, "check the path")
     try:
         if data.startswith(b"\x93NUMPY"):
-            return _load_npy(data)
-        if data.startswith(b"PK"):
+            found = _load_npy(data)
+        elif data.startswith(b"PK"):
             with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-                return arrays["label"]
-        with silence():
-            return np.asarray(Image.open(io.BytesIO(data)))
+                found = arrays["label"]
+        else:
+            with silence():
+                found = np.asarray(Image.open(io.BytesIO(data)))
+        if found.dtype.kind not in "buif":
+            raise DerenderError(f"it holds {found.dtype}")
+        return found
     except (*DAMAGE, DerenderError, Image.DecompressionBombError) as fault:
-        raise DerenderError(f"this is no {what.removeprefix('the ')}", path, remedy) from fault
+        why = f" ({fault.what})" if isinstance(fault, DerenderError) else ""
+        raise DerenderError(f"this is no {what.removeprefix('the ')}{why}", path, remedy) from fault
 
 
 def _decode_exr(data: bytes) -> Decoded:

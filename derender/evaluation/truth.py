@@ -199,4 +199,6 @@ def read_labels(path: str | Path, divisor: int = 1) -> np.ndarray:
     labels = read_numbers(path, "the label image", "give a picture of one channel, one number an object")
     if labels.ndim != 2:
         raise DerenderError(f"a label image has one channel, not {labels.shape[2:]}", path)
+    if not np.isfinite(labels).all():
+        raise DerenderError("a label is no number", path, "0 where there is no object")
     return labels.astype(np.int64) // divisor

@@ -150,7 +150,9 @@ def test_doubtful_pixels_are_dropped(tmp_path):
     for place, least, kept in (("maps", 1.0, 16), ("map.npy", 2.0, 12)):
         seen = Reading(confidence=str(tmp_path / place), least_confidence=least).read(tmp_path / "frame.npy")
         assert np.isfinite(seen.depth).sum() == kept
-    for place, words in (("missing", "cannot read the confidence map"), ("maps", "no pixel has a confidence of 9")):
+    np.save(tmp_path / "words.npy", np.full((4, 5), "sure"))
+    for place, words in (("missing", "cannot read the confidence map"), ("maps", "no pixel has a confidence of 9"),
+                         ("words.npy", "no confidence map .it holds <U4")):  # fmt: skip
         with pytest.raises(DerenderError, match=words):
             Reading(confidence=str(tmp_path / place), least_confidence=9).read(tmp_path / "frame.npy")
 

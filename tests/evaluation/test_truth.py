@@ -125,7 +125,9 @@ def test_label_images(tmp_path):
         np.testing.assert_array_equal(read_labels(tmp_path / name, divisor=10), [[0, 1, 2], [2, 3, 3]])
     Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "colour.png")
     (tmp_path / "empty.png").write_bytes(b"")
-    for name in ("colour.png", "empty.png", "missing.png"):
+    np.save(tmp_path / "words.npy", np.array([["a", "b"]]))
+    np.save(tmp_path / "nan.npy", np.array([[np.nan, 1.0]]))
+    for name in ("colour.png", "empty.png", "missing.png", "words.npy", "nan.npy"):
         with pytest.raises(DerenderError):
             read_labels(tmp_path / name)
 
