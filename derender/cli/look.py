@@ -10,6 +10,7 @@ from derender.cli import options
 from derender.cli.options import Talk
 
 SHOWN = 5  # views in the table
+LITTLE = 0.1  # nats: an image that tells no more is not worth taking
 
 
 @click.command()
@@ -65,6 +66,11 @@ def command(folder: str, about: str, output: str | None, as_json: bool, seed: in
         click.echo(json.dumps({"about": about, "views": [tree_of(view) for view in views]}))
     else:
         click.echo(table_of(views))
+    most = {key: max(view.nats[key] for view in views) for key in views[0].nats}
+    if most[about] < LITTLE:
+        other = max(most, key=lambda key: most[key])
+        hint = f"; --about {other} has some that do" if most[other] >= LITTLE else ""
+        talk.say(f"no view tells more than {LITTLE} nats of what is asked, {about}: that is known{hint}")
     talk.say(f"wrote {place} and {picture}")
 
 
