@@ -7,7 +7,7 @@ on: the kernel's file and every file of derender that it imports, directly or no
 and the processor. An entry is written under a temporary name and moved into place, so processes cannot harm each other.
 
 numba is imported by the process that compiles something (compiler.py), and by no other: what was compiled before
-is loaded without it (loader.py), for its import takes as long as many a command.
+is loaded without it (entries.py), for its import takes as long as many a command.
 
 The folder is the first of these that can be written and that nobody else can write to: NUMBA_CACHE_DIR, the
 `__pycache__` beside the source, the user's cache folder, and a private folder for temporary files. Without any, kernels
@@ -27,8 +27,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
-from derender.compilation.entries import Entries, is_private, machine
-from derender.compilation.loader import Version, fingerprint, fingerprints, load
+from derender.compilation.entries import Entries, Version, fingerprint, fingerprints, is_private, load, machine, turn
 
 PACKAGE = Path(__file__).parent.parent
 COMMENT = re.compile(rb"#[^\n]*")  # may hold parentheses, at which a list of imports seems to end
@@ -97,12 +96,17 @@ class Kernel:
         return self._versions[key]
 
     def _new_version(self, key, arguments) -> Version:
-        path = self.entries and self.entries.path((machine(), key))
+        path = self.entries.path((machine(), key)) if self.entries else None
         found = load(path) if path and LOADS else None
         if found is None:
-            from derender.compilation.compiler import compile_version
+            if path:
+                announce()
+            with turn(path):
+                found = load(path) if path and LOADS else None  # another process may have compiled it meanwhile
+                if found is None:
+                    from derender.compilation.compiler import compile_version
 
-            found = compile_version(self, arguments, path)
+                    found = compile_version(self, arguments, path)
         return found
 
     @functools.cached_property
@@ -177,7 +181,7 @@ def announce() -> None:
             helper()
         clear = "\r\x1b[K" if sys.stderr.isatty() else ""  # of a progress bar, which stands in this line
         print(
-            f"{clear}derender: compiling kernels for this machine, once (ten seconds or more; the result is cached)",
+            f"{clear}derender: compiling kernels that are new to this machine (seconds to a minute; they are kept)",
             file=sys.stderr,
             flush=True,
         )

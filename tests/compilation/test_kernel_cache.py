@@ -11,8 +11,7 @@ import pytest
 
 import derender
 from derender.compilation.cache import PACKAGE, Kernel, _candidates, _read, njit, source_stamp
-from derender.compilation.compiler import fcntl
-from derender.compilation.entries import Entries, is_private, read_entry
+from derender.compilation.entries import Entries, fcntl, is_private, read_entry
 
 PROBE = """
 import sys
@@ -29,7 +28,7 @@ def kernel(x):
     return inner(x)
 
 if __name__ == "__main__":
-    print(kernel(1), "numba" not in sys.modules or bool(kernel.dispatcher._cache_hits))
+    print(kernel(1), "numba" not in sys.modules)
 """
 
 
@@ -101,8 +100,8 @@ def test_compiles_once_says_so_once_and_notices_a_constant_elsewhere(package):
     assert out == ["42", "False"] and err.count("compiling kernels") == 1
     out, err = run(package)
     assert out == ["42", "True"] and err == ""
-    entries = sorted([*package.glob("__pycache__/*.nbc"), *package.glob("__pycache__/*.run")])
-    assert len(entries) == 3  # inner's is for compiling it into others alone
+    entries = list(package.glob("__pycache__/*.run"))
+    assert len(entries) == 1  # inner is compiled into it
     (package / "answer.py").write_text("ANSWER = 1\n")
     assert run(package)[0] == ["2", "False"]
     assert not any(entry.exists() for entry in entries)  # stale entries are deleted
@@ -119,12 +118,12 @@ def test_what_was_compiled_is_called_without_numba(package):
 def test_a_folder_of_ones_own_and_a_package_that_cannot_be_written(package, tmp_path):
     elsewhere, home = tmp_path / "elsewhere", tmp_path / "home"
     assert run(package, NUMBA_CACHE_DIR=str(elsewhere))[0] == ["42", "False"]
-    assert list(elsewhere.rglob("*.nbc")) and not list(package.rglob("*.nbc"))
+    assert list(elsewhere.rglob("*.run")) and not list(package.rglob("*.run"))
     shutil.rmtree(package / "__pycache__", ignore_errors=True)
     (package / "__pycache__").write_text("a file where the folder would be: not even root can write into it")
     for hit in ("False", "True"):
         assert run(package, XDG_CACHE_HOME=str(home), LOCALAPPDATA=str(home), HOME=str(home))[0] == ["42", hit]
-    assert list(home.rglob("*.nbc"))
+    assert list(home.rglob("*.run"))
 
 
 @pytest.mark.slow
@@ -179,10 +178,10 @@ def test_a_process_that_dies_while_it_compiles_holds_up_nobody(package):
 
 
 import os
-from derender.compilation import compiler as kernel_compiler
+from derender.compilation.entries import Entries
 
 if os.environ.get("DIE"):
-    kernel_compiler._KernelCache.save_overload = lambda *_: os._exit(9)
+    Entries.save = lambda *_: os._exit(9)
 
 
 @njit(cache=True, nogil=True)
@@ -197,7 +196,6 @@ def inner""",
 
 @pytest.mark.slow
 def test_what_was_loaded_can_be_compiled_into_another(package):
-    """The bitcode of an entry is parsed only then."""
     (package / "probe.py").write_text(
         PROBE.replace(
             "print(kernel(1)",
@@ -206,7 +204,7 @@ def test_what_was_loaded_can_be_compiled_into_another(package):
         )
     )
     assert run(package, INNER="1")[0] == ["42", "False"]
-    assert run(package)[0] == ["42", "False"]  # inner is loaded and linked into kernel, which is compiled
+    assert run(package)[0] == ["42", "False"]  # inner is compiled again, into kernel
     assert run(package)[0] == ["42", "True"]
 
 
@@ -387,39 +385,23 @@ def test_processes_do_not_run_what_lies_in_the_current_folder(tmp_path):
     assert not (tmp_path / "it-was-run").exists()
 
 
-@pytest.mark.slow
-def test_other_packages_caches_stand_as_numba_writes_them(tmp_path):
-    """A function of someone else's, cached by a process that has derender's kernels, is read by one that has not."""
-    (tmp_path / "theirs.py").write_text("import numba\n\n@numba.njit(cache=True)\ndef double(x):\n    return 2.0 * x\n")
-    ours = "from derender.render.raycast.score import pixel_log_densities; import numpy as np, derender\n"
-    ours += "derender.sample('stack').render(derender.Camera.from_field_of_view(8, 6))\n"
-    use = "from theirs import double; print(double(3.0), sum(double.stats.cache_hits.values()))"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    told = [
-        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-        for code in (ours + use, use, ours + use)
-    ]
-    assert [done.stdout.split() for done in told] == [["6.0", "0"], ["6.0", "1"], ["6.0", "1"]], told
-
-
 INTERRUPTED = """
 from derender.compilation.cache import njit
-from derender.compilation.compiler import Library
+from derender.compilation.entries import Entries
 
 @njit(cache=True, nogil=True)
 def kernel(x):
     return x + 1.0
 
 if __name__ == "__main__":
-    def interrupt(self):
+    def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    serialize, Library.serialize_using_object_code = Library.serialize_using_object_code, interrupt
+    save, Entries.save = Entries.save, interrupt
     try:
         kernel(1.0)
     except KeyboardInterrupt:
-        Library.serialize_using_object_code = serialize
+        Entries.save = save
     print(kernel(1.0))
 """
 
