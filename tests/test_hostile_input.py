@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import time
 import zipfile
 from types import SimpleNamespace
@@ -205,6 +206,17 @@ def with_header(members, change):
     return stream.getvalue()
 
 
+def rewritten(old, new):
+    """Return a change of the first structure's scene."""
+
+    def change(header):
+        part = header["parts"][0]
+        part["scene"], count = re.subn(old, new, part["scene"], count=1)
+        assert count
+
+    return change
+
+
 HEADERS = {
     "format": lambda h: h.update(format=99),
     "no parts": lambda h: h.update(parts=[]),
@@ -215,14 +227,15 @@ HEADERS = {
     "address": lambda h: h["parts"][0]["addresses"].__setitem__(0, "nobody.side"),
     "address twice": lambda h: h["parts"][0]["addresses"].__setitem__(0, h["parts"][0]["addresses"][1]),
     "periods": lambda h: h["parts"][0].update(periods=[1.0]),
-    "name": lambda h: h["parts"][0]["graph"]["vertices"][0].update(name="\u202e\x1b[31m"),
-    "shape": lambda h: h["parts"][0]["graph"]["vertices"][0].update(shape="teapot"),
-    "parent": lambda h: h["parts"][0]["graph"]["vertices"][1].update(parent="nobody"),
-    "cycle": lambda h: h["parts"][0]["graph"]["vertices"][1].update(
-        parent=h["parts"][0]["graph"]["vertices"][1]["name"]),
-    "contact": lambda h: h["parts"][0]["graph"]["vertices"][1]["contact"].update(type="glue"),
-    "gravity": lambda h: h["parts"][0]["graph"].update(gravity=[0, 0]),
-    "root": lambda h: h["parts"][0]["graph"].update(root_pose=[[1]]),
+    "names": lambda h: h["parts"][0]["objects"].__setitem__(0, "\u202e\x1b[31m"),
+    "no text": lambda h: h["parts"][0].update(scene=3),
+    "depth": lambda h: h["parts"][0].update(scene="[" * 100_000),
+    "shape": rewritten("shape: plane", "shape: teapot"),
+    "parent": rewritten(r"parent: \w+", "parent: nobody"),
+    "contact": rewritten("type: 6dof", "type: glue"),
+    "gravity": rewritten("objects:", "gravity: [0, 0]\nobjects:"),
+    "root": rewritten("root: .*", "root: {pose: [[1]]}"),
+    "open": rewritten(r"side: [\d.]+", "side: {uniform: [0.1, 0.2]}"),
 }  # fmt: skip
 
 

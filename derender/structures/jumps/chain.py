@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from derender.document import document_text
 from derender.posterior.target import ObservedImage
-from derender.results.posterior import Posterior, StructurePosterior, graph_from_tree, graph_to_tree
+from derender.results.posterior import Posterior, StructurePosterior, scene_of
 from derender.sampling import diagnostics
 from derender.sampling.chains import Record, Segment
 from derender.scene.graph import SceneGraph
@@ -124,13 +125,13 @@ class JumpSampler:
 
 def _packed(graphs: Sequence[SceneGraph]) -> np.ndarray:
     """Return scenes as the bytes of a text, a line each, exact to the last bit of each number."""
-    text = "".join(json.dumps(graph_to_tree(graph)) + "\n" for graph in graphs)
+    text = "".join(json.dumps([document_text(graph), graph.names]) + "\n" for graph in graphs)
     return np.frombuffer(text.encode(), np.uint8)
 
 
 def _unpacked(packed: np.ndarray) -> list[SceneGraph]:
     """Return the scenes that `_packed` made bytes of."""
-    return [graph_from_tree(json.loads(line)) for line in bytes(packed).splitlines()]
+    return [scene_of(*json.loads(line)) for line in bytes(packed).splitlines()]
 
 
 def matched(graph: SceneGraph, reference: SceneGraph, base: frozenset[str]) -> SceneGraph:
