@@ -35,8 +35,16 @@ def read_scene_document(path: str) -> "Document":
     if path == "-" or not folder.is_dir():
         return read_document(path)
     if not (folder / "scene.yaml").exists():
-        raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
+        raise no_scene(folder)
     return read_document(folder / "scene.yaml")
+
+
+def no_scene(folder: Path) -> DerenderError:
+    """Return what is wrong with a folder that holds no scene."""
+    if (folder / "track.json").exists():
+        remedy = "derender view shows it, and its track.json holds the poses"
+        return DerenderError("this folder holds a film, not a scene", folder, remedy)
+    return DerenderError("there is no scene in this folder", folder, "derender infer IMAGE -o DIR writes one")
 
 
 def read_scene(path: str) -> Found:
@@ -112,7 +120,7 @@ def scene_paths(paths: "Sequence[str]") -> list[str]:
         inside = [str(each) for each in sorted(folder.glob("*.yaml"))]
         inside += [str(each.parent) for each in sorted(folder.glob("*/scene.yaml"))]
         if not inside:
-            raise DerenderError("there is no scene in this folder", path, "derender infer IMAGE -o DIR writes one")
+            raise no_scene(folder)
         found += inside
     return found
 

@@ -82,7 +82,7 @@ class Answer:
         for name in self.parameters.names:
             velocity = self.draws[f"velocity.{name}"]
             mean, error = velocity.mean(axis=0), velocity.std(axis=0)
-            shown = ", ".join(f"{m:.3f}+-{e:.3f}" for m, e in zip(mean, error, strict=True))
+            shown = ", ".join(f"{m:.3f} ± {e:.3f}" for m, e in zip(mean, error, strict=True))
             lines.append(f"{f'speed of {name}':<14} {shown} m/s at first")
         return lines
 

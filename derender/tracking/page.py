@@ -11,7 +11,7 @@ from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures
 from derender.report.html import wide
-from derender.results.table import as_page
+from derender.results.table import as_page, digits
 from derender.scene.solids import PLANE, Solids
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
@@ -141,7 +141,7 @@ def _events(events: Any, named: Any) -> str:
         return "<p>None.</p>"
     rows = "".join(
         f'<tr><td class="number">{event["frame"]}</td><td class="number">{event["time"]:.3f}</td>'
-        f"<td>{_swatch(named.get(event['object'], '#000'))} {escape(event['object'])}</td>"
+        f"<td>{_swatch(named.get(event['object'], '#000'))}&nbsp;{escape(event['object'])}</td>"
         f"<td>{escape(event['event'])}</td><td>{escape(_words(event))}</td></tr>"
         for event in events
     )
@@ -151,8 +151,7 @@ def _events(events: Any, named: Any) -> str:
 
 def _words(event: Any) -> str:
     if "to" in event:
-        chance = f" (P = {event['probability']:.2f})"
-        return f"from {event['from'] or 'nothing'} to {event['to'] or 'nothing'}{chance}"
+        return f"from {event['from'] or 'nothing'} to {event['to'] or 'nothing'}, p {digits(event['probability'])}"
     return f"{event['speed'][0]:+.2f} to {event['speed'][1]:+.2f} m/s" if "speed" in event else ""
 
 
@@ -164,7 +163,7 @@ def _things(track: Track, named: dict[str, str]) -> str:
         size = " × ".join(f"{1e3 * s:.0f}" for s in track.sizes[-1, k])
         lost = [str(t) for t, row in enumerate(track.states) if row[k] == LOST]
         rows.append(
-            f"<tr><td>{_swatch(named[name])} {escape(name)}</td><td>{track.types[k]}</td><td>{size}</td>"
+            f"<tr><td>{_swatch(named[name])}&nbsp;{escape(name)}</td><td>{track.types[k]}</td><td>{size}</td>"
             f'<td class="number">{sure}</td><td>{", ".join(lost) or "never"}</td></tr>'
         )
     head = '<tr><th>thing</th><th>type</th><th>size, mm</th><th class="number">sd of the centre, mm (median)</th>'

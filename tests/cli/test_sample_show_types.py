@@ -160,6 +160,7 @@ def test_types_lists_and_explains_what_is_registered(capfd):
         (("show", "missing.yaml"), "there is no such file"),
         (("show", "tabletop", "--json"), "this is a prior, not a scene"),
         (("show", "empty"), "there is no scene in this folder"),
+        (("show", "film"), "this folder holds a film, not a scene; derender view shows it"),
         (("export", "tabletop", "-o", "x.glb"), "this is a prior, not a scene; draw a scene: derender sample tabletop"),
         (("types", "cubus"), "did you mean 'cube'?"),
     ],
@@ -167,10 +168,12 @@ def test_types_lists_and_explains_what_is_registered(capfd):
 def test_faults_are_one_line(folder, capfd, arguments, says):
     (folder / "file").write_text("")
     (folder / "empty").mkdir()
+    (folder / "film").mkdir()
+    (folder / "film" / "track.json").write_text("{}")
     assert run(*arguments) == 1
     out, err = capfd.readouterr()
     assert says in err and len(err.splitlines()) == 1 and not out
-    assert sorted(path.name for path in folder.iterdir()) == ["empty", "file"]
+    assert sorted(path.name for path in folder.iterdir()) == ["empty", "file", "film"]
 
 
 def test_usage_is_two():
