@@ -98,12 +98,9 @@ class Registry(Generic[T]):
         return name in self._entries
 
     def __iter__(self) -> Iterator[str]:
+        """Yield the registered names, sorted."""
         self._load()
         return iter(sorted(self._entries))
-
-    def names(self) -> list[str]:
-        """Return the registered names, sorted."""
-        return list(self)
 
 
 def only_its_keywords(function: Callable[P, T]) -> Callable[P, T]:

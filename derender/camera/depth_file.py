@@ -171,16 +171,12 @@ def write_depth(
     suffix = ".npz" if str(path) == "-" else Path(path).suffix.lower()
     check_suffix(path)
     metres = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
-    if suffix == ".npz":
-        data = encode_npz(metres, camera, meta or {}, label)
-    elif suffix == ".npy":
-        data = encode_npy(metres)
-    elif suffix == ".png":
-        data = encode_png(metres, camera.depth_scale, path)
-    elif suffix == ".exr":
-        data = encode_exr(metres)
-    else:
-        data = encode_tiff(metres)
+    data = {
+        ".npz": lambda: encode_npz(metres, camera, meta or {}, label),
+        ".npy": lambda: encode_npy(metres),
+        ".png": lambda: encode_png(metres, camera.depth_scale, path),
+        ".exr": lambda: encode_exr(metres),
+    }.get(suffix, lambda: encode_tiff(metres))()
     if str(path) == "-":
         sys.stdout.buffer.write(data)
         return

@@ -185,10 +185,6 @@ def encode_npy(array: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def _decode_npy(data: bytes) -> Decoded:
-    return Decoded(_load_npy(data))
-
-
 def _load_npy(data: bytes) -> np.ndarray:
     """Return the array of an .npy; its header is checked against the length before memory is asked for."""
     stream = io.BytesIO(data)
@@ -335,16 +331,12 @@ def read_numbers(path: str | Path, what: str, remedy: str) -> np.ndarray:
         raise DerenderError(f"this is no {what.removeprefix('the ')}{why}", path, remedy) from fault
 
 
-def _decode_exr(data: bytes) -> Decoded:
-    return Decoded(decode_exr(data))
-
-
 MAGIC: tuple[tuple[bytes, str, Callable[[bytes], Decoded]], ...] = (
     (b"\x89PNG", ".png", _decode_picture),
     (b"II*\x00", ".tiff", _decode_picture),
     (b"MM\x00*", ".tiff", _decode_picture),
     (b"II+\x00", ".tiff", _decode_picture),
-    (b"\x93NUMPY", ".npy", _decode_npy),
+    (b"\x93NUMPY", ".npy", lambda data: Decoded(_load_npy(data))),
     (b"PK\x03\x04", ".npz", decode_npz),
-    (b"v/1\x01", ".exr", _decode_exr),
+    (b"v/1\x01", ".exr", lambda data: Decoded(decode_exr(data))),
 )

@@ -75,7 +75,7 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
     observed, camera = image if image is not None else (None, first.camera)
     names = ", ".join(each.name for each in found)
     told = read_explained(place, image[1].shape) if place and image is not None else None
-    facts = title_facts(len(found))
+    facts = {"chains of": f"{len(found)} runs"} if len(found) > 1 else {}
     report = report_of(graph, camera, observed, posterior, names, facts, first.likelihood, told=told)
     if place is None:
         return report, first.name
@@ -85,8 +85,3 @@ def gathered(folders: Sequence[str]) -> tuple["Report", str]:
         files = {"scene.yaml": ("text/yaml", (place / "scene.yaml").read_bytes())}
         report = report._replace(files={**files, **report.files})
     return report, first.name
-
-
-def title_facts(count: int) -> dict[str, str]:
-    """Return what the page's head says of several runs."""
-    return {"chains of": f"{count} runs"} if count > 1 else {}

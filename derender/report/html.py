@@ -29,7 +29,7 @@ def write_report(path: str | Path, report: Report) -> None:
 def page(report: Report) -> str:
     """Return the whole page as text."""
     colours = pictures.colours_of(report.solids, report.solid_names)
-    named = {name: _hex(colours[i]) for i, name in enumerate(report.solid_names)}
+    named = {name: "#" + bytes(colours[i]).hex() for i, name in enumerate(report.solid_names)}
     sections = [
         _head(report),
         _downloads(report),
@@ -168,7 +168,3 @@ def _parameters(report: Report) -> str:
         "In a rank plot level lines are good.</p>"
         + wide(f"<table><tr>{head}<th>traces</th><th>ranks</th></tr>{''.join(rows)}</table>", "numbers")
     )
-
-
-def _hex(colour: np.ndarray) -> str:
-    return "#" + "".join(f"{int(part):02x}" for part in colour)

@@ -32,10 +32,10 @@ def _units(room: str) -> dict[str, str]:
     from derender.scene.shapes import shapes
 
     if room == "contact":
-        found = [parameter for name in contacts.names() for parameter in contact_parameters(name).values()]
+        found = [parameter for name in contacts for parameter in contact_parameters(name).values()]
     else:
         owners: Any = likelihoods if room == "likelihood" else shapes
-        found = [parameter for name in owners.names() for parameter in owners[name].parameters]
+        found = [parameter for name in owners for parameter in owners[name].parameters]
     return {parameter.name: parameter.unit for parameter in found}
 
 

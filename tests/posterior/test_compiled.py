@@ -14,7 +14,7 @@ from derender.posterior.sampler import Settings
 from derender.scene.contacts import contacts
 from derender.structures.given import infer_scene
 
-EVERY = kernels.names()
+EVERY = list(kernels)
 
 
 @pytest.fixture(scope="module", params=SCENES)

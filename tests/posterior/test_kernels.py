@@ -117,7 +117,7 @@ LONG_LAST = [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for n
 
 
 def test_every_kernel_is_here():
-    assert set(CASES) == set(kernels.names())
+    assert set(CASES) == set(kernels)
 
 
 @pytest.mark.parametrize("name", LONG_LAST)
@@ -159,7 +159,7 @@ def test_mixture_of_all_is_invariant(world):
 
     def make(target):
         if not made:
-            made.append(InterpretedBackend(target, mixture(target.space, [{name: {}} for name in kernels.names()])))
+            made.append(InterpretedBackend(target, mixture(target.space, [{name: {}} for name in kernels])))
         made[0].target = target
         return steps_of(made[0], tuning(target.space))
 
@@ -206,7 +206,7 @@ def test_densities_carried_along_are_those_of_the_values(name):
 
 
 def test_every_kernel_says_why_it_is_right():
-    for name in kernels.names():
+    for name in kernels:
         kind = kernels[name]
         said = "".join(one.__doc__ or "" for one in (type(kind), kind.proposal, sys.modules[type(kind).__module__]))
         assert type(kind).__doc__ and ("log ratio" in said or "The step of `relocate`" in said), name

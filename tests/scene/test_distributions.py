@@ -65,7 +65,7 @@ def misfit(distribution, draws):
 
 
 def test_every_registered_distribution_has_a_case():
-    assert set(CASES) | {"categorical"} == set(distributions.names())
+    assert set(CASES) | {"categorical"} == set(distributions)
 
 
 @pytest.mark.parametrize("name,parameters", SCALAR)

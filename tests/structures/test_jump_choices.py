@@ -166,7 +166,7 @@ def test_choices_are_drawn_as_their_density_says(name, row):
 
 
 def test_every_move_whose_choices_have_a_density_has_its_row():
-    assert set(CHOICES) == {name for name in moves.names() if not moves[name].even}
+    assert set(CHOICES) == {name for name in moves if not moves[name].even}
 
 
 class Evenly(Twin):
@@ -214,7 +214,7 @@ class Drifting(Twin):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in moves.names() if moves[name].even])
+@pytest.mark.parametrize("name", [name for name in moves if moves[name].even])
 def test_even_moves_step_either_way_alike(name):
     apart, worst = evenness(moves[name])
     assert apart < SEVERE

@@ -84,7 +84,7 @@ def _signed(values):
     return values
 
 
-@pytest.mark.parametrize("name", moves.names())
+@pytest.mark.parametrize("name", moves)
 def test_there_and_back(words, name):
     """The way back restores the scene and the choices, and negates the log ratio (to 1e-6: two inversions of poses)."""
     for graph, choice, applied, ratio in draws(words, moves[name], 1, 25, tries=400):
@@ -178,8 +178,8 @@ def worst_of(differences):
 
 
 def test_every_move_has_its_row():
-    assert sorted(ROWS) == sorted(moves.names())
-    assert {name for name, _ in TWINS} == set(moves.names())
+    assert sorted(ROWS) == sorted(moves)
+    assert {name for name, _ in TWINS} == set(moves)
 
 
 @pytest.mark.slow

@@ -370,7 +370,7 @@ def _remedy(parent: str, parent_shape: str, shape: str) -> str:
     from derender.scene.contacts import contacts
     from derender.scene.shapes import shapes
 
-    possible = [name for name in contacts.names() if list(contacts[name].choices(shapes[parent_shape], shapes[shape]))]
+    possible = [name for name in contacts if list(contacts[name].choices(shapes[parent_shape], shapes[shape]))]
     return (
         f"on {parent} it can have {', '.join(possible)}"
         if possible

@@ -224,8 +224,8 @@ def step(rng: np.random.Generator, target: Target, words: Vocabulary, move: Move
 
 def mixture() -> list[tuple[Move, float]]:
     """Return the moves with their shares of the steps."""
-    total = math.fsum(moves[name].weight for name in moves.names())
-    return [(moves[name], moves[name].weight / total) for name in moves.names()]
+    total = math.fsum(moves[name].weight for name in moves)
+    return [(moves[name], moves[name].weight / total) for name in moves]
 
 
 def ranges(ends: np.ndarray, members: tuple[int, ...]) -> np.ndarray:
