@@ -218,7 +218,7 @@ def test_stamps_follow_imports():
                 waiting += _read(file)[1]
         return {str(file.relative_to(PACKAGE)) for file in seen}
 
-    files = reached(PACKAGE / "posterior" / "compiled" / "steps.py")
+    files = reached(PACKAGE / "posterior" / "compiled" / "evaluate.py")
     names = {name.replace(os.sep, "/") for name in files}
     assert {"render/raycast/lanes.py", "render/raycast/lane_code.py", "scene/solids.py", "posterior/kernels/base.py",
             "scene/distributions/continuous.py"} <= names  # fmt: skip

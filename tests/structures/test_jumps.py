@@ -84,7 +84,7 @@ def _signed(values):
     return values
 
 
-@pytest.mark.parametrize("name", moves)
+@pytest.mark.parametrize("name", list(moves))
 def test_there_and_back(words, name):
     """The way back restores the scene and the choices, and negates the log ratio (to 1e-6: two inversions of poses)."""
     for graph, choice, applied, ratio in draws(words, moves[name], 1, 25, tries=400):
