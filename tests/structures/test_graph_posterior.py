@@ -35,7 +35,7 @@ from derender.structures.draws.chart import (
     touching_area,
 )
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample
+from derender.structures.draws.metropolis import engine_of, evaluate, load, log_evidence, run, sample, walker_at
 from derender.structures.draws.numbers import numbers_of_draws, scene_log_prior
 from derender.structures.draws.refined import Refined, chains_of, pixels_of, structure_posterior, with_lost_back
 from derender.structures.draws.sensor import Sensor, final_sensor, first_sensor, image_likelihood, model_depth, noise_of
@@ -199,7 +199,7 @@ def test_walk_draws_sizes_from_their_prior():
     side = int(chart.slots[0, charts.SIZE])
     proposals = single_steps(chart, own_members(chart, 0))
     proposals.scale[:] = 0.05
-    draws = run(rng, engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1500, 60)
+    draws = run(rng, walker_at(engine_of(chart, sensor), chart, values), proposals, 0.0, 0.0, 1500, 60)
     z = (np.log(draws.values[:, side]) - math.log(0.085)) / 0.45
     assert kstest(z[::2], "norm").pvalue > 1e-3
     assert kstest(z[::2] - 0.45, "norm").pvalue < 1e-6  # the broken twin
@@ -211,7 +211,7 @@ def test_a_walk_gives_its_generator_back():
     sensor, _, _ = observe(np.random.default_rng(0), cube(), {"sigma": 0.01}, camera(16, 12))
     rng, proposals = np.random.default_rng(3), single_steps(chart)
     held = sys.getrefcount(rng)
-    run(rng, engine_of(chart, sensor), chart, values, proposals, 1.0, 0.0, 5, 1)
+    run(rng, walker_at(engine_of(chart, sensor), chart, values), proposals, 1.0, 0.0, 5, 1)
     assert sys.getrefcount(rng) == held
 
 
@@ -228,7 +228,7 @@ def test_steps_drawn_to_a_normal_leave_the_density_as_it_is(part):
     def drawn(step):
         rng = np.random.default_rng(3)
         engine, start = engine_of(chart, sensor), values.copy()
-        draws = run(rng, engine, chart, start, make_proposals([step]), 0.0, 0.0, 3000, 20)
+        draws = run(rng, walker_at(engine, chart, start), make_proposals([step]), 0.0, 0.0, 3000, 20)
         return (np.log(draws.values[::2, side]) - math.log(0.085)) / 0.45
 
     assert kstest(drawn(step), "norm").pvalue > 1e-3

@@ -12,7 +12,7 @@ from derender.scene.distributions import distributions
 from derender.scene.priors.objects import ShapePrior
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import SIZE, SLOTS, make_chart
-from derender.structures.draws.metropolis import engine_of, run
+from derender.structures.draws.metropolis import engine_of, run, walker_at
 from derender.structures.draws.steps import own_members, single_steps
 from derender.structures.infer import settings_of
 from derender.structures.options import Options
@@ -81,7 +81,8 @@ def test_walk_draws_sizes_from_the_file():
     sensor, _, _ = observe(np.random.default_rng(0), state, {"sigma": 0.01}, camera(16, 12))
     proposals = single_steps(chart, own_members(chart, 0))
     proposals.scale[:] = 0.01
-    draws = run(np.random.default_rng(3), engine_of(chart, sensor), chart, values, proposals, 0.0, 0.0, 1000, 80)
+    walker = walker_at(engine_of(chart, sensor), chart, values)
+    draws = run(np.random.default_rng(3), walker, proposals, 0.0, 0.0, 1000, 80)
     length, height = (draws.values[::2, int(chart.slots[0, SIZE + axis])] for axis in (0, 2))
     # soft ends of 0.3 mm beside a range of 20 to 40 mm: two per cent
     assert kstest(length, "uniform", (0.10, 0.04)).statistic < 0.1

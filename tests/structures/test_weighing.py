@@ -17,7 +17,7 @@ from derender.scene.solids import BOX, CYLINDER
 from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
 from derender.structures.changes import longer, stood_up, uprighted
 from derender.structures.draws.chart import HELD
-from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, with_blurs_drawn
+from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, walker_at, with_blurs_drawn
 from derender.structures.draws.refined import Refined, at_mode, height, members_of, refined_at, refitted
 from derender.structures.draws.sensor import model_depth
 from derender.structures.draws.steps import touched_by
@@ -351,10 +351,12 @@ def test_views_hold_their_own_blur_whatever_is_drawn_from_them():
     sensor, _, _ = observe(rng, state, {"sigma": 0.01, "blur": 0.3}, camera(24, 18))
     best = at_mode(rng, state, floor_pose(), sensor._replace(prior=PRIOR), RULES)
     views = engine_of(best.chart, best.sensor)
-    before = load(views, best.chart, best.values)
+    walker = walker_at(views, best.chart, best.values)
+    before = tuple(walker.densities)
     kept = views.engines.settings.copy()
-    other = with_blurs_drawn(rng, views, best.sensor, [np.array([1.5])])
-    assert other.engines.taps.shape != views.engines.taps.shape
+    other = with_blurs_drawn(rng, walker, best.sensor, [np.array([1.5])])
+    assert other.engine.engines.taps.shape != views.engines.taps.shape
+    assert tuple(other.densities) == load(other.engine, best.chart, best.values) != before
     assert np.array_equal(views.engines.settings[:, [RADIUS, BLUR]], kept[:, [RADIUS, BLUR]])
     assert load(views, best.chart, best.values) == before
 
@@ -368,13 +370,12 @@ def test_a_blur_is_drawn_as_the_image_and_the_prior_have_it():
     clean = model_depth(best.chart, best.values, sensor.camera)
     logs = [sensor.likelihood.log_density(sensor.observed, clean, {**best.sensor.values, "blur": blurred})
             for blurred in some]  # fmt: skip
-    views = engine_of(best.chart, best.sensor)
-    load(views, best.chart, best.values)
+    walker = walker_at(engine_of(best.chart, best.sensor), best.chart, best.values)
     taps = {taps_of(blurred).tobytes(): k for k, blurred in enumerate(some)}
     met = np.zeros(len(some))
     for _ in range(2000):
-        views = with_blurs_drawn(rng, views, best.sensor, [some])
-        met[taps[views.engines.taps[0].tobytes()]] += 1
+        walker = with_blurs_drawn(rng, walker, best.sensor, [some])
+        met[taps[walker.engine.engines.taps[0].tobytes()]] += 1
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     assert 0.05 < shares.max() < 0.95, "or it tests nothing"
     assert np.all(np.abs(met / 2000 - shares) < 4.0 * np.sqrt(shares * (1.0 - shares) / 2000) + 0.002)

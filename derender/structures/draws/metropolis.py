@@ -243,14 +243,32 @@ class Draws(NamedTuple):
     accepted: float
 
 
-def run(rng: np.random.Generator, engine: Views, chart: Chart, values: np.ndarray, proposals: Proposals,
-        temperature: float, gain: float, count: int, thin: int) -> Draws:  # fmt: skip
-    """Return the Draws of a walk of count * thin steps; `values` and, with a gain, the scales change in place."""
+class Walker(NamedTuple):
+    """Where a walk is: Views of a Chart's solids, coordinates (D,), and (2,) log prior and log likelihood there.
+
+    A walk changes all but the Chart in place.
+    """
+
+    engine: Views
+    chart: Chart
+    values: np.ndarray
+    densities: np.ndarray
+
+
+def walker_at(engine: Views, chart: Chart, values: np.ndarray) -> Walker:
+    """Return the Walker at a chart's coordinates, to which Views are brought."""
+    return Walker(engine, chart, values, np.array(load(engine, chart, values)))
+
+
+def run(rng: np.random.Generator, walker: Walker, proposals: Proposals, temperature: float, gain: float, count: int,
+        thin: int) -> Draws:  # fmt: skip
+    """Return the Draws of a walk of count * thin steps; the Walker and, with a gain, the scales change in place."""
+    chart, values = walker.chart, walker.values
     kept, densities = np.empty((count, len(values))), np.empty((count, 2))
-    prior, likelihood = load(engine, chart, values)
-    scratch = scratch_for(len(chart.flags), len(values))
-    accepted = walk_counted(rng, engine, chart, values, prior, likelihood, proposals, float(temperature), float(gain),
+    scratch, at = scratch_for(len(chart.flags), len(values)), walker.densities.tolist()
+    accepted = walk_counted(rng, walker.engine, chart, values, *at, proposals, float(temperature), float(gain),
                             count * thin, thin, kept, densities, scratch)  # fmt: skip
+    walker.densities[:] = densities[-1]
     return Draws(kept, densities, accepted / max(count * thin, 1))
 
 
@@ -265,22 +283,25 @@ def ascend(rng: np.random.Generator, engine: Views, chart: Chart, sensor: Sensor
     only : coordinates that may move, None for all. temperatures : below 1, of the likelihood. steps : at each.
     """
     members = list(range(len(values)) if only is None else only)
-    found = [(values.copy(), *load(engine, chart, values))]
+    walker = walker_at(engine, chart, values)
+    prior, likelihood = walker.densities.tolist()
+    found = [(values.copy(), prior, likelihood)]
     singles, blocks, count = single_steps(chart, only), None, max(steps // APART, 1)
     for temperature in (*temperatures, *COLD):
         moves = singles
         if temperature >= 1.0:
             if blocks is None:
-                load(engine, chart, values)
                 spread = np.linalg.inv(Curvature(engine, chart, sensor, values).precision(members))
                 blocks = make_proposals(block_steps(chart, spread, only))
             moves = joined(singles, blocks._replace(factors=blocks.factors / np.sqrt(temperature)))
-        moves, (draws,) = stretch(rng, [(engine, chart, values)], moves, temperature, 0.1, count, APART)
+        moves, (draws,) = stretch(rng, [walker], moves, temperature, 0.1, count, APART)
         singles = adapted(singles, moves)
         if temperature >= 1.0:
             best = int(np.argmax(draws.densities.sum(axis=1)))
-            values[:] = draws.values[best]
             found.append((draws.values[best], *map(float, draws.densities[best])))
+            if best + 1 < count:
+                values[:] = draws.values[best]
+                walker.densities[:] = load(engine, chart, values)
     return max(found, key=lambda each: each[1] + each[2])
 
 
@@ -299,14 +320,11 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     until : time.monotonic() to which chains that do not agree go on; None: while it is worth it.
     """
     members = list(range(len(values)) if only is None else only)
-    engines = [engine_of(chart, sensor) for _ in range(chains)]
+    walkers = [walker_at(engine_of(chart, sensor), chart, values.copy()) for _ in range(chains)]
     blurs = [blurs_about(view, model_depth(chart, values, view.camera, view.into)) if open_blur else ()
              for view in sensor.views]  # fmt: skip
-    load(engines[0], chart, values)
-    curvature = Curvature(engines[0], chart, sensor, values)
-    spread = np.linalg.inv(curvature.precision(members))
+    spread = np.linalg.inv(Curvature(walkers[0].engine, chart, sensor, values).precision(members))
     factor = np.linalg.cholesky(spread)
-    walkers = [(engine, chart, values.copy()) for engine in engines]
     singles = single_steps(chart, only)
     singles = singles._replace(cumulative=SINGLES * singles.cumulative, scale=np.full_like(singles.scale, NARROW))
     if unseen := unseen_steps(chart, sensor, only):
@@ -339,18 +357,19 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
         met = np.concatenate([draws.values[:, members] for draws in drawn])
         spread, center[members] = spread_of(met, factor), met.mean(axis=0)
         former, singles = drawn, adapted(singles, steps)
+        walkers = [walker_at(walker.engine, chart, walker.values) for walker in walkers]  # under their own blur again
     return drawn
 
 
 def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, sensor: Any, blurs: Any) -> Any:
-    """Return the Draws of walkers (engine, chart, values), `thin` steps apart, their steps as they are.
+    """Return the Draws of Walkers, `thin` steps apart, their steps as they are.
 
     blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.
     """
     pieces: list[list[Draws]] = []
     proposals = [steps] * len(walkers)
     for piece in np.array_split(np.arange(count), min(BLURRINGS, count) if any(map(len, blurs)) else 1):
-        walkers = [(with_blurs_drawn(rng, views, sensor, blurs), *rest) for views, *rest in walkers]
+        walkers = [with_blurs_drawn(rng, walker, sensor, blurs) for walker in walkers]
         pieces.append(side_by_side(rng, walkers, proposals, 1.0, 0.0, len(piece), thin))
     joined = [tuple(np.concatenate(arrays) for arrays in zip(*[each[:2] for each in chain], strict=True))
               for chain in zip(*pieces, strict=True)]  # fmt: skip
@@ -360,20 +379,25 @@ def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, senso
 
 
 def with_blurs_drawn(
-    rng: np.random.Generator, views: Views, sensor: Sensor, blurs: list[tuple[Any, ...] | np.ndarray]
-) -> Views:
-    """Return the Views with each view's blur drawn from some, given the scene that they hold and the prior."""
-    states = []
+    rng: np.random.Generator, walker: Walker, sensor: Sensor, blurs: list[tuple[Any, ...] | np.ndarray]
+) -> Walker:
+    """Return the Walker with each view's blur drawn from some, given the scene that it holds and the prior."""
+    if not any(map(len, blurs)):
+        return walker
+    states, likelihood = [], 0.0
     for number, (view, some) in enumerate(zip(sensor.views, blurs, strict=True)):
-        engine, logs = engine_of_view(views, number), []
+        engine, logs = engine_of_view(walker.engine, number), []
         engine = engine._replace(settings=engine.settings.copy())  # they name the kernel for so many taps
         for blurred in some:
             engine = with_blur(engine, blurred)
             logs.append(rescore_state(engine) + log_prior_of(view.prior, {"blur": float(blurred)}))
         if logs:
             engine = with_blur(engine, rng.choice(some, p=np.exp(logs - np.logaddexp.reduce(logs))))
+        likelihood += rescore_state(engine)
         states.append(engine)
-    return make_views(states, views.into) if any(map(len, blurs)) else views
+    return walker._replace(
+        engine=make_views(states, walker.engine.into), densities=np.array([walker.densities[0], likelihood])
+    )
 
 
 def every_other(first: Draws, second: Draws) -> Draws:
@@ -389,9 +413,9 @@ def spread_of(met: np.ndarray, factor: np.ndarray) -> np.ndarray:
     return factor @ (share * (seen @ seen.T / len(met)) + (1.0 - share) * np.eye(len(factor))) @ factor.T
 
 
-def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], steps: Proposals,
-            temperature: float, gain: float, count: int, thin: int) -> tuple[Proposals, list[Draws]]:  # fmt: skip
-    """Let walkers (engine, chart, values) take steps beside each other; return the steps as they came to be, and Draws.
+def stretch(rng: np.random.Generator, walkers: list[Walker], steps: Proposals, temperature: float, gain: float,
+            count: int, thin: int) -> tuple[Proposals, list[Draws]]:  # fmt: skip
+    """Let Walkers take steps beside each other; return the steps as they came to be, and Draws.
 
     The scales are the geometric means of those to which each walker's adapted.
     """
@@ -400,12 +424,12 @@ def stretch(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarr
     return steps._replace(scale=np.exp(np.mean([np.log(own.scale) for own in proposals], axis=0))), drawn
 
 
-def side_by_side(rng: np.random.Generator, walkers: list[tuple[Views, Chart, np.ndarray]], proposals: list[Proposals],
-                 temperature: float, gain: float, count: int, thin: int) -> list[Draws]:  # fmt: skip
-    """Return the Draws of walkers (engine, chart, values), each with its own proposals, which a gain changes."""
+def side_by_side(rng: np.random.Generator, walkers: list[Walker], proposals: list[Proposals], temperature: float,
+                 gain: float, count: int, thin: int) -> list[Draws]:  # fmt: skip
+    """Return the Draws of Walkers, each with its own proposals, which a gain changes."""
     return in_threads(rng, [
-        partial(run, engine=engine, chart=chart, values=values, proposals=own, temperature=temperature, gain=gain,
-                count=count, thin=thin) for (engine, chart, values), own in zip(walkers, proposals, strict=True)
+        partial(run, walker=walker, proposals=own, temperature=temperature, gain=gain, count=count, thin=thin)
+        for walker, own in zip(walkers, proposals, strict=True)
     ])  # fmt: skip
 
 
