@@ -60,14 +60,20 @@ class Weighed(NamedTuple):
 
 def evidence_over(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...] | None = None) -> Evidence:
     """Return the Evidence of the density over the coordinates of some solids, all others held; None: over all."""
+    return evidence_and_draws(rng, refined, solids)[0]
+
+
+def evidence_and_draws(rng: np.random.Generator, refined: Refined,
+                       solids: tuple[int, ...] | None) -> tuple[Evidence, np.ndarray]:  # fmt: skip
+    """As `evidence_over`, and (n, D) the draws that it is made from; n is 0 where there is nothing to draw."""
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = list(range(len(values))) if solids is None else members_of(chart, solids)
     if not members:
         held = sum(load(engine_of(chart, sensor), chart, values))
-        return Evidence(held, 0.0)
+        return Evidence(held, 0.0), np.empty((0, len(values)))
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
     drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
-    return log_evidence(rng, chart, sensor, values, drawn, members)
+    return log_evidence(rng, chart, sensor, values, drawn, members), drawn[0].values
 
 
 class Block:
@@ -182,7 +188,8 @@ def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]
     What is drawn beside them was drawn with the blur open: under one blur it would speak for the structure whose own
     that happens to be.
     """
-    held, more = evidence_over(rng, refined, places), over_blur(rng, refined, places)
+    held, draws = evidence_and_draws(rng, refined, places)
+    more = over_blur(rng, refined, places, draws)
     return Evidence(held.log + more.log, math.hypot(held.standard_error, more.standard_error))
 
 

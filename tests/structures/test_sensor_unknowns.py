@@ -72,7 +72,8 @@ def test_numbers_of_the_sensor_that_a_file_gives_hold(kind):
     for sensor in (first, final, again):
         assert {name: sensor.values[name] for name in given} == given
     assert blurs_about(final, model_depth(chart, values, final.camera)).tolist() == [0.75]
-    alone = over_blur(np.random.default_rng(2), refined_at_mode(final, chart, values), ())
+    mode = refined_at_mode(final, chart, values)
+    alone = over_blur(np.random.default_rng(2), mode, (), values[None])
     assert alone.log == 0.0  # there is no other to be integrated over
     free = fits("robust", dict(PRIOR.values))[1]
     assert free.values["sigma"] == pytest.approx(0.002, rel=0.1)

@@ -400,6 +400,14 @@ def with_blurs_drawn(
     )
 
 
+def under_blur(views: Views, blurred: float) -> Views:
+    """Return the Views of one image with another blur, which share all else with it, at the scene that they hold."""
+    engine = engine_of_view(views, 0)
+    engine = with_blur(engine._replace(settings=engine.settings.copy()), blurred)
+    rescore_state(engine)
+    return make_views([engine], views.into)
+
+
 def every_other(first: Draws, second: Draws) -> Draws:
     """Return every other one of two Draws of a chain, one after the other."""
     values, densities = (np.concatenate(pair)[1::2] for pair in zip(first[:2], second[:2], strict=True))

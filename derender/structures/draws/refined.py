@@ -22,7 +22,7 @@ from derender.sampling.evidence import Evidence, draw_t, fit, log_t
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
-from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample
+from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample, under_blur
 from derender.structures.draws.numbers import numbers_of_draws
 from derender.structures.draws.sensor import (
     Sensor,
@@ -42,7 +42,6 @@ ANNEALING = 100  # steps of each temperature for each solid
 TEMPERATURES, WARM = (0.03, 0.1, 0.3), (0.2,)  # of the likelihood at first: on the way to a mode, and near it
 HOTTER, LONGER = (0.01, 0.03, 0.1, 0.3), 150  # and the steps at each, where outliers are left
 STEPS, MOST_STEPS = 2, 125  # between two draws: for each coordinate, and at most
-LOCAL_DRAWS, LOCAL_STEPS = 60, 5  # of one solid alone, over which blurs are summed
 BLUR_POINTS, GROUPS = 60, 8  # points at which blurs are summed over, and parts of them that tell the error
 # Share of an image of independent noise that may show what is no part of the scene, and be explained as if it were.
 MOST_BACKGROUND = 0.1
@@ -323,43 +322,44 @@ def height(refined: Refined) -> float:
     return refined.log_prior + refined.log_likelihood + refined.sensor.log_prior()
 
 
-def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...]) -> Evidence:
+def over_blur(rng: np.random.Generator, refined: Refined, solids: tuple[int, ...], draws: np.ndarray) -> Evidence:
     """Return the Evidence of the integral over the blur besides that over the coordinates of some solids, against that
     over these coordinates alone: what an integral under one blur misses, of blurs that are not known.
 
-    Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a fitted t
-    distribution. How noisy the image is takes about the same from every structure (1 / sqrt(2 pixels) is narrow).
+    Solids give way to a blur, so both are integrated together: a sum over blurs at each point of a t distribution that
+    is fitted to draws (n, D) of these coordinates under the one blur. How noisy the image is takes about the same from
+    every structure (1 / sqrt(2 pixels) is narrow).
     """
     chart, sensor, values = refined.chart, refined.sensor, refined.values
     members = members_of(chart, solids)
     points, proposed, touched = np.tile(values, (1, 1)), np.zeros(1), touched_by(chart, members)
     if members:
-        steps = LOCAL_STEPS * len(solids)
-        (drawn,) = sample(rng, chart, sensor, values, 1, LOCAL_DRAWS, steps, members)
-        mean, factor = fit(drawn.values[:, members])
+        mean, factor = fit(draws[:, members])
         points = np.tile(values, (BLUR_POINTS, 1))
         points[:, members] = draw_t(rng, mean, WIDER * factor, FREEDOM, BLUR_POINTS)
         proposed = log_t(points[:, members], mean, WIDER * factor, FREEDOM)
 
-    def densities(sensor):
+    def densities(views):
         """Return (n, 2) log prior and log likelihood of the points."""
-        engine, found = engine_of(chart, sensor), np.empty((len(points), 2))
-        load(engine, chart, values)
-        evaluate(engine, chart, points, touched, found)
+        found = np.empty((len(points), 2))
+        evaluate(views, chart, points, touched, found)
         return found
 
-    under_own = densities(sensor)
-    held = open_ = under_own.sum(axis=1) - proposed
+    held, more = None, 0.0
     for view in sensor.views:  # given the scene each view's blur is its own
+        views = engine_of(chart, view)
+        load(views, chart, values)
+        own = densities(views)
+        held = own[:, 0] - proposed + own[:, 1] if held is None else held + own[:, 1]
         nodes = blurs_about(view, model_depth(chart, values, view.camera, view.into))
         if len(nodes) == 1:  # it is known
             continue
         step = np.log(nodes[1] - nodes[0])
-        believed = [log_prior_of(view.prior, {"blur": float(node)}) + step for node in nodes]
-        each = [densities(view.changed(blur=float(node)))[:, 1] + more
-                for node, more in zip(nodes, believed, strict=True)]  # fmt: skip
-        own = densities(view) if sensor.others else under_own
-        open_ = open_ + np.logaddexp.reduce(each, axis=0) - own[:, 1]
+        each = [densities(under_blur(views, node))[:, 1] + log_prior_of(view.prior, {"blur": float(node)}) + step
+                for node in nodes]  # fmt: skip
+        more = more + np.logaddexp.reduce(each, axis=0) - own[:, 1]
+    assert held is not None
+    open_ = held + more
     log = float(np.logaddexp.reduce(open_) - np.logaddexp.reduce(held))
     groups = np.array_split(np.arange(len(points)), min(GROUPS, len(points)))
     apart = [np.logaddexp.reduce(open_[g]) - np.logaddexp.reduce(held[g]) for g in groups]
