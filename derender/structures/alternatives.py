@@ -205,16 +205,14 @@ def one_step_away(best: Any, names: Any) -> Iterator[Any]:
         yield structure_key(best.state.without(i), [*names[:i], *names[i + 1 :]])
 
 
-def from_search(
-    rng: np.random.Generator, best: Refined, pool: list[tuple[State, float]], energy: float, rules: Rules, temper: float
-) -> list[Any]:
-    """Return the Weighed of structures that the search met, more than one step from the best.
+def from_search(best: Refined, pool: list[tuple[State, float]], energy: float, temper: float) -> list[State]:
+    """Return the states of structures that the search met, more than one step from the best.
 
     pool : (state, energy) of them. energy : the best one's. temper : by which energies are multiples of nats.
     """
     names = names_of(best.state)
     seen = {structure_key(best.state, names), *one_step_away(best, names)}
-    near: list = []
+    near: list[State] = []
     for state, value in sorted(pool, key=lambda pair: pair[1]):
         if value > energy + temper * WITHIN or len(near) >= FROM_SEARCH:
             break
@@ -224,7 +222,7 @@ def from_search(
         if key not in seen:
             seen.add(key)
             near.append(state)
-    return weighed_whole(rng, best, near, rules, QUICK)
+    return near
 
 
 def weighed_whole(

@@ -19,7 +19,14 @@ from derender.detection.solids.graph import matched_names, names_of, scene_graph
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import shares
-from derender.structures.alternatives import climbed_higher, combinations, from_search, of_one_solid
+from derender.structures.alternatives import (
+    QUICK,
+    climbed_higher,
+    combinations,
+    from_search,
+    of_one_solid,
+    weighed_whole,
+)
 from derender.structures.bearers import by_bearer
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
@@ -153,8 +160,9 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
     for number in range(ROUNDS):  # again where the last has led to a better one: the odds are to be against that
         best = climbed_higher(rng, best)
         former, others = one_solid_each(rng, best, others, rules, shapes)
-        met = [] if number else from_search(rng, former, pool, energy, rules, settings.temper)
-        best, others = leading(former, [*others, *met, *additions(rng, former, settings)])
+        near = [] if number else from_search(former, pool, energy, settings.temper)
+        near += additions(rng, former, settings)  # with those of the search: the integral over the best is made once
+        best, others = leading(former, [*others, *weighed_whole(rng, former, near, rules, QUICK)])
         if made is not None and best is former:
             others = surest_of_each(others)
             others = [*others, *combinations(rng, best, others, rules)]

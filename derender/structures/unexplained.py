@@ -24,11 +24,10 @@ from derender.detection.solids.support import flat_top
 from derender.render.blur import blur
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each, weighed_whole
+from derender.structures.alternatives import PROMISING, QUICK, likeliest_of_each
 from derender.structures.draws.chart import PARENT
 from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
 from derender.structures.draws.sensor import floor_depth, model_depth
-from derender.structures.weighing import Weighed
 
 SIDES = (2, 3, 5, 8)  # pixels of the windows
 FAINT = 4.5  # standard deviations: 3e-6 of independent windows, of which an image of 3,000 pixels has ten thousand
@@ -89,10 +88,10 @@ def strongest(tables: np.ndarray, side: int) -> tuple[float, int, int, int]:
     return float(strength[row, column]), side, int(row), int(column)
 
 
-def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> list[Weighed]:
-    """Return the Weighed of the best structure with one solid more, where it leaves something unexplained.
+def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> list[State]:
+    """Return the states of the best structure with one solid more, where it leaves something unexplained.
 
-    Others may have given way to explain what it shows, so all move and all are integrated over. Nothing is proposed
+    Others may have given way to explain what it shows, so all are to move and be integrated over. Nothing is proposed
     where neighbouring pixels err together, for a sensor's bends look like that, nor in a reduced image: silhouettes do.
     """
     if len(best.state) >= settings.max_objects or best.sensor.worth < 1.0 or settings.reduced:
@@ -102,13 +101,13 @@ def additions(rng: np.random.Generator, best: Refined, settings: Settings) -> li
     image = make_image(sensor.returned, noise, sensor.camera, floor, sensor.values["blur"])
     seen = image.origin + image.depth[..., None] * image.direction
     climb = partial(at_mode, floor_pose=floor, sensor=sensor, rules=settings.rules, steps=QUICK, only=place)
-    candidates = []
+    candidates: list[Refined] = []
     for spot in spots(nearer_than_explained(best)):
         states = with_one_more(rng, image, best.state, seen[spot.shown & (image.depth > 0)], settings)
         trials = in_threads(rng, [partial(climb, state=state) for state in states])
         trials = likeliest_of_each([trial for trial in trials if height(trial) > height(best) - PROMISING])
         candidates += sorted(trials, key=height, reverse=True)[:WEIGHED]
-    return weighed_whole(rng, best, [trial.state for trial in candidates], settings.rules, QUICK)
+    return [trial.state for trial in candidates]
 
 
 def with_one_more(

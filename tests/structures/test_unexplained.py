@@ -13,6 +13,7 @@ from derender.detection.solids.beliefs import Rules, bare_image
 from derender.detection.solids.polish import UPRIGHT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX
+from derender.structures.alternatives import QUICK, weighed_whole
 from derender.structures.draws.refined import at_mode, pixels_of
 from derender.structures.infer import missed_by
 from derender.structures.unexplained import FAINT, additions, nearer_than_explained, spots
@@ -43,7 +44,7 @@ def test_a_solid_that_shows_in_a_few_pixels_is_proposed_and_wins():
     both = cube(0.12).add(row(BOX, 0.2, 0.16, 0.05, 0.0, (0.04,) * 3), UPRIGHT, True, FLOOR, 0.0)
     sensor, _, _ = observe(rng, both, {"sigma": 0.006, "blur": 0.5}, camera(48, 36))
     best = at_mode(rng, cube(0.12), floor_pose(), sensor, RULES)
-    found = additions(rng, best, Settings())
+    found = weighed_whole(rng, best, additions(rng, best, Settings()), RULES, QUICK)
     assert max(each.odds for each in found) > 3.0
     likeliest = max(found, key=lambda each: each.odds)
     assert pixels_of(likeliest.trial)[1] < 12
