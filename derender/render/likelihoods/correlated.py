@@ -181,18 +181,22 @@ def predicted(depths, row, column, weights, deviations, step, growth):
 
     depths : (H + 4, W + 4), 0 where none returned; row, column : in that.
     """
-    some = len(deviations) - 1
-    for k in range(len(weights)):
-        if not depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]] > 0.0:
+    every, mean = len(deviations) - 1, 0.0
+    some = every
+    for k in range(len(NEIGHBOURS)):
+        there = depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
+        mean += weights[k, every] * there
+        if not there > 0.0:
             some &= ~(1 << GROUPS[k])
-    mean = 0.0
-    for k in range(len(weights)):
-        if some >> GROUPS[k] & 1:
-            mean += weights[k, some] * depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
+    if some != every:
+        mean = 0.0
+        for k in range(len(NEIGHBOURS)):
+            if some >> GROUPS[k] & 1:
+                mean += weights[k, some] * depths[row - NEIGHBOURS[k][0], column - NEIGHBOURS[k][1]]
     return mean, deviations[some] * (step + growth * mean * mean)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def go_on(depths, numbers, weights, deviations, density, below):
     """Write the density of pixels (H, W) that go on, and the probability that they are nearer, if that has a shape.
 
@@ -200,33 +204,41 @@ def go_on(depths, numbers, weights, deviations, density, below):
     step_growth, tail.
     """
     step, growth, tail = numbers
+    sharp = np.zeros(depths.shape)  # of each pixel, 1 / metres: how closely one that goes on from it alone does so
+    for row in range(depths.shape[0]):
+        for column in range(depths.shape[1]):
+            there = depths[row, column]
+            if there > 0.0:
+                sharp[row, column] = 1.0 / (WIDER * math.sqrt(3.0) * (step + growth * there * there))
     for row in range(density.shape[0]):
         for column in range(density.shape[1]):
             here, west, north = depths[row + 2, column + 2], depths[row + 2, column + 1], depths[row + 1, column + 2]
             if not (here > 0.0 and (west > 0.0 or north > 0.0)):
                 continue
             mean, off = predicted(depths, row + 2, column + 2, weights, deviations, step, growth)
-            z = (here - mean) / off
+            inverse = 1.0 / off
+            z = (here - mean) * inverse
             wide = math.exp(-0.5 * (z / WIDER) ** 2)
             narrow = wide ** (WIDER * WIDER)
-            total = (1.0 - ALONE) * ((1.0 - tail) * narrow + tail * wide / WIDER) / (off * math.sqrt(2.0 * math.pi))
-            nearer, count = 0.0, 0
+            total = (1.0 - ALONE) / math.sqrt(2.0 * math.pi) * ((1.0 - tail) * narrow + tail * wide / WIDER) * inverse
+            heavy, nearer, count = 0.0, 0.0, 0
+            for k in range(4):
+                there, sharply = (
+                    depths[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]],
+                    sharp[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]],
+                )
+                if there > 0.0:
+                    t = (here - there) * sharply
+                    at = 1.0 / (1.0 + t * t)
+                    heavy += sharply * at * at
+                    count += 1
+                    if below.size:
+                        nearer += 0.5 + (t * at + math.atan(t)) / math.pi
+            density[row, column] = total + ALONE * STUDENT * math.sqrt(3.0) * heavy / count
             if below.size:
                 narrow, wide = math.erf(z / math.sqrt(2.0)), math.erf(z / (WIDER * math.sqrt(2.0)))
-                nearer = (1.0 - ALONE) * (0.5 + 0.5 * ((1.0 - tail) * narrow + tail * wide))
-            for k in range(4):
-                count += depths[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]] > 0.0
-            for k in range(4):
-                there = depths[row + 2 - NEIGHBOURS[k][0], column + 2 - NEIGHBOURS[k][1]]
-                if there > 0.0:
-                    spread = WIDER * (step + growth * there * there)
-                    t = (here - there) / (spread * math.sqrt(3.0))
-                    total += ALONE / count * STUDENT / (spread * (1.0 + t * t) * (1.0 + t * t))
-                    if below.size:
-                        nearer += ALONE / count * (0.5 + (t / (1.0 + t * t) + math.atan(t)) / math.pi)
-            density[row, column] = total
-            if below.size:
-                below[row, column] = nearer
+                nearer *= ALONE / count
+                below[row, column] = nearer + (1.0 - ALONE) * (0.5 + 0.5 * ((1.0 - tail) * narrow + tail * wide))
 
 
 @njit(cache=True, nogil=True)
@@ -281,16 +293,16 @@ def prediction(values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
 
     Set s has group k where s has bit k. All six predict a plane as it is, others a constant, none nothing.
     """
-    matrix, weights = covariance(APART[0], APART[1], values), np.zeros((len(NEIGHBOURS), len(MEMBERS)))
-    for some in range(1, len(MEMBERS)):
-        at = np.flatnonzero(MEMBERS[some])
-        trend = np.column_stack([np.ones(len(at)), PLACES[1 + at]])[:, : 3 if MEMBERS[some].all() else 1]
-        zero = np.zeros((trend.shape[1], trend.shape[1]))
-        system = np.block([[matrix[1 + at][:, 1 + at], trend], [trend.T, zero]])
-        weights[at, some] = np.linalg.solve(system, np.append(matrix[1 + at, 0], np.eye(len(zero))[0]))[: len(at)]
+    matrix, count = covariance(APART[0], APART[1], values), len(NEIGHBOURS)
+    told = np.column_stack([MEMBERS, MEMBERS.any(axis=1), *[MEMBERS.all(axis=1)] * 2])  # what each set knows and holds
+    trend = np.column_stack([np.ones(count), PLACES[1:]])
+    system = np.block([[matrix[1:, 1:], trend], [trend.T, np.zeros((3, 3))]])
+    system = np.where(told[:, :, None] & told[:, None], system, np.eye(count + 3))
+    right = np.where(told, np.concatenate([matrix[1:, 0], [1.0, 0.0, 0.0]]), 0.0)
+    weights = np.linalg.solve(system, right[..., None])[:, :count, 0].T
     with_it = np.vstack([-np.ones(len(MEMBERS)), weights])
-    deviations = np.sqrt(np.maximum(np.einsum("is,ij,js->s", with_it, matrix, with_it), SHARE[0]))
-    return weights, deviations / deviations[-1]
+    deviations = np.sqrt(np.maximum(np.sum(with_it * (matrix @ with_it), axis=0), SHARE[0]))
+    return np.ascontiguousarray(weights), deviations / deviations[-1]
 
 
 def innovations(observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
