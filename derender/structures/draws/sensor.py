@@ -215,19 +215,28 @@ def under_shared_noise(sensor: Any, clean: Any, rounds: int | None) -> Any:
     def density(values):
         return image.set_values(values) + believed(values)
 
-    height = density(best)
-    for step in STEPS:
-        for _ in range(0 if "blur" in held else WALKED):
-            trials = [
-                {**best, "blur": at} for at in (best["blur"] - step, best["blur"] + step) if 0.0 <= at <= MOST_BLUR
-            ]
-            heights = [density(trial) for trial in trials]
-            if max(heights) <= height:
-                break
-            height, best = max(heights), trials[int(np.argmax(heights))]
+    if "blur" not in held:
+        best = {**best, "blur": better_blur(best["blur"], lambda blurred: density({**best, "blur": blurred}))}
     if "outlier" not in held:
         best = max((best, *({**best, "outlier": rate} for rate in RATES if rate != best["outlier"])), key=density)
     return sensor.changed("correlated", **best)
+
+
+def better_blur(at: float, density: Callable[[float], float]) -> float:
+    """Return the blur in pixels to which STEPS to either side of one lead, while they explain an image better.
+
+    density : the image's, of a blur. Where a step to one side was better, on the other lies what was there before.
+    """
+    height = density(at)
+    for step in STEPS:
+        ways: tuple[float, ...] = (-step, step)
+        for _ in range(WALKED):
+            trials = {at + way: density(at + way) for way in ways if 0.0 <= at + way <= MOST_BLUR}
+            best = max(trials, key=lambda blurred: trials[blurred], default=at)
+            if not trials or trials[best] <= height:
+                break
+            height, at, ways = trials[best], best, (best - at,)
+    return at
 
 
 def robust_fit(
@@ -346,16 +355,9 @@ def _same_refitted(sensor: Sensor, clean: np.ndarray) -> Sensor:
         return (fit[0] + log_prior_of(sensor.prior, fit[2]), *fit[1:])
 
     rate = sensor.values.get("outlier", RATES[0])
-    best = fitted(sensor.values["blur"], rate)
-    for step in STEPS:
-        for _ in range(WALKED):
-            at = best[2]["blur"]
-            new = max((fitted(at + way * step, rate) for way in (-1, 1) if at + way * step >= 0.0), key=density_of)
-            if density_of(new) <= density_of(best):
-                break
-            best = new
-    if sensor.likelihood.name != "gaussian":
-        best = max([best, *(fitted(best[2]["blur"], other) for other in RATES)], key=density_of)
+    at = better_blur(sensor.values["blur"], lambda blurred: fitted(blurred, rate)[0])
+    rates = () if sensor.likelihood.name == "gaussian" else RATES
+    best = max((fitted(at, each) for each in dict.fromkeys((rate, *rates))), key=density_of)
     return sensor.changed(best[1], **best[2])
 
 
