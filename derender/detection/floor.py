@@ -167,10 +167,10 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) 
     normal = floor.pose[:3, 2]
     seen = ((back_project(depth, camera) - floor.pose[:3, 3]) @ normal)[floor.inliers]
     row, column = (np.linspace(-1.0, 1.0, count) for count in depth.shape)
-    y, x = np.meshgrid(row, column, indexing="ij")
     bend, before = none, scatter(seen)
     for order in ORDERS:
-        terms = np.stack([x**i * y**j for i in range(order + 1) for j in range(order + 1 - i)], axis=-1)
+        powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+        terms = np.stack([np.outer(row**j, column**i) for i, j in powers], axis=-1)
         numbers, after = robust_fit(terms[floor.inliers], seen)
         if after > BETTER * before:
             continue
