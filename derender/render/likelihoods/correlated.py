@@ -17,11 +17,13 @@ from derender.registry import Parameter
 from derender.render.likelihoods.pixelwise import (
     BACKGROUND,
     BLUR,
+    NOWHERE,
     SIGMA,
     Likelihood,
     Numbers,
     blurred_depth,
     likelihoods,
+    mixture,
 )
 
 # (rows up, columns to the left) of the earlier neighbours, and which of them tell together: one, one, and four
@@ -37,7 +39,6 @@ RATE = (1e-30, 0.5)  # of outliers
 WIDER = 4  # times as wide as the others are the heavy tails' innovations, about those of rounded disparities
 ALONE = 0.1  # share of the pixels that go on which go on from one neighbour alone, over a step that was observed
 STUDENT = 2.0 / (math.pi * math.sqrt(3.0))  # height of Student's t of 3 degrees of freedom
-NOWHERE = 1e-30  # density, per metre, of depths outside the range
 
 
 @likelihoods.register("correlated")
@@ -113,14 +114,8 @@ class Correlated(Likelihood):
     def parts(self, observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]) -> Any:
         """Return of each pixel (H, W) whether it holds a depth, that, the model's and the noise, the densities of its
         surface and of what tells anew, and the probability that it goes on."""
-        value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
-        seen, model = value > 0.0, blurred_depth(depth, values)
-        model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
-        surface *= 1.0 - values["outlier"]
-        inside = (value >= values["near"]) & (value <= values["far"])
-        anew = surface + np.where(inside, values["outlier"] / (values["far"] - values["near"]), NOWHERE)
+        value, model, spread, surface, outliers = mixture(observed, depth, values)
+        seen, anew = value > 0.0, surface + outliers
         height, width = depth.shape
         both = np.pad([np.where(seen, surface / anew, 0.0), seen], ((0, 0), (1, 1), (1, 1)))
         before = [both[:, 1 - up : 1 - up + height, 1 - left : 1 - left + width] for up, left in NEIGHBOURS[:2]]

@@ -115,7 +115,20 @@ class Gaussian(Likelihood):
         return blurred_depth(depth, values) + rng.normal(scale=values["sigma"], size=depth.shape)
 
 
+NOWHERE = 1e-30  # density, per metre, of depths outside the range
 RATE = (1e-30, 1.0 - 1e-12)  # of a share: its logarithm and that of the rest are finite; {uniform: [0, 1]} fits in
+
+
+def mixture(observed: np.ndarray, depth: np.ndarray, values: Mapping[str, float]) -> tuple[np.ndarray, ...]:
+    """Return of each pixel (H, W) what it holds, 0 where nothing returned, the model's depth and the noise there, and
+    the densities of its surface and of outliers: see `Robust`."""
+    value, model = np.abs(np.where(np.isfinite(observed), observed, 0.0)), blurred_depth(depth, values)
+    model = np.where((value > 0.0) & (observed < 0.0), np.minimum(model, value), model)
+    spread = values["sigma"] + values["sigma_growth"] * model**2
+    surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+    inside = (value >= values["near"]) & (value <= values["far"])
+    outliers = np.where(inside, values["outlier"] / (values["far"] - values["near"]), NOWHERE)
+    return value, model, spread, (1.0 - values["outlier"]) * surface, outliers
 
 
 @likelihoods.register("robust")
@@ -168,15 +181,8 @@ class Robust(Likelihood):
 
     def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
-        value = np.abs(np.where(np.isfinite(observed), observed, 0.0))
-        seen, model, missing = value > 0.0, blurred_depth(depth, values), self.missing_rate(depth, values)
-        model = np.where(seen & (observed < 0.0), np.minimum(model, value), model)
-        spread = values["sigma"] + values["sigma_growth"] * model**2
-        surface = np.exp(-0.5 * ((value - model) / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
-        inside = (value >= values["near"]) & (value <= values["far"])
-        floor = values["outlier"] / (values["far"] - values["near"])
-        returned = (1.0 - values["outlier"]) * surface + np.where(inside, floor, 1e-30)
-        return np.where(seen, np.log((1.0 - missing) * returned), np.log(missing))
+        missing, (value, _, _, surface, outliers) = self.missing_rate(depth, values), mixture(observed, depth, values)
+        return np.where(value > 0.0, np.log((1.0 - missing) * (surface + outliers)), np.log(missing))
 
     def sample(self, rng: np.random.Generator, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)

@@ -71,39 +71,48 @@ def score_gaussian(parameters, images, half, left, right, top, bottom, height):
     return sum_lanes(new), sum_lanes(old)
 
 
+@njit(inline="always", borrows=True)
+def _constants(parameters):
+    """Return the lanes that `_mixture` takes."""
+    outlier = parameters[OUTLIER]
+    peak, floor = (1.0 - outlier) / math.sqrt(2.0 * math.pi), outlier / (parameters[FAR] - parameters[NEAR])
+    return (
+        splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH])), splat(np.float32(peak)),
+        splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR])), splat(np.float32(floor)),
+        splat(np.float32(1e-30)), splat(np.float32(0)), splat(np.float32(-0.5)),
+    )  # fmt: skip
+
+
+@njit(inline="always", borrows=True)
+def _mixture(told, model, constants):
+    """Return what pixels hold, and the densities of their surface and of outliers: the twin of `mixture`."""
+    sigma, growth, peak, near, far, floor, nothing, zero, half_less = constants
+    value = absolute(told)
+    model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
+    inverse = reciprocal(multiply_add(growth, multiply(model, model), sigma))
+    z = multiply(subtract(value, model), inverse)
+    surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
+    return value, surface, where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
+
+
 @njit(cache=True, nogil=True, no_cpython_wrapper=True, borrows=True)
 def score_robust(parameters, images, half, left, right, top, bottom, height):
     """Turn the blurred depth in images[SCORE + half] into log densities under the mixture; returns sums as above."""
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     depth = images[DEPTH + half]
-    outlier = parameters[OUTLIER]
-    sigma, growth = splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH]))
-    near, far = splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR]))
-    peak = splat(np.float32((1.0 - outlier) / math.sqrt(2.0 * math.pi)))
-    floor = splat(np.float32(outlier / (parameters[FAR] - parameters[NEAR])))
+    constants = _constants(parameters)
     lost, lost_edge = parameters[MISSING], parameters[MISSING_EDGE]
     edges = lost != lost_edge  # else it makes no difference where they are
     found_score, found_score_edge = np.float32(math.log1p(-lost)), np.float32(math.log1p(-lost_edge))
     lost_score, lost_score_edge = np.float32(math.log(lost)), np.float32(math.log(lost_edge))
     step = splat(np.float32(parameters[EDGE_STEP]))
-    zero, one, half_less, nothing = (
-        splat(np.float32(0)),
-        splat(np.float32(1)),
-        splat(np.float32(-0.5)),
-        splat(np.float32(1e-30)),
-    )
+    zero = splat(np.float32(0))
     for row in range(top, bottom):
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         for column in range(left, right, LANES):
-            told, model = load(observed, row, column), load(score, row, column)
-            value = absolute(told)
-            model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
-            inverse = divide(one, multiply_add(growth, multiply(model, model), sigma))
-            z = multiply(subtract(value, model), inverse)
-            surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
-            inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
-            density = logarithm(add(surface, inside))
+            value, surface, outliers = _mixture(load(observed, row, column), load(score, row, column), constants)
+            density = logarithm(add(surface, outliers))
             found, missed = splat(found_score), splat(lost_score)
             if edges:
                 here = load(depth, row, column)
@@ -150,25 +159,14 @@ def score_correlated(parameters, images, half, left, right, top, bottom, height)
     new, old = zero_sum(), zero_sum()
     observed, score, current = images[OBSERVED_IMAGE], images[SCORE + half], images[SCORE + CURRENT]
     going_on, shows = images[len(images) - GOING_ON], images[len(images) - SHOWS + half]
-    outlier = parameters[OUTLIER]
-    sigma, growth = splat(np.float32(parameters[SIGMA])), splat(np.float32(parameters[GROWTH]))
-    near, far = splat(np.float32(parameters[NEAR])), splat(np.float32(parameters[FAR]))
-    peak = splat(np.float32((1.0 - outlier) / math.sqrt(2.0 * math.pi)))
-    floor = splat(np.float32(outlier / (parameters[FAR] - parameters[NEAR])))
+    constants = _constants(parameters)
     clump = splat(np.float32(parameters[CLUMP]))
     more = splat(np.float32(parameters[SHARED] - parameters[CLUMP]))
     zero, one, nothing, none = splat(np.float32(0)), splat(np.float32(1)), splat(np.float32(1e-30)), splat(NO_RETURN)
-    half_less = splat(np.float32(-0.5))
     for row in range(top, bottom):
         for column in range(left, right, LANES):
-            told, model = load(observed, row, column), load(score, row, column)
-            value = absolute(told)
-            model = where_at_least(told, zero, model, minimum(model, value))  # what is below zero may be hidden
-            inverse = reciprocal(multiply_add(growth, multiply(model, model), sigma))
-            z = multiply(subtract(value, model), inverse)
-            surface = multiply(multiply(peak, inverse), exponential(multiply(half_less, multiply(z, z))))
-            inside = where_at_least(value, near, where_at_least(far, value, floor, nothing), nothing)
-            anew = add(surface, inside)
+            value, surface, outliers = _mixture(load(observed, row, column), load(score, row, column), constants)
+            anew = add(surface, outliers)
             store(shows, row, column, where_at_least(value, nothing, divide(surface, anew), none))  # not where 0 or NaN
             store(score, row, column, anew)
         above = max(row - 1, 0)
