@@ -4,50 +4,41 @@ from typing import Any
 
 import numpy as np
 
+from derender.compilation.cache import njit
+
 FLAT = 1e-10  # area over squared extent below which points count as being on a line
 
 
 def convex_outline(points: Any) -> Any:
     """Return the (M, 2) corners of the convex hull of points (N, 2), counterclockwise; None where they are on a line.
 
-    Quickhull finds candidates: the point farthest beyond an edge, and what lies beyond the two edges to it. Of points
-    on one side of a polygon it takes some that rounding alone puts beyond an edge, and in a wrong order, so an edge
-    would face inwards: a monotone chain (Andrew 1979) through the candidates leaves those out.
+    Two monotone chains (Andrew 1979), there and back; corners at which the way hardly turns are left out afterwards.
     """
     if len(points) < 3:
         return None
-    left, right = points[np.lexsort(points.T)[[0, -1]]]
-    found = np.array([left, *_beyond(points, left, right), right, *_beyond(points, right, left)])
-    found = found[np.lexsort(found.T[::-1])]
     flat = FLAT * np.ptp(points, axis=0).max() ** 2
-    corners = np.array([*_chain(found, flat)[:-1], *_chain(found[::-1], flat)[:-1]])
+    there = points[np.lexsort(points.T[::-1])]
+    back = np.ascontiguousarray(there[::-1])
+    corners = np.concatenate([_chain(_chain(way, 0.0), flat)[:-1] for way in (there, back)])
     x, y = (corners - corners[0]).T
     area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
     return corners if area > flat else None
 
 
-def _beyond(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
-    """Return the corners strictly to the left of the way from one corner to another."""
-    along, away = end - start, points - start
-    height = along[0] * away[:, 1] - along[1] * away[:, 0]
-    points = points[height > 0.0]
-    if len(points) == 0:
-        return []
-    corner = points[np.argmax(height[height > 0.0])]
-    return [*_beyond(points, start, corner), corner, *_beyond(points, corner, end)]
-
-
-def _chain(points: np.ndarray, flat: float) -> list[np.ndarray]:
-    """Return those of points in order along an axis at which the way turns left by more than an area `flat`."""
-    chain: list[np.ndarray] = []
-    for point in points:
-        while len(chain) > 1:
-            (ax, ay), (bx, by) = chain[-1] - chain[-2], point - chain[-1]
+@njit(cache=True, nogil=True)
+def _chain(points, flat):
+    """Return those of points (N, 2) in order along an axis at which the way turns left by more than an area `flat`."""
+    kept, count = np.empty(len(points), np.int64), 0
+    for k in range(len(points)):
+        while count > 1:
+            before, last = points[kept[count - 2]], points[kept[count - 1]]
+            ax, ay, bx, by = last[0] - before[0], last[1] - before[1], points[k, 0] - last[0], points[k, 1] - last[1]
             if ax * by - ay * bx > flat:
                 break
-            chain.pop()
-        chain.append(point)
-    return chain
+            count -= 1
+        kept[count] = k
+        count += 1
+    return points[kept[:count]]
 
 
 def outline_planes(corners: np.ndarray) -> np.ndarray:
