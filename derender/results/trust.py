@@ -9,16 +9,11 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 class Region(NamedTuple):
-    """A coherent set of pixels.
+    """A coherent set of pixels."""
 
-    name : a letter; on pictures it stands at the region.
-    mask : (H, W) bool.
-    share : of the image's pixels with a depth.
-    """
-
-    name: str
-    mask: np.ndarray
-    share: float
+    name: str  # a letter; on pictures it stands at the region
+    mask: np.ndarray  # (H, W) bool
+    share: float  # of the image's pixels with a depth
 
     @property
     def where(self) -> str:
@@ -105,16 +100,11 @@ LEAST_EXISTENCE = 0.8  # probability that each free-form thing of a trusted answ
 
 
 class Doubt(NamedTuple):
-    """A reason to doubt a result.
+    """A reason to doubt a result."""
 
-    words : which and where, a plain sentence without a full stop.
-    serious : whether the result is not to be trusted for it; else it is worth knowing.
-    regions : of the image that it is about, to be marked.
-    """
-
-    words: str
-    serious: bool = True
-    regions: "tuple[Region, ...]" = ()
+    words: str  # which and where, a plain sentence without a full stop
+    serious: bool = True  # whether the result is not to be trusted for it; else it is worth knowing
+    regions: "tuple[Region, ...]" = ()  # of the image that it is about, to be marked
 
 
 def trusted(doubts: Sequence[Doubt]) -> bool:
