@@ -113,7 +113,7 @@ MUTATIONS = [
         ("jumps: birth without leaves", "structures/jumps/base.py",
          "math.log(0.5) + log_uniform_choice(len(leaves)) if", "math.log(0.5) if", JUMPS),
         ("jumps: birth twice as often", "structures/jumps/base.py",
-         "if rng.random() < 0.5:\n            vertex", "if rng.random() < 0.67:\n            vertex", JUMPS),
+         "if rng.random() < 0.5:\n            return w", "if rng.random() < 0.67:\n            return w", JUMPS),
         ("jumps: density of a list, not a set", "structures/jumps/base.py",
          "density + self.prior.log_orderings(graph) if", "density if", JUMPS),
         ("jumps: rotations' element", "structures/jumps/proposal.py", "return normal + HAAR - math.log(element)",
@@ -122,8 +122,8 @@ MUTATIONS = [
          "total += (1.0 - self.on_prior) * component.weight", "total += component.weight", JUMPS),
         ("jumps: bearers not counted", "structures/jumps/proposal.py", "-math.log(len(bearers))", "0.0", JUMPS),
         # weights of structures of a bare image
-        ("merge: one box's evidence only", "structures/unions.py", "Block(best, [i, j])",
-         "Block(best, [i])", WEIGHTS),
+        ("merge: one box's evidence only", "structures/unions.py", "[place], Block(best, [i, j])",
+         "[place], Block(best, [i])", WEIGHTS),
         ("blocks weighed by near evidence", "structures/weighing.py", "found.log + block.apart - held.log - own.apart",
          "block.near - own.near", ("tests/structures/test_weighing.py",)),
         ("focal length: stretch of pixels dropped", "results/focal.py",
@@ -160,9 +160,8 @@ MUTATIONS = [
          ("tests/structures/test_bridges.py",)),
         # what is seen
         ("gaussian: no normaliser", "render/likelihoods/pixelwise.py", "- math.log(spread) -", "-", SCORE),
-        ("gaussian: temper", "render/likelihoods/pixelwise.py",
-         "spread = values[\"sigma\"] / math.sqrt(temper(values, self.counted_pixels(observed)))",
-         "spread = values[\"sigma\"]", SCORE),
+        ("gaussian: half the residuals' weight", "render/likelihoods/pixelwise.py",
+         "-0.5 * (residual / spread) ** 2", "-0.25 * (residual / spread) ** 2", SCORE),
         # what happens next
         ("fall angle tripled", "physics/verdict.py", "np.deg2rad(10.0)", "np.deg2rad(30.0)", PHYSICS),
         ("calm a 25th as long", "physics/verdict.py", "CALM_TIME = 8e-3, 4.0", "CALM_TIME = 8e-3, 0.16",
