@@ -59,7 +59,9 @@ def freestanding(
             break
         if not free[k]:
             continue
-        low, high = ends_of(points[piece == k] @ principal_axes(points[piece == k]), ENDS)
+        own = points[piece == k]
+        axes = np.linalg.svd(own - own.mean(axis=0), full_matrices=False)[2].T  # along which it is longest, and so on
+        low, high = ends_of(own @ axes, ENDS)
         extents = np.sort(high - low)
         if extents[2] < LARGEST and extents[1] > SMALLEST:
             found.append(piece == k)
@@ -87,11 +89,6 @@ def outline_shares(
     """
     found = outlines(np.ascontiguousarray(piece), count, points, good, jump, footprint, origin)
     return found / np.maximum(found.sum(axis=1, keepdims=True), 1.0)
-
-
-def principal_axes(points: np.ndarray) -> np.ndarray:
-    """Return (3, 3) the axes along which points (K, 3) spread, as columns."""
-    return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2].T
 
 
 @njit(cache=True, nogil=True)

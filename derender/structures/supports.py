@@ -24,11 +24,6 @@ from derender.structures.graph_posterior import MOST_PARTS, NEGLIGIBLE
 POSE = tuple(floating(np.eye(4)).values)  # the seven numbers of a contact that holds to nothing
 
 
-def support_name(number: Any) -> Any:
-    """Return the name of the plane of this number, from 1: the main one is the floor."""
-    return FLOOR_NAME if number == 1 else f"support_{number}"
-
-
 def further_supports(seen: Observation, shape: tuple[int, int], look: Callable[..., Any]) -> list[Any]:
     """Return [(State, Observation)] of further planes on which something stands, the largest first.
 
@@ -55,7 +50,8 @@ def with_supports(parts: list[StructurePosterior], seen: Observation, others: li
     parts, seen : of the main plane. others : [(parts, Observation)] of further ones. The lowest plane is unbounded, as
     a single floor is; of the others that is there which is seen.
     """
-    heights = [0.0, *(height_over(seen.floor.pose, other.floor.pose) for _, other in others)]
+    main = seen.floor.pose
+    heights = [0.0, *(float((other.floor.pose[:3, 3] - main[:3, 3]) @ main[:3, 2]) for _, other in others)]
     patches = [None if height == min(heights) else patch_of(each)
                for height, each in zip(heights, (seen, *(other for _, other in others)), strict=True)]  # fmt: skip
     parts = [replace(part, graph=bounded(part.graph, FLOOR_NAME, patches[0])) for part in parts]
@@ -67,11 +63,6 @@ def with_supports(parts: list[StructurePosterior], seen: Observation, others: li
         pairs = [(a, b) for a, b in pairs if a.weight * b.weight > least][:MOST_PARTS]
         parts = [multiplied(a, b, a.weight * b.weight) for a, b in pairs]
     return parts
-
-
-def height_over(floor_pose: Any, other_pose: Any) -> Any:
-    """Return the metres by which a floor's frame lies above another's, (4, 4) to the camera each."""
-    return float((other_pose[:3, 3] - floor_pose[:3, 3]) @ floor_pose[:3, 2])
 
 
 def bounded(graph: SceneGraph, name: str, patch: Any) -> SceneGraph:
@@ -87,7 +78,7 @@ def new_names(parts: Any, more: Any, number: Any) -> Any:
             shape, _, count = name.rpartition("_")
             if shape and count.isdigit():
                 last[shape] = max(last.get(shape, 0), int(count))
-    names = {FLOOR_NAME: support_name(number)}
+    names = {FLOOR_NAME: FLOOR_NAME if number == 1 else f"support_{number}"}
     for part in more:
         for name in part.graph.names:
             shape, _, count = name.rpartition("_")

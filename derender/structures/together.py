@@ -27,7 +27,7 @@ from derender.scene.solids import BOX
 from derender.structures.draws.chart import Chart
 from derender.structures.draws.curvature import APART, weights
 from derender.structures.draws.metropolis import engine_of, load
-from derender.structures.draws.refined import Refined, View, height, refine, refined_at, view_of, with_sensor_refitted
+from derender.structures.draws.refined import Refined, height, refine, refined_at, view_of, with_sensor_refitted
 from derender.structures.draws.sensor import Sensor, model_depth
 from derender.structures.graph_posterior import independent_parts
 from derender.structures.options import Frame
@@ -212,16 +212,11 @@ def as_others_have_it(state: State, states: list[State], looks: Any, settings: S
     return state, energy
 
 
-def views_of(looks: Sequence[Look]) -> list[View]:
-    """Return the Views by which all images are explained together."""
-    return [view_of(look.seen)._replace(into=look.into) for look in looks]
-
-
 def together_parts(
     rng: np.random.Generator, looks: Sequence[Look], settings: Settings, chains: int, draws: int, only_best: bool
 ) -> list[StructurePosterior]:
     """Return the parts of the posterior given all images, in the axes of the first camera."""
-    views, floor = views_of(looks), looks[0].seen.floor.pose
+    views, floor = [view_of(look.seen)._replace(into=look.into) for look in looks], looks[0].seen.floor.pose
     candidates = joined(looks, settings)
     refined = [refine(rng, views, floor, state, settings.rules, settings.tries) for state, _ in candidates]
     first = with_poses_refined(rng, max(refined, key=height), [look.found for look in looks])
