@@ -34,6 +34,19 @@ def needed(axe=False):
         pytest.skip("no axe-core here: npm install axe-core in the repository, or AXE_CORE=its folder")
 
 
+def violations(page, folder, dark=False):
+    """Return what axe-core finds wrong with a page (HTML text): rules and places."""
+    script = axe_source().replace("</script", "<\\/script") + (
+        ";const told = await axe.run(document,"
+        "{runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'best-practice']});"
+        "return {dark: matchMedia('(prefers-color-scheme: dark)').matches, wrong: told.violations.map("
+        "v => [v.id, v.nodes.map(n => n.html.slice(0, 160)).slice(0, 3)])};"
+    )
+    told = run_in_page(page, script, folder, dark=dark)
+    assert told["dark"] == dark
+    return told["wrong"]
+
+
 def run_in_page(page, script, folder, width=1280, dark=False):
     """Open a page (HTML text), run an async function body in it once it has loaded, and return its JSON result."""
     ending = (

@@ -5,6 +5,7 @@ import json
 import films
 import numpy as np
 import pytest
+from browser import needed, violations
 
 from derender.errors import DerenderError
 from derender.tracking.page import report_page
@@ -36,6 +37,14 @@ def test_a_track_is_written_and_read_again(tmp_path):
     assert {"frame", "time", "event", "object"} <= set(lines[0])
     assert "<h2>Events</h2><p>None.</p>" in report_page(track, frames, films.CAMERA, [], "a film")
     assert page.count('class="shot"') == 4 and "http" not in page.replace("http://www.w3.org", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_axe_finds_no_violation_in_a_film_s_page(tmp_path, dark):
+    needed(axe=True)
+    track, frames = made()
+    assert violations(report_page(track, frames, films.CAMERA, events_of(track), "a film"), tmp_path, dark) == []
 
 
 def test_what_is_lost_is_null_in_the_json_and_counted():
