@@ -203,8 +203,9 @@ def _table(
 ) -> int:
     """Simulate many scenes, print or write their table, and return 1 where one could not be."""
     from derender.atomic import write_text
-    from derender.physics.summary import csv_text, failed_row, row_of
+    from derender.physics.summary import COLUMNS, failed_row, row_of
     from derender.report.tables import text_table
+    from derender.results.table import as_csv, as_lines
 
     rows = []
     for path in talk.counted(paths, len(paths), "simulating scene"):
@@ -213,12 +214,11 @@ def _table(
         except DerenderError as error:
             talk.warn(f"{path}: {error}")
             rows.append(failed_row(path, str(error)))
-    lines = "".join(json.dumps(row) + "\n" for row in rows)
     if output is not None:
-        write_text(output, csv_text(rows) if output.lower().endswith(".csv") else lines)
+        write_text(output, as_csv(rows, COLUMNS) if output.lower().endswith(".csv") else as_lines(rows))
         talk.say(f"wrote {output}")
     elif as_json:
-        click.echo(lines, nl=False)
+        click.echo(as_lines(rows), nl=False)
     else:
         shown = ("scene", "verdict", "p_stable", "margin", "fallen")
         cells = [[_cell(row[key]) for key in shown] for row in rows]

@@ -88,25 +88,20 @@ class Intervention(NamedTuple):
 
     Attributes
     ----------
-    pushes : (body, direction (3,), newtons, seconds) each, from the start.
+    pushes : from the start.
     remove : names of bodies taken away. add : bodies (name, kind, size (3,), what they stand on, (x, y) metres off its
         middle) each.
     tilt : (radians, direction (3,)) by which the floor is lowered, or None.
-    shake : (1 / s, metres, direction (3,)) of the floor, or None.
+    shake : of the floor, or None.
     jitter : (metres, radians), standard deviations by which every body's place and turn is uncertain.
     """
 
-    pushes: tuple[tuple[str, np.ndarray, float, float], ...] = ()
+    pushes: tuple[Push, ...] = ()
     remove: tuple[str, ...] = ()
     add: tuple[tuple[str, str, np.ndarray, str, tuple[float, float]], ...] = ()
     tilt: tuple[float, np.ndarray] | None = None
-    shake: tuple[float, float, np.ndarray] | None = None
+    shake: Shake | None = None
     jitter: tuple[float, float] | None = None
-
-    @property
-    def active(self) -> bool:
-        """Whether something acts on the scene while it is simulated."""
-        return bool(self.pushes) or self.shake is not None
 
     def apply(self, matter: Matter, axes: np.ndarray, rng: np.random.Generator) -> Matter:
         """Return the scene with bodies removed, added, displaced at random, and the floor tilted.
@@ -114,7 +109,7 @@ class Intervention(NamedTuple):
         axes : (3, 3), whose columns are the root's axes in the frame of the scene.
         """
         names = [body.name for body in matter.bodies]
-        for name in (*self.remove, *(push[0] for push in self.pushes)):
+        for name in (*self.remove, *(push.body for push in self.pushes)):
             if name not in names:
                 raise DerenderError(f"no object is called {name!r}", None, suggest(name, names))
         bodies = [body for body in matter.bodies if body.name not in self.remove]
@@ -134,21 +129,22 @@ class Intervention(NamedTuple):
 
     def disturbance(self, axes: np.ndarray) -> Disturbance | None:
         """Return what acts on the scene while it is simulated; None where nothing does."""
-        if not self.active:
+        if not self.pushes and self.shake is None:
             return None
-        pushes = tuple(Push(name, newtons * (axes @ way), 0.0, time) for name, way, newtons, time in self.pushes)
-        shake = None if self.shake is None else Shake(self.shake[0], self.shake[1], axes @ self.shake[2])
+        pushes = tuple(push._replace(force=axes @ push.force) for push in self.pushes)
+        shake = None if self.shake is None else self.shake._replace(direction=axes @ self.shake.direction)
         return Disturbance(pushes, shake)
 
 
-def read_push(text: str) -> tuple[str, np.ndarray, float, float]:
+def read_push(text: str) -> Push:
     """Read NAME:DIRECTION:FORCE@TIME, such as red:+x:0.5N@0.1s."""
     parts = text.split(":")
     if len(parts) != 3 or "@" not in parts[2]:
         raise DerenderError("not a push", f"--push {text}", "write NAME:+x:0.5N@0.1s")
     force, time = parts[2].split("@", 1)
     where = f"--push {text}"
-    return parts[0], _direction(parts[1], where), _quantity(force, FORCES, where), _quantity(time, TIMES, where, True)
+    newtons = _quantity(force, FORCES, where) * _direction(parts[1], where)
+    return Push(parts[0], newtons, 0.0, _quantity(time, TIMES, where, True))
 
 
 def read_tilt(text: str) -> tuple[float, np.ndarray]:
@@ -160,14 +156,14 @@ def read_tilt(text: str) -> tuple[float, np.ndarray]:
     return value, _direction(way or "+x", f"--tilt {text}")
 
 
-def read_shake(text: str) -> tuple[float, float, np.ndarray]:
+def read_shake(text: str) -> Shake:
     """Read FREQUENCY:AMPLITUDE or with :DIRECTION, such as 2Hz:5mm:+y."""
     parts = text.split(":")
     where = f"--shake {text}"
     if len(parts) not in (2, 3):
         raise DerenderError("not a way to shake", where, "write 2Hz:5mm or 2Hz:5mm:+y")
     way = _direction(parts[2] if len(parts) == 3 else "+x", where)
-    return _quantity(parts[0], FREQUENCIES, where, True), _quantity(parts[1], LENGTHS, where), way
+    return Shake(_quantity(parts[0], FREQUENCIES, where, True), _quantity(parts[1], LENGTHS, where), way)
 
 
 def read_jitter(text: str) -> tuple[float, float]:

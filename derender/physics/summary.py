@@ -127,18 +127,6 @@ def failed_row(name: str, fault: str) -> dict[str, Any]:
     return dict.fromkeys(COLUMNS) | {"scene": name, "fault": fault}
 
 
-def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a table as CSV with a header."""
-    import csv
-    import io
-
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()
-
-
 def _agree(run: Outcome) -> bool:
     """Return whether both engines say that it stands, or both that it does not."""
     return (run.by_engine["mujoco"] == STANDS) == (run.by_engine["statics"] == STANDS)

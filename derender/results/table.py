@@ -91,15 +91,19 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
             yield dict.fromkeys(COLUMNS) | row
 
 
-def as_csv(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return rows as CSV with a header; doubts are joined by semicolons."""
+def as_csv(rows: Iterable[Mapping[str, Any]], columns: Sequence[str] = COLUMNS) -> str:
+    """Return rows as CSV with a header; lists are joined by semicolons, true and false are in small letters."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    for row in rows:
-        trusted = str(bool(row["trusted"])).lower()
-        writer.writerow({**row, "trusted": trusted, "doubts": "; ".join(row["doubts"] or ())})
+    writer.writerows({key: _cell(value) for key, value in row.items()} for row in rows)
     return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "; ".join(value) if isinstance(value, list | tuple) else value
 
 
 def as_page(title: str, style: str, body: str, script: str) -> str:

@@ -118,12 +118,12 @@ def test_friction_zero_slides_on_a_floor_that_says_nothing():
 
 
 def test_interventions_are_read_and_faults_are_one_line(graph):
-    name, way, newtons, seconds = read_push("red:-y:500mN@20ms")
-    assert (name, newtons, seconds) == ("red", 0.5, 0.02) and list(way) == [0, -1, 0]
-    assert read_tilt("10deg")[0] == pytest.approx(np.deg2rad(10)) and read_shake("2Hz:5mm:90deg")[1] == 0.005
+    push = read_push("red:-y:500mN@20ms")
+    assert (push.body, push.start, push.duration) == ("red", 0.0, 0.02) and list(push.force) == [0, -0.5, 0]
+    assert read_tilt("10deg")[0] == pytest.approx(np.deg2rad(10)) and read_shake("2Hz:5mm:90deg").amplitude == 0.005
     assert read_add("new:cylinder:6x12cm@red:2cm,0")[2].tolist() == [0.06, 0.06, 0.12]
     assert read_add("new:cube:6cm@red:-2cm,-1cm")[4] == (-0.02, -0.01)  # places and directions have both signs
-    assert read_push("red:-90deg:1N@1s")[1] == pytest.approx([0, -1, 0])
+    assert read_push("red:-90deg:1N@1s").force == pytest.approx([0, -1, 0])
     for texts in ({"push": ["red:+x"]}, {"push": ["red:+q:1N@1s"]}, {"tilt": "100deg"}, {"shake": "2Hz"},
                   {"jitter": "2kg"}, {"add": ["a:cone:1cm@red"]}, {"push": ["red:+x:nanN@1s"]},
                   {"push": ["red:+x:-1N@1s"]}, {"jitter": "1e308"}):  # fmt: skip
