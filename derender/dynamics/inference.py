@@ -18,10 +18,10 @@ from derender.physics.mujoco_model import Diverged
 from derender.posterior.smc import next_temperature, systematic
 
 # Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
-# from all of them are held against the tracked poses, and it starts from the nearest few that are.
+# from all of them are held against the tracked poses, and it starts from the nearest few frictions.
 FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (1.7, 3.0), 3
-# Where something may be struck: restitutions and contact times (seconds). Which frictions and masses are near is tried
-# first, with the one bounce: of all four at once there are too many.
+# Where something may be struck: restitutions (with one alone, what is struck seems heavier or rougher), and contact
+# times (seconds), tried with those that are near: of all four there are too many.
 RESTITUTIONS, CONTACT_TIMES = (0.1, 0.35, 0.55, 0.75), (0.002, 0.006)
 # Metres, and metres a second after an impact, to which those films can tell: far beyond it another start is no worse.
 NEAR, NEAR_SPEED = 0.02, 0.2
@@ -190,24 +190,30 @@ def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
-    """Return coordinates to start from: those of the films that lie nearest to the tracked centres, over frictions and
-    mass ratios, and where something may be struck the nearest bounce of each."""
-    middle = shooting.parameters.middle()
+    """Return coordinates to start from: of several frictions those whose films lie nearest to the tracked centres, each
+    with its nearest mass ratio and, where something may be struck, bounce."""
+    middle, told = shooting.parameters.middle(), shooting.restitution()
     ratios = [np.zeros(len(middle) - ALWAYS)]
     ratios += [sign * math.log(times) * row for row in np.eye(len(ratios[0])) for times in HEAVIER for sign in (-1, 1)]
-    told = shooting.restitution() if shooting.struck else None
-    first = (middle[1] if told is None else told, middle[2])
-    tried = [np.array([math.log(friction), *first, *(middle[ALWAYS:] + ratio)])
-             for friction, ratio in product(FRICTIONS, ratios)]  # fmt: skip
-    nearest = sorted(tried, key=lambda start: distance_of(shooting, start))[:STARTS]
-    if not shooting.struck:
-        return nearest
-    bounces = [first, *product(RESTITUTIONS, np.log(CONTACT_TIMES))]
-    return [
-        min((np.concatenate([start[:1], bounce, start[ALWAYS:]]) for bounce in bounces),
-            key=lambda start: distance_of(shooting, start))
-        for start in nearest
+    usual = middle[1] if told is None or not shooting.struck else told
+
+    def nearest(starts: list[np.ndarray]) -> tuple[float, np.ndarray]:
+        far = [distance_of(shooting, start) for start in starts]
+        return min(far), starts[int(np.argmin(far))]
+
+    bounces = (usual, *RESTITUTIONS) if shooting.struck else (usual,)
+    tried = [
+        nearest([
+            np.array([math.log(friction), bounce, middle[2], *(middle[ALWAYS:] + ratio)])
+            for ratio, bounce in product(ratios, bounces)
+        ])
+        for friction in FRICTIONS
     ]  # fmt: skip
+    found = sorted(tried, key=lambda pair: pair[0])[:STARTS]
+    if shooting.struck:
+        times = (middle[2], *np.log(CONTACT_TIMES))
+        found = [nearest([np.array([*start[:2], time, *start[ALWAYS:]]) for time in times]) for _, start in found]
+    return [start for _, start in found]
 
 
 def distance_of(shooting: Shooting, coordinates: np.ndarray) -> float:
