@@ -66,7 +66,7 @@ class Engine:
         self._normal = floor / (float(np.linalg.norm(floor)) or 1.0)
         self.interval = interval
         self.masses = np.array([body.weight_in_kg() for body in bodies[: len(names)]])
-        self._names, self._all_names = names, [body.name for body in bodies]
+        self._names, self._bodies = names, bodies
         self._steps = [int(np.ceil(interval / step)) for step in (LONGEST_STEP, IMPACT_STEP)]
         self._worlds = [self._world(matter, interval / count) for count in self._steps]
         self._masses: tuple = ()
@@ -88,7 +88,9 @@ class Engine:
             if masses != self._masses:
                 world.set_masses(dict(zip(self._names, masses, strict=True)))
             if rest != self._rest:
-                friction, elasticity = (dict.fromkeys(self._all_names, value) for value in rest[:2])
+                friction, elasticity = (
+                    dict.fromkeys([body.name for body in self._bodies], value) for value in rest[:2]
+                )
                 world.set_materials(friction, elasticity, material.contact_time)
         self._masses, self._rest, self._contact_time = masses, rest, material.contact_time
 
@@ -148,19 +150,10 @@ class Engine:
 
     def overlaps(self, states: np.ndarray) -> np.ndarray:
         """Return (N,) metres by which each body should be raised so that it enters nothing below it."""
-        world = self._worlds[0]
-        world.reset(to_poses(states))
-        raised = np.zeros(len(states))
+        count, raised = len(states), np.zeros(len(states))
+        moving = [body._replace(pose=pose) for body, pose in zip(self._bodies, to_poses(states), strict=False)]
         height = -states[:, :3] @ self.gravity
-        for k, name in enumerate(self._names):
-            for other in self._all_names:
-                if other != name and (other not in self._names or height[self._names.index(other)] < height[k]):
-                    raised[k] = max(raised[k], -world.gap(name, other))
+        for k, body in enumerate(moving):
+            lower = [moving[j] for j in range(count) if height[j] < height[k]]
+            raised[k] = max([0.0, *(-body.gap(other) for other in (*lower, *self._bodies[count:]))])
         return raised
-
-    def roll(self, states: np.ndarray, frames: int) -> np.ndarray:
-        """Return the states (frames, N, 13) at the frames that begin with `states` (N, 13)."""
-        result = [np.asarray(states, float)]
-        for _ in range(frames - 1):
-            result.append(self.advance(result[-1]))
-        return np.array(result)

@@ -78,11 +78,6 @@ class Motion(NamedTuple):
         """Seconds between two frames."""
         return float(self.times[1] - self.times[0])
 
-    def cut(self, first: int, last: int) -> "Motion":
-        """Return the frames from `first` up to, not including, `last`."""
-        part = slice(first, last)
-        return self._replace(times=self.times[part], poses=self.poses[part], covariances=self.covariances[part])
-
     def body(self, name: str) -> Body:
         """Return a body by name."""
         return next(body for body in self.matter.bodies if body.name == name)
@@ -139,22 +134,15 @@ def motion_of(
 
 def _struck(matter: Matter, names: tuple[str, ...], poses: np.ndarray, seen: np.ndarray, moving: list[int]) -> set[int]:
     """Return which bodies a moving one comes near, by their numbers in `names`."""
-    others = [k for k in range(len(names)) if k not in moving and seen[:, k].any()]
-    if not moving or not others:
-        return set()
-    from derender.physics.mujoco_model import World
-
-    bodies = [next(body for body in matter.bodies if body.name == names[k]) for k in (*moving, *others)]
-    first = [poses[np.argmax(seen[:, k]), k] for k in (*moving, *others)]
-    world = World(matter._replace(bodies=tuple(bodies), supports=()), keep_contacts=False)
+    bodies = {body.name: body for body in matter.bodies}
     found = set()
-    for now, there in zip(poses, seen, strict=True):
-        pairs = zip((*moving, *others), first, strict=True)
-        world.reset(np.array([now[k] if there[k] else pose for k, pose in pairs]))
-        for other in others:
-            gaps = [world.gap(names[k], names[other]) for k in moving if there[k]]
-            if min(gaps, default=np.inf) < STRUCK_WITHIN:
-                found.add(other)
+    for other in range(len(names)):
+        if other in moving or not seen[:, other].any():
+            continue
+        stands = bodies[names[other]]._replace(pose=poses[np.argmax(seen[:, other]), other])
+        frames = ((k, t) for k in moving for t in np.flatnonzero(seen[:, k]))
+        if any(bodies[names[k]]._replace(pose=poses[t, k]).gap(stands) < STRUCK_WITHIN for k, t in frames):
+            found.add(other)
     return found
 
 

@@ -7,12 +7,14 @@ import numpy as np
 
 from derender.scene import solids as kinds
 from derender.scene.graph import STANDARD_GRAVITY
+from derender.scene.separation import separation_of
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
 
 SLAB = 0.02  # metres of the slab that bears for a plane that ends: thicker than what engines let sink in
-KIND_NAMES = {kinds.PLANE: "plane", kinds.BOX: "box", kinds.SPHERE: "sphere", kinds.CYLINDER: "cylinder"}
+KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
+KIND_NAMES = {code: name for name, code in KINDS.items()}
 
 DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
@@ -90,6 +92,14 @@ class Body(NamedTuple):
     def weight_in_kg(self) -> float:
         """Return its mass: as given, or volume times density."""
         return float(self.mass) if self.mass is not None else self.density * self.volume()
+
+    def gap(self, other: "Body") -> float:
+        """Return how far two bodies are apart, metres; negative: how deep they overlap. A mesh counts as its box."""
+        first, second = (
+            (KINDS[body.kind], *(np.ascontiguousarray(each, float) for each in (body.pose, body.size)))
+            for body in (self, other)
+        )
+        return float(separation_of(*first, *second))
 
     def centre_of_mass(self) -> np.ndarray:
         """Return (3,) where its mass is centred, in the frame of the scene: it is homogeneous."""

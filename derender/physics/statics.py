@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.physics.balance import BALANCED, equilibrium, least_push
-from derender.physics.bodies import Body, Matter
+from derender.physics.bodies import KINDS, Body, Matter
 from derender.physics.contact_points import across, all_contacts
 from derender.physics.materials import clamped_masses, pair_frictions
-from derender.scene import solids as kinds
 
-KINDS = {"plane": kinds.PLANE, "box": kinds.BOX, "sphere": kinds.SPHERE, "cylinder": kinds.CYLINDER, "mesh": kinds.MESH}
 # Bodies without a contact in the graph touch where they are no further apart than this share of the smallest extent.
 NEAR = 2e-3
 # Contacts of the graph are open by no more than this share of the smallest extent, or metres (as in the simulation).

@@ -64,7 +64,7 @@ class Hidden(NamedTuple):
 
 def last_seen(tracker: "Tracker", k: int) -> Hidden:
     """Return what may become of thing k, which was seen in the frame before; all other things stay where they are."""
-    from derender.physics.bodies import Body, Matter
+    from derender.physics.bodies import KIND_NAMES, Body, Matter
     from derender.physics.mujoco_model import Diverged
     from derender.physics.simulate import Rollout
 
@@ -72,8 +72,7 @@ def last_seen(tracker: "Tracker", k: int) -> Hidden:
     bodies = [] if tracker.floor is None else [Body("floor", "plane", np.zeros(3), tracker.floor)]
     for n, other in enumerate(tracker.things):
         if other.here or n == k:
-            kind = "box" if other.type == "cube" else other.type
-            bodies.append(Body(other.name, kind, other.size, other.pose, fixed=n != k))
+            bodies.append(Body(other.name, KIND_NAMES[other.kind], other.size, other.pose, fixed=n != k))
     rollout = Rollout(Matter(tuple(bodies), tracker.gravity, ()), TIMESTEP)
     times = tracker.step * np.arange(int(np.ceil(LONGEST / tracker.step)) + 1)
     paths = np.tile(thing.pose, (HANDS + FILMS, len(times), 1, 1))

@@ -11,12 +11,11 @@ from derender.dynamics.motion import Motion, motion_of
 from derender.dynamics.parameters import Prior
 from derender.dynamics.result import Answer
 from derender.errors import DerenderError
-from derender.physics.bodies import Body, Matter
+from derender.physics.bodies import KIND_NAMES, Body, Matter
 from derender.scene.pose import inverse
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 
-KINDS = {"cube": "box", "box": "box", "sphere": "sphere", "cylinder": "cylinder"}
 # No image tells how a sphere has turned: radians.
 SPUN = 10.0
 # A thing is in a hand where, in the air, its acceleration is off gravity by more than this share of it, even in the
@@ -49,7 +48,7 @@ def motion_of_track(track: Track) -> Motion:
         names.append(name)
         chosen.append(k)
         size = np.asarray(track.sizes[-1, k], float)
-        bodies.append(Body(name, KINDS.get(track.types[k], "box"), size, np.eye(4)))
+        bodies.append(Body(name, KIND_NAMES[int(track.kinds[k])], size, np.eye(4)))
     if not names:
         raise DerenderError("nothing moves by itself", None, "leave out --dynamics")
     poses = back[:, None] @ track.poses[:, chosen]
