@@ -4,7 +4,9 @@
 same bodies tell, and `predict_another` predicts another one of which only the first states are known.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,15 @@ from derender.dynamics.errors import LEVER, Scales, velocity_errors
 from derender.dynamics.inference import Identified
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
-from derender.dynamics.shooting import Shooting
+from derender.dynamics.shooting import RESTS, Shooting
 from derender.physics.mujoco_model import Diverged
 
-# A body rests where it is slower than this, m / s (turning: by its size), in so many intervals on end.
-RESTS, CALM = 0.02, 3
+# A body rests where it is slower than RESTS (turning: by its size) in so many intervals on end.
+CALM = 3
 # A variance than which no film tells a number better.
 LEAST_VARIANCE = 1e-8
+
+Normal = Callable[[int | tuple[int, ...]], np.ndarray]
 
 
 def come_to_rest(
@@ -30,13 +34,13 @@ def come_to_rest(
     material: Material,
     most: int,
     scales: Scales | None = None,
-    rng: np.random.Generator | None = None,
+    normal: Normal | None = None,
 ) -> np.ndarray:
     """Return the states (N, 13) when all bodies rest, or after `most` intervals, from `states` (N, 13).
 
-    With `scales` and `rng`, velocities are off after each interval by a normal error of what contacts gave.
+    With `scales` and `normal`, velocities are off after each interval by a normal error of what contacts gave.
 
-    sizes : (N,) mean side of each body, metres.
+    sizes : (N,) mean side of each body, metres. normal : draws standard normal numbers of a shape.
     """
     engine.tell(material)
     now, calm = np.asarray(states, float), 0
@@ -44,11 +48,11 @@ def come_to_rest(
         after = engine.advance(now)
         speed = np.hypot(np.linalg.norm(after[:, 7:10], axis=1), np.linalg.norm(after[:, 10:], axis=1) * sizes)
         calm = calm + 1 if speed.max() < RESTS else 0
-        if scales is not None and rng is not None:
+        if scales is not None and normal is not None:
             error = velocity_errors(engine.impulses(now, after, material.friction), scales)
             error = np.where(speed > RESTS, error, 0.0)
-            after[:, 7:10] += error[:, None] * rng.standard_normal((len(after), 3))
-            after[:, 10:] += (LEVER * error / sizes)[:, None] * rng.standard_normal((len(after), 3))
+            after[:, 7:10] += error[:, None] * normal((len(after), 3))
+            after[:, 10:] += (LEVER * error / sizes)[:, None] * normal((len(after), 3))
         now = after
         if calm == CALM:
             break
@@ -59,7 +63,8 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     """Return draws (K, N, 13) of the states in which bodies come to rest, K at most `count`.
 
     A draw's unknown states are normal about the mode given its material; the engine then goes on from the last frame
-    of `motion`, from which `found` was identified. Draws that diverge are left out.
+    of `motion`, from which `found` was identified. Of each two draws the second has the first one's errors with the
+    other sign (antithetic variates), so that a few tell well where the middle is. Draws that diverge are left out.
 
     most : intervals after the last frame.
     """
@@ -70,16 +75,22 @@ def predict(found: Identified, motion: Motion, rng: np.random.Generator, count: 
     given = whole[:size, :size] - gain @ whole[size:, :size]
     lower = np.linalg.cholesky(given + 1e-12 * np.eye(size))
     draws = []
-    for coordinates, logarithms in zip(*found.draws.resampled(rng, count), strict=True):
+    pairs = zip(*found.draws.resampled(rng, -(-count // 2)), rng.integers(2**63, size=-(-count // 2)), strict=True)
+    for (coordinates, logarithms, seed), sign in product(pairs, (1.0, -1.0)):
+        normal = partial(_signed_normal, np.random.default_rng(seed), sign)
         off = coordinates - mode.path.coordinates
-        change = np.concatenate([gain @ off + lower @ rng.standard_normal(size), off])
+        change = np.concatenate([gain @ off + lower @ normal(size), off])
         try:
             path = shooting.stepped(mode.path, change)
             material, scales = found.parameters.material(path.coordinates), Scales(*np.exp(logarithms))
-            draws.append(come_to_rest(engine, shooting.sizes, path.states[-1], material, most, scales, rng))
+            draws.append(come_to_rest(engine, shooting.sizes, path.states[-1], material, most, scales, normal))
         except Diverged:
             continue
-    return np.array(draws)
+    return np.array(draws[:count])
+
+
+def _signed_normal(rng: np.random.Generator, sign: float, shape: int | tuple[int, ...]) -> np.ndarray:
+    return sign * rng.standard_normal(shape)
 
 
 def in_region(draws: np.ndarray, truth: np.ndarray, share: float = 0.9) -> bool:
@@ -157,7 +168,7 @@ def predict_another(
         numbers = told.mean + np.sqrt(told.variance) * rng.standard_t(told.freedom, len(told.mean))
         material, scales = parameters.material(numbers[:size]), Scales(*np.exp(numbers[size:]))
         try:
-            draws.append(come_to_rest(engine, sizes, states, material, most, scales, rng))
+            draws.append(come_to_rest(engine, sizes, states, material, most, scales, rng.standard_normal))
         except Diverged:
             continue
     return np.array(draws)

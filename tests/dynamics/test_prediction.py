@@ -48,8 +48,8 @@ def test_errors_of_the_engine_spread_where_things_end():
     material = Material(0.3, 0.0, engine.masses)
 
     def spread(steady):
-        scales = Scales(0.1, steady, 1.0, 1.0)
-        return np.std([come_to_rest(engine, sizes, start(0.6), material, 30, scales, rng)[0, 0] for _ in range(20)])
+        how = material, 30, Scales(0.1, steady, 1.0, 1.0), rng.standard_normal
+        return np.std([come_to_rest(engine, sizes, start(0.6), *how)[0, 0] for _ in range(20)])
 
     assert spread(0.1) > 4 * spread(0.01) > 0
 
@@ -73,9 +73,10 @@ def test_the_first_half_of_a_slide_tells_where_it_ends():
     changes[..., :6] = errors * rng.standard_normal((frames, 1, 6))
     covariances = np.tile(np.diag(errors**2), (frames, 1, 1, 1))
     film = motion_of(MATTER, ("box",), time, to_poses(moved(states, changes)), covariances)
-    ends = predict(identify(film, rng, draws=30), film, rng, 30, 20)[:, 0, 0]
+    ends, aside = predict(identify(film, rng, draws=30), film, rng, 30, 20)[:, 0, :2].T
     truth = speed**2 / (2 * friction * GRAVITY)  # .204 m, of which .154 are seen
     assert abs(np.median(ends) - truth) < 0.01
+    assert np.corrcoef(aside[::2], aside[1::2])[0, 1] < -0.5  # of two draws one errs left as the other errs right
     assert np.quantile(ends, 0.02) < truth < np.quantile(ends, 0.98)
 
 
@@ -114,7 +115,7 @@ def test_regions_of_another_film_hold_ends_that_impacts_and_materials_scatter():
     for _ in range(40):
         numbers = middle + differ * rng.standard_normal(7)
         material, scales = parameters.material(numbers[:3]), Scales(*np.exp(numbers[3:]))
-        ends.append(come_to_rest(engine, sizes, thrown, material, 40, scales, rng)[0, :2])
+        ends.append(come_to_rest(engine, sizes, thrown, material, 40, scales, rng.standard_normal)[0, :2])
 
     def held(told):
         draws = predict_another(told, parameters, engine, sizes, thrown, rng, 40, 40)[:, 0, :2]
