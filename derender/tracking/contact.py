@@ -7,9 +7,7 @@ anywhere. Contact is with what lies below: where lowering the thing by a little 
 
 import numpy as np
 
-from derender.detection.solids.image import ROW, make_row
-from derender.detection.solids.interpenetration import gap_between, lowest
-from derender.scene.pose import inverse
+from derender.physics.bodies import KIND_NAMES, Body
 
 NOTHING, FLOOR = 0, 1  # columns before those of the things
 SLACK = 0.0015  # metres by which a contact may be off besides the poses' errors: sizes, and the sensor's bias
@@ -19,36 +17,26 @@ STEADY, UNSTEADY = 0.0012, 0.015  # metres a frame by which a gap changes in con
 MOST_TOLD = 6.0  # nats that the change of a gap says at most
 CHANGE = 0.04  # probability that what a thing rests on changes between two frames
 LOWERED, PRESSED = 0.001, 0.3  # metres, and the share of them that must go into what bears it
+NEAR = 0.1  # metres within which one thing may bear another
 NO_SUPPORT = -40.0  # log density of standing on what is not below
 
 
-def rows_of(poses: np.ndarray, sizes: np.ndarray, kinds: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Return (N, ROW) the things in the floor's axes; NaN rows where a pose is."""
-    rows = np.full((len(poses), ROW), np.nan)
-    to_floor = inverse(floor)
-    for k, pose in enumerate(poses):
-        if np.isfinite(pose).all():
-            local = to_floor @ pose
-            rows[k] = make_row(kinds[k], local[:3, :3], local[:3, 3], sizes[k])
-    return rows
+def gaps_of(poses: np.ndarray, sizes: np.ndarray, kinds: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there.
 
-
-def gaps_of(rows: np.ndarray, has_floor: bool) -> np.ndarray:
-    """Return (N, 2 + N) metres between each thing and what may bear it: inf where it lies not below or is not there."""
-    count = len(rows)
-    gaps = np.full((count, 2 + count), np.inf)
-    for k in range(count):
-        if not np.isfinite(rows[k, 0]):
-            continue
-        if has_floor:
-            gaps[k, FLOOR] = lowest(rows[k])
-        lower = rows[k].copy()
-        lower[12] -= LOWERED
-        for j in range(count):
-            if j == k or not np.isfinite(rows[j, 0]):
-                continue
-            gap = gap_between(rows[k], rows[j])
-            if gap < 0.1 and gap - gap_between(lower, rows[j]) > PRESSED * LOWERED:
+    poses : (N, 4, 4), NaN where not there. sizes : (N, 3). kinds : (N,). floor : (4, 4), z up.
+    """
+    gaps = np.full((len(poses), 2 + len(poses)), np.inf)
+    ground = Body("floor", "plane", np.zeros(3), floor)
+    here = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
+    there = {k: Body("", KIND_NAMES[int(kinds[k])], sizes[k], poses[k]) for k in here}
+    for k, body in there.items():
+        gaps[k, FLOOR] = body.gap(ground)
+        lower = body.pose.copy()
+        lower[:3, 3] -= LOWERED * floor[:3, 2]
+        for j, other in there.items():
+            gap = np.inf if j == k else body.gap(other)
+            if gap < NEAR and gap - body._replace(pose=lower).gap(other) > PRESSED * LOWERED:
                 gaps[k, 2 + j] = gap
     return gaps
 
@@ -114,7 +102,7 @@ def parent_probabilities(
     gaps, spread = np.full((frames, count, 2 + count), np.inf), np.full((frames, count), SLACK)
     for t in range(frames):
         up = floors[t, :3, 2]
-        gaps[t] = gaps_of(rows_of(poses[t], sizes[t], kinds, floors[t]), True)
+        gaps[t] = gaps_of(poses[t], sizes[t], kinds, floors[t])
         for k in range(count):
             if np.isfinite(covariances[t, k]).all():
                 spread[t, k] = np.sqrt(max(up @ covariances[t, k, :3, :3] @ up, 0.0))

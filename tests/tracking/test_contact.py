@@ -4,17 +4,14 @@ import itertools
 
 import numpy as np
 
-from derender.detection.solids.image import make_row
+from derender.scene.pose import translation
 from derender.scene.solids import BOX
 from derender.tracking.contact import CHANGE, FLOOR, gaps_of, parent_probabilities, smoothed
 
 
-def box(x, y, bottom, size=(0.1, 0.1, 0.1)):
-    return make_row(BOX, np.eye(3), [x, y, bottom + size[2] / 2], size)
-
-
 def test_gaps_are_to_what_lies_below_and_nothing_else():
-    gaps = gaps_of(np.array([box(0, 0, 0), box(0.02, 0, 0.103), box(0.105, 0, 0)]), True)
+    poses = np.array([translation(0, 0, 0.05), translation(0.02, 0, 0.153), translation(0.105, 0, 0.05)])
+    gaps = gaps_of(poses, np.full((3, 3), 0.1), np.full(3, BOX), np.eye(4))
     assert np.isclose(gaps[0, FLOOR], 0) and np.isclose(gaps[1, FLOOR], 0.103)
     assert np.isclose(gaps[1, 2], 0.003, atol=1e-9)  # the second hangs 3 mm over the first
     assert np.isinf(gaps[0, 3]) and np.isinf(gaps[0, 4]) and np.isinf(gaps[2, 2])  # above it, and beside it
