@@ -7,7 +7,7 @@ explains the image best; where its pixels are not explained from there, others a
 something that nothing explains.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -41,9 +41,26 @@ GIVEN_BACK = 0.5  # share of the speed that a proposed bounce gives back
 # Nats by which a box must be better explained that is turned by a quarter from one frame to the next. One of nearly
 # equal sides that did not turn gains up to 60 so beside others; one that was taken wrongly from the first on hundreds.
 TURNED = 100.0
+# How fast a camera in a hand or on an arm moves at first, m / s and rad / s, and its accelerations, m / s^2 and
+# rad / s^2: standard deviations. What only the floor holds goes on as it did, within them.
+CAMERA_SPEED, CAMERA_CHANGES = (0.25, 0.5), (1.5, 3.0)
+WAKES = 5.0  # nats against a resting thing's beginning to move: once in some hundred frames
 QUARTERS = [from_rotation_vector(0.5 * np.pi * axis) for axis in np.eye(3)]  # by which a box resembles itself
 X, Y, Z = QUARTERS
 TURNS = [a @ b for a in (np.eye(4), X, X @ X, X.T, Z, Z.T) for b in (np.eye(4), Y, Y @ Y, Y.T)]  # all 24 of those
+
+
+class Viewpoint(NamedTuple):
+    """Where the camera may be.
+
+    view : (4, 4), world to camera. spread : (6, 6) covariance of its motion since the frame before.
+    nats : against it, of the image, that motion and the resting things that wake if it is so. woken : these things.
+    """
+
+    view: np.ndarray
+    spread: np.ndarray
+    nats: float
+    woken: list[int]
 
 
 class Tracker(Drawing):
@@ -64,7 +81,9 @@ class Tracker(Drawing):
     ) -> None:
         super().__init__(camera, start, depth, moving_camera)
         self.gravity, self.step = np.asarray(gravity, float), float(step)
-        self.drift = np.eye(4)  # the camera's last motion
+        self.drift = np.eye(4)  # the camera's last motion, and its covariance: (6, 6) of a shift and a turn, its axes
+        self.woken: list[int] = []  # resting things that have begun to move, where the camera moves
+        self.drift_spread = np.diag(np.repeat(CAMERA_SPEED, 3) * step) ** 2
         self._refine_first()
         explained = np.abs(self.misfit.observed - self.misfit.blurred) < OFF * self.spread
         owner = self.owner()
@@ -254,17 +273,20 @@ class Tracker(Drawing):
         self.poses[self.planes + k], self.sizes[self.planes + k] = found[:2]
         cost(self.misfit, self.poses, self.sizes)
 
+    def _gain(self, k: int) -> float:
+        """Return by how many nats the image is better explained where thing k moves, to second order."""
+        members = np.arange(len(self.kinds)) == self.planes + k
+        self.rounds += 1
+        return fitting.score_of(
+            self.misfit, self.poses, self.sizes, members, self.poses[self.planes + k], self.start.temper,
+            np.zeros((6, 6)),
+        )  # fmt: skip
+
     def _wake(self, k: int) -> None:
         """Test whether a resting thing moves; if so, follow it."""
-        thing, index = self.things[k], self.planes + k
-        members = np.zeros(len(self.kinds), bool)
-        members[index] = True
-        gain = fitting.score_of(
-            self.misfit, self.poses, self.sizes, members, self.poses[index], self.start.temper, np.zeros((6, 6))
-        )
-        self.rounds += 1
-        if gain < WAKE and not self.unexplained(k):
+        if self._gain(k) < WAKE and not self.unexplained(k):
             return
+        thing, index = self.things[k], self.planes + k
         fitting.pixels_of(self.misfit, self.counts, OFF)
         if self.counts[index, 1] < FEW:
             return
@@ -286,27 +308,71 @@ class Tracker(Drawing):
     # ---- one frame ------------------------------------------------------------------------------------------------
 
     def _find_camera(self) -> None:
-        """Find where the camera is by the floor and by all that rests."""
-        members = np.array([True] * self.planes + [thing.state == STILL for thing in self.things])
+        """Find where the camera is by the floor and by what rests: as its path is smooth and things seldom wake."""
+        still = [k for k, thing in enumerate(self.things) if thing.state == STILL]
+        best = self._camera_by(still)
+        if best.woken:
+            tried = [self._camera_by(some) for some in ([], *([k] for k in still))]
+            best = min([best, *tried], key=lambda each: each.nats)
+            calm = [k for k in still if k not in best.woken]
+            best = min([best, self._camera_by(calm)], key=lambda each: each.nats)
+        self.drift, self.drift_spread = best.view @ inverse(self.view), best.spread
+        self.view, self.woken = best.view, best.woken
+        self.place()
+        cost(self.misfit, self.poses, self.sizes)
+
+    def _camera_by(self, resting: list[int]) -> "Viewpoint":
+        """Return where the camera is by the floor, its own last motion and these things, which rest."""
+        index = self.planes + np.arange(len(self.things))
+        members = np.arange(len(self.kinds)) < self.planes
+        members[index[resting]] = True
         middle = np.eye(4)
-        still = [thing.pose[:3, 3] for thing in self.things if thing.state == STILL]
-        middle[:3, 3] = np.mean(still, axis=0) if still else [0.0, 0.0, 1.0]
+        middle[:3, 3] = np.mean([self.things[k].pose[:3, 3] for k in resting], axis=0) if resting else [0.0, 0.0, 1.0]
         kept, self.view = self.view, self.drift @ self.view
         self.place()
-        frame = self.view @ middle
-        expected = frame.copy()
-        information = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
-        curvature = information.copy()
+        expected, frame = self.view, self.view @ middle
+        about = np.eye(6)  # a shift of the middle and a turn about it, as those of the camera's own place
+        about[:3, 3:] = np.cross(np.eye(3), frame[:3, 3])
+        changes = np.diag(np.repeat(CAMERA_CHANGES, 3) * self.step**2) ** 2
+        precision = np.linalg.inv(self.drift_spread + changes)
+        information = about.T @ precision @ about
+        curvature, begun = information.copy(), frame.copy()
         for loose in (True, False):
             self.loosen(loose)
             _, taken = fitting.fit(
-                self.misfit, self.poses, self.sizes, members, frame, expected, 0, np.zeros(3), np.zeros((0, 3)),
+                self.misfit, self.poses, self.sizes, members, frame, begun, 0, np.zeros(3), np.zeros((0, 3)),
                 information, self.start.temper, ROUNDS, TOLERANCE, curvature,
             )  # fmt: skip
             self.rounds += taken
         self.view = frame @ inverse(middle)
-        self.drift = self.view @ inverse(kept)
         self.place()
+        jump = self.view @ inverse(expected)
+        off = np.concatenate([jump[:3, 3], rotation_vector(jump)])
+        nats, woken = self._freed()
+        nats += 0.5 * float(off @ precision @ off) + narrowed(information, curvature)
+        view, self.view = self.view, kept
+        return Viewpoint(view, about @ np.linalg.inv(curvature) @ about.T, nats, woken)
+
+    def _freed(self) -> tuple[float, list[int]]:
+        """Fit what moves, then what rests where the image says that it does so no more; return the nats of the image
+        and of these motions, and which things have woken."""
+        total, woken = 0.0, []
+        for k in sorted(range(len(self.things)), key=lambda k: self.things[k].state == STILL):
+            nats = float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper
+            thing, found = self.things[k], (self.poses[self.planes + k].copy(), self.sizes[self.planes + k].copy())
+            rests = thing.state == STILL
+            if thing.state != MOVING and not (rests and (self._gain(k) > WAKES or self.unexplained(k))):
+                continue
+            there, room = self._expected(thing), self._information(thing)
+            self.draw(k, there)
+            price = WAKES * rests + narrowed(room[:6, :6], self.fit_from_afar(k, there, room, free=False))
+            if rests and float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper + price > nats:
+                self._put(k, found)
+                continue
+            total += price
+            if rests:
+                woken.append(k)
+        return total + float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper, woken
 
     def advance(self, depth: np.ndarray) -> Seen:
         """Follow everything into the next frame (H, W), metres, 0 or NaN where nothing returned."""
@@ -314,22 +380,13 @@ class Tracker(Drawing):
         self.see(depth)
         if self.moving_camera:
             self._find_camera()
-        kept = [(thing.pose.copy(), thing.covariance.copy(), thing.size.copy()) for thing in self.things]
-        woken = self._follow_all()
-        if self.moving_camera and woken:  # what moves by itself has held the frame so far: find the camera without it
-            for k in woken:
-                self.things[k].pose, self.things[k].covariance, self.things[k].size = kept[k]
-                self.things[k].velocity, self.things[k].spin = np.zeros(3), np.zeros(3)
-            self.view = inverse(self.drift) @ self.view
-            self.place()
-            self._find_camera()
-            self._follow_all()
+        self._follow_all()
         blobs = blobs_of(self)
         self._find_again(blobs)
         return self.report(blobs)
 
-    def _follow_all(self) -> list[int]:
-        """Find everything that moves, the nearest first; return which things have begun to move."""
+    def _follow_all(self) -> None:
+        """Find everything that moves, the nearest first, and what has begun to move."""
         moving = [k for k, thing in enumerate(self.things) if thing.state in (MOVING, HIDDEN) and thing.here]
         for k in moving:
             self.draw(k, self._expected(self.things[k]))
@@ -337,6 +394,8 @@ class Tracker(Drawing):
             self._follow(k)
         cost(self.misfit, self.poses, self.sizes)
         resting = [k for k, thing in enumerate(self.things) if thing.state == STILL]
+        if self.moving_camera:  # which of them wake is known with where the camera is
+            resting = [k for k in resting if k in self.woken]
         for k in sorted(resting, key=self.excess, reverse=True):  # what moved itself before what it uncovers
             self._wake(k)
         moving += [k for k in resting if self.things[k].state == MOVING]
@@ -344,7 +403,6 @@ class Tracker(Drawing):
             for k in moving:
                 if self.things[k].state == MOVING:
                     self._polish(k)
-        return [k for k in resting if self.things[k].state == MOVING]
 
     def _polish(self, k: Any) -> None:
         """Fit a moving thing again, now that what moves beside it has been found."""
@@ -419,3 +477,8 @@ class Tracker(Drawing):
 def rotation_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the rotation vector (3,), world axes, from one pose to another."""
     return rotation_vector(after[:3, :3] @ before[:3, :3].T)
+
+
+def narrowed(before: np.ndarray, after: np.ndarray) -> float:
+    """Return the nats that a free motion costs: by how much its precision (6, 6) before the image grows with it."""
+    return 0.5 * float(np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
