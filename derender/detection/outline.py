@@ -65,8 +65,11 @@ def ends_of(values: np.ndarray, share: float) -> np.ndarray:
 STEEP = 0.3  # horizontal part of a normal that tells the axis
 FEWEST = 20  # points with such normals
 MISSED = 0.2  # of the radius by which a normal may miss the axis
-ROUND = 0.7  # share of the normals that meet it
+# Share of the normals that meet it, those of a mug's handle do not, times that of the circle's square that as much as
+# is seen may fill: from the side half of it shows, in all of its width.
+ROUND = 0.45
 SPREAD = 0.04  # least over greatest eigenvalue of the equations: of fewer directions the axis is not told
+DIRECTIONS = 8  # in which what is seen is measured
 ROUNDS = 10
 BELT = 0.25  # of the height that is seen: the lowest two belts of it tell how the foot goes on
 WIDEST = 0.9  # quantile of the distances from the axis that is taken for a belt's radius: the inside of a cup is nearer
@@ -113,6 +116,8 @@ def vertical_axis(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, f
         near = np.linalg.norm(place - centre, axis=1)
         radius = float(np.quantile(near[miss <= np.median(miss)], 0.98))
         weight = 1.0 / (1.0 + (miss / (0.5 * MISSED * radius)) ** 2)
-    if np.mean(miss < MISSED * radius) < ROUND:
+    along = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    seen = np.ptp(points[:, :2] @ np.array([np.cos(along), np.sin(along)]), axis=0).max()
+    if np.mean(miss < MISSED * radius) * min(1.0, 0.5 * seen / radius) ** 2 < ROUND:
         return None
     return centre, radius

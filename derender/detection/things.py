@@ -390,11 +390,12 @@ def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
     outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom)]), None
     if axis is not None:
         around = 2.0 * np.pi * np.arange(AROUND) / AROUND
-        radius = max(axis[1], foot_radius(points, axis[0], bottom), THINNEST)
+        away = np.linalg.norm(points[:, :2] - axis[0], axis=1)
+        radius = max(axis[1], foot_radius(points[away < BESIDE * axis[1]], axis[0], bottom), THINNEST)
         rim = 0.0  # how far it is to the axis all points tell, not those on the silhouette
         circle = axis[0] + radius * np.column_stack([np.cos(around), np.sin(around)])
         outline = np.vstack([np.repeat(circle, max(1, int(4.0 * ENDS * len(points))), axis=0), outline])
-        handle = points[np.linalg.norm(points[:, :2] - axis[0], axis=1) > BESIDE * radius, :2] - axis[0]
+        handle = points[away > BESIDE * radius, :2] - axis[0]
         if len(handle) >= FEWEST:
             yaw = float(np.arctan2(*handle.mean(axis=0)[::-1]))
     upright = rotation_z(smallest_rectangle(outline) if yaw is None else yaw)[:3, :3]
