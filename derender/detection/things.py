@@ -18,7 +18,7 @@ from derender.detection.outline import ends_of, foot_radius, vertical_axis
 from derender.detection.patches import local_planes, separation
 from derender.detection.search.bodies import APART, label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
-from derender.detection.search.observation import HIDDEN_FLOOR, Observation, near
+from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.segments import joined, segments
 from derender.detection.solids.image import FAR, Image, make_row
@@ -49,6 +49,7 @@ DEPTH, SHALLOW = 0.7, 0.35
 # Standard deviations of the blur within which a silhouette shows what is behind; the share of a mask's pixels that are
 # to lie farther from its edge, at least.
 SMEARED, CLEAR = 2.0, 0.3
+LOW = 2.0  # standard deviations over the floor from which on a pixel beside a thing is a part of it; alone: four
 # Of a solid's silhouette, less what others of the scene hide, the least that shows it: what fits a few pixels and would
 # be seen where something nearer is, or nothing returned, is there by chance. (Of 26 solids on labelled frames two, both
 # wrong, showed in under .13 of it; all others in .60 or more.)
@@ -127,13 +128,30 @@ def likely_things(
     masks : [(mask, gain in tempered nats)].
     """
     behind, found = seen.behind.copy(), []
+    label, misfit = held_out(seen.image, state, -1)[1:3]
+    taken = np.any([label >= 0, *(mask for mask, _ in masks)], axis=0)
     for mask, gain in masks:
+        if seen.correlation > CORRELATED:
+            low = low_parts(seen, mask, seen.behind | taken)
+            mask, gain, taken = mask | low, gain + float(misfit[low].sum()), taken | low
+            seen.image.floor[low] = seen.image.depth[low] + 0.5 * AS_SEEN
         existence = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))
         if existence[0] < LEAST_EXISTENCE:
             behind |= mask
         else:
             found.append(made_thing(seen, state, mask, existence))
     return seen._replace(behind=behind), found
+
+
+def low_parts(seen: Observation, mask: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: what a thing's mask (H, W) goes on into that is too low to be told from the floor by itself.
+
+    taken : (H, W) bool, pixels that show something, it among them.
+    """
+    low = (seen.image.weight > 0) & ~taken & ~seen.mask
+    low &= seen.points[..., 2] > np.maximum(LOWEST * seen.floor_scale, LOW * seen.sigma)
+    body, _ = label_bodies(seen.points, mask | low, np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma))
+    return low & (body >= 0) & np.isin(body, body[mask])
 
 
 def cost_of(seen: Observation, jump: np.ndarray, believed: Things) -> Cost:

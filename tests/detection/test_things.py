@@ -21,7 +21,7 @@ from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import make_image, make_row, taps_of
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.things import Cost, clear_of_edges, made_thing, silhouette, without_background
+from derender.detection.things import Cost, clear_of_edges, low_parts, made_thing, silhouette, without_background
 from derender.evaluation.frontier_scenes import KINDS, make
 from derender.report.scene_json import scene_json
 from derender.scene.pose import rotation_x, translation
@@ -84,6 +84,25 @@ def test_a_solid_of_which_hardly_anything_is_seen_is_there_by_chance():
     there, kept, _ = without_background(holed, state, [])
     assert len(kept) == 1 and kept.rows[0, 10] < 0.0
     assert there.behind[right & ~hole].mean() > 0.8
+
+
+def test_a_thing_has_the_low_parts_that_it_goes_on_into():
+    """Of a torch on a bin's rough floor half was the floor."""
+    height = np.zeros((30, 40))
+    height[10:13, 10:30] = 0.03  # a ridge, four times the noise
+    height[13:20, 10:30] = height[24:28, 10:20] = 0.01  # its flank, and a dent of the floor
+    height[13:20, 26:30] = 0.006  # too low
+    column, row = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    points = np.stack([0.005 * column, 0.005 * row, height], axis=-1)
+    seen = SimpleNamespace(
+        points=points, image=SimpleNamespace(weight=np.ones(height.shape)), floor_scale=1.0, mask=height > 0.016,
+        sigma=np.full(height.shape, 0.004), footprint=np.full(height.shape, 0.005),
+    )  # fmt: skip
+    ridge, flank = height == 0.03, np.zeros(height.shape, bool)
+    flank[13:20, 10:26] = True
+    assert np.array_equal(low_parts(seen, ridge, ridge), flank)
+    other = ridge | (column > 20)  # which is another's
+    assert np.array_equal(low_parts(seen, ridge, other), flank & ~other)
 
 
 def test_a_thing_that_stands_alone_has_draws_of_its_own():
