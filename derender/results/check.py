@@ -93,6 +93,8 @@ MOST_TOLD = 3  # regions
 SOME_BACKGROUND, MOST_BACKGROUND = 0.05, 0.6  # shares of the valid pixels: it counts, and is too much
 # A floor that is none: the least share of what shows no solid; the sine of its normal's turn about the optical axis.
 LEAST_FLOOR, SIDEWAYS = 0.4, 0.6
+# The same of one that is looked at straight on (cosine) from so many metres or more: few cameras hang so high.
+LEAST_FACED, FACED, OVERHEAD = 0.6, 0.95, 1.5
 # Solids that the image does not bear out.
 MOST_MISSING, MORE_MISSING = 0.5, 2.0  # share of a solid's pixels without return; times the share elsewhere
 LEAST_FITTING = 0.7  # share of a solid's pixels with a depth that it explains
@@ -157,17 +159,23 @@ def too_much_background(fit: Fit, valid: np.ndarray) -> list[Doubt]:
 
 
 def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
-    """Return doubts about whether the floor is one: it explains little beside the background, or faces sideways."""
+    """Return doubts about whether the floor is one: it explains little beside the background, faces sideways, or is
+    looked at straight on from farther than cameras hang over floors, with much before it that is background."""
     poses = graph.poses()
-    normals = [poses[vertex.name][:3, 2] for vertex in graph.vertices if vertex.body.size() is None]
+    planes = [poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None]
     floor = float((valid & fit.explained & (fit.label == 0)).sum())
     background = float(fit.background.sum())
     doubts = []
     if 0.0 < background <= MOST_BACKGROUND * valid.sum() and floor < LEAST_FLOOR * (floor + background):
         words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
         doubts.append(Doubt(words))
-    if any(abs(normal[0]) > SIDEWAYS for normal in normals):
+    if any(abs(pose[0, 2]) > SIDEWAYS for pose in planes):
         doubts.append(Doubt("what was taken as the floor faces sideways in the image: it may be a wall, see --up"))
+    faced = any(-pose[2, 2] > FACED and abs(pose[:3, 2] @ pose[:3, 3]) > OVERHEAD for pose in planes)
+    if faced and floor < LEAST_FACED * (floor + background):
+        doubts.append(
+            Doubt("what was taken as the floor is looked at straight on from afar: it may be a wall, see --up")
+        )
     return doubts
 
 

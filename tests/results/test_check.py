@@ -125,3 +125,14 @@ def test_a_floor_that_faces_sideways_is_doubted():
     wall = SceneGraph(translation(0.3, 0.0, 0.9) @ rotation_y(np.deg2rad(-100)), on_floor().vertices)
     doubts = doubts_of(wall, image(wall))
     assert any("sideways" in doubt.words and doubt.serious for doubt in doubts)
+
+
+@pytest.mark.parametrize("distance, share, wall", [(2.2, 0.5, True), (2.2, 0.2, False), (0.9, 0.5, False)])
+def test_a_floor_looked_at_from_afar_with_much_before_it_may_be_a_wall(distance, share, wall):
+    """A shelf before a wall was trusted: the wall was a floor on which it lay."""
+    straight = on_floor(elevation=90.0, distance=distance)
+    seen = image(straight)
+    before = np.tile(np.arange(120)[:, None] < share * 120, (1, 160))
+    seen[before] -= 0.4
+    told = np.where(before, seen, distance)
+    assert any("may be a wall" in doubt.words for doubt in doubts_of(straight, seen, told=told)) == wall
