@@ -31,9 +31,7 @@ def half_spaces(solid: Mapping[str, Any]) -> np.ndarray:
     solid : with `type`, `size` (3,) metres and `pose` (4, 4); `vertices` (V, 3) in object axes, if there, are those of
         its convex hull. A type without its own form here counts as its oriented box.
 
-    Returns
-    -------
-    (M, 4) float64, rows (n_x, n_y, n_z, d).
+    Returns (M, 4) float64, rows (n_x, n_y, n_z, d).
     """
     size = np.asarray(solid["size"], float)
     pose = np.asarray(solid["pose"], float)
@@ -214,9 +212,7 @@ POINTS = 1000
 def surface_points(solid: Mapping[str, Any]) -> np.ndarray:
     """Return about POINTS points spread evenly over a solid's surface, always the same ones.
 
-    Returns
-    -------
-    (N, 3) float64, in the frame of the solid's pose, metres.
+    Returns (N, 3) float64, in the frame of the solid's pose, metres.
     """
     pose, size = np.asarray(solid["pose"], float), np.asarray(solid["size"], float)
     if solid.get("vertices") is not None:
@@ -237,9 +233,7 @@ def distance_to_surface(points: np.ndarray, solid: Mapping[str, Any]) -> np.ndar
 
     points : (N, 3) float64, in the frame of the solid's pose.
 
-    Returns
-    -------
-    (N,) float64, metres, never negative.
+    Returns (N,) float64, metres, never negative.
     """
     pose, size = np.asarray(solid["pose"], float), np.asarray(solid["size"], float)
     local = (points - pose[:3, 3]) @ pose[:3, :3]

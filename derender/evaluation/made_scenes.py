@@ -112,10 +112,8 @@ def random_size(rng: np.random.Generator, kind: str, low: float = 0.04, high: fl
 def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
     """Drop solids one above the other into MuJoCo, let them come to rest, and read who carries whom.
 
-    Returns
-    -------
-    poses : (N, 4, 4) object to world (z up, floor at 0); parents : list of "floor" or index: the body that bears
-        most of the object's weight (upward part of the contact force); None where the scene does not come to rest.
+    Returns poses (N, 4, 4), object to world (z up, floor at 0), and parents, a list of "floor" or index: the body that
+    bears most of the object's weight (upward part of the contact force); None where the scene does not come to rest.
     """
     geoms, height = [], 0.02
     for index, (kind, size) in enumerate(zip(kinds, sizes, strict=True)):

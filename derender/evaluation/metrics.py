@@ -135,9 +135,7 @@ def pose_and_size_errors(predicted: Mapping[str, Any], truth: Mapping[str, Any])
     turned about its axis or upside down, a sphere however it is turned. Two meshes are compared as they stand, turned
     by each of the true one's `symmetries` (K, 3, 3).
 
-    Returns
-    -------
-    dict with `position` (metres), `rotation` (radians; None between shapes that have no common axes) and `size`
+    Returns `position` (metres), `rotation` (radians; None between shapes that have no common axes) and `size`
     (three differences predicted - true along the true axes, metres).
     """
     pose_p, pose_t = np.asarray(predicted["pose"], float), np.asarray(truth["pose"], float)
@@ -180,9 +178,7 @@ def compare_scenes(
     ignored : names of true objects that need not be found (too few visible pixels): neither missing them nor finding
         them counts.
 
-    Returns
-    -------
-    dict: `objects` (numbers and, for each threshold, hits, precision, recall, F1), `edges` (the same, None where the
+    Returns `objects` (numbers and, for each threshold, hits, precision, recall, F1), `edges` (the same, None where the
     truth has none to compare), `graph_exact` (every object found, none invented, each on what it stands on; None
     likewise), `pairs` (errors of each object found), `missed`, `extra`.
     """
@@ -252,9 +248,7 @@ def mask_f1(
     background : true labels that are no object (nothing, the table).
     ignore : (height, width) bool, pixels that count for neither (say, without a return).
 
-    Returns
-    -------
-    dict: hits, predicted, truth, precision, recall, f1, `pairs` {predicted label: true label}, `iou` (of each pair).
+    Returns hits, predicted, truth, precision, recall, f1, `pairs` {predicted label: true label}, `iou` (of each pair).
     """
     if predicted.shape != truth.shape:
         raise ValueError(f"label images of {predicted.shape} and {truth.shape} pixels cannot be compared")
@@ -310,9 +304,7 @@ def _corner_gap(
 def condition_of(scene: Mapping[str, Any]) -> dict[str, Any]:
     """Return what physics says of a scene as `derender show --json` prints it.
 
-    Returns
-    -------
-    dict: `floating` (names of what no chain of touches, within 5 mm, joins to a plane), `intersecting` ([name, name,
+    Returns `floating` (names of what no chain of touches, within 5 mm, joins to a plane), `intersecting` ([name, name,
     metres] of what overlaps by more than 5 mm), `stable` (whether all stays where it is for two seconds; None where the
     scene has no gravity), `fallen`.
     """
@@ -373,9 +365,7 @@ def paired(predicted: str | Path, truth: str | Path) -> list[tuple[str, Path, Pa
     Two files are a pair, whatever their names. In folders things of the same name go together: a prediction is a scene
     file or a folder with a scene.yaml in it (which is one scene), a truth one of these or a label image.
 
-    Raises
-    ------
-    DerenderError : nothing is there, or a truth has no prediction (a missing one is not a zero to be averaged away).
+    Raises DerenderError : nothing is there, or a truth has no prediction: a missing one is no zero to be averaged away.
     """
     left, right = Path(predicted), Path(truth)
     for path in (left, right):

@@ -22,16 +22,10 @@ from derender.scene.graph import SceneGraph
 def load(path: str | Path) -> Scene | Document | Posterior:
     """Return what a file or folder holds: a Scene, a prior, or a Posterior.
 
-    Parameters
-    ----------
     path : a scene file, a prior file or the name of a built-in prior, or a folder that `derender infer` wrote.
 
-    Raises
-    ------
-    DerenderError : there is none of them.
+    Raises DerenderError : there is none of them.
 
-    Examples
-    --------
     >>> import derender
     >>> derender.load(derender.data_path("scenes/figure-3-free.yaml"))
     <Scene: floor, green, red, yellow>
@@ -51,13 +45,9 @@ def load(path: str | Path) -> Scene | Document | Posterior:
 def sample(prior: str | Path | Document = "tabletop", *, seed: int = 0, camera: Camera | None = None) -> Scene:
     """Return a scene drawn from a prior: the one that `derender sample PRIOR --seed SEED` writes.
 
-    Parameters
-    ----------
     prior : a prior file, the name of a built-in one, or what `load` returned.
     seed : of the random numbers. camera : instead of the prior's own.
 
-    Examples
-    --------
     >>> import derender
     >>> derender.sample("stack", seed=3).parents["yellow"]
     'red'
@@ -80,15 +70,11 @@ def render(
 ) -> DepthImage:
     """Return the depth image of a scene: (H, W) float64 metres along the optical axis, NaN where nothing is hit.
 
-    Parameters
-    ----------
     scene : a Scene, a scene graph or a scene file.
     camera : instead of the scene's own; where there is neither, 160 x 120 pixels and 60 degrees.
     noise : whether noise, blur and outliers are drawn from the scene's likelihood. seed : of these.
     renderer : "raycast", or "pyrender" (OpenGL).
 
-    Examples
-    --------
     >>> import derender
     >>> image = derender.render(derender.sample("stack", seed=0), derender.Camera.from_field_of_view(64, 48))
     >>> image.depth.shape
@@ -131,8 +117,6 @@ def infer(
 ) -> Posterior:
     """Infer the scene behind a depth image.
 
-    Parameters
-    ----------
     image : a DepthImage; a file; or an array (H, W): floats are metres, uint16 are units of `depth_scale` millimetres;
         0 and NaN are pixels without a return. Depth is along the optical axis.
     camera : of an array or a file: a Camera, its file, a mapping of fx, fy, cx, cy, or a 3 x 3 matrix of intrinsics.
@@ -147,12 +131,8 @@ def infer(
     budget : seconds after which draws of a bare image that do not agree yet are not gone on with.
     progress : called with (fraction done, what is being done).
 
-    Raises
-    ------
-    DerenderError : something is wrong with the image, the camera or the prior. TypeError : an unknown keyword.
+    Raises DerenderError : something is wrong with the image, the camera or the prior. TypeError : an unknown keyword.
 
-    Examples
-    --------
     >>> import derender
     >>> image = derender.sample(seed=1).render(noise=True)
     >>> posterior = derender.infer(image, quick=True)

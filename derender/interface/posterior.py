@@ -27,8 +27,6 @@ MOST_BARS, MOST_LINES = 12, 4  # structures in one plot, and in a notebook's pag
 class Structure(NamedTuple):
     """One structure of a posterior.
 
-    Attributes
-    ----------
     probability : of the structure, among those that were found.
     words : what rests on what.
     scene : its most probable Scene.
@@ -42,8 +40,6 @@ class Structure(NamedTuple):
 class Found(NamedTuple):
     """One object of a posterior's most probable scene.
 
-    Attributes
-    ----------
     name, type : of the object.
     size : (3,) metres, full extents along its own axes; size_error : (3,), half of their 90 % ranges.
     pose : (4, 4), object to camera.
@@ -75,9 +71,7 @@ class Objects(tuple[Found, ...]):
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with a row for each object: sizes and places in metres.
 
-        Raises
-        ------
-        DerenderError : pandas is not installed.
+        Raises DerenderError : pandas is not installed.
         """
         try:
             import pandas
@@ -97,14 +91,10 @@ class Objects(tuple[Found, ...]):
 class Posterior(kept.Posterior):
     """A posterior over scenes, as `derender.infer` and `derender.load` return it.
 
-    Attributes
-    ----------
     parts : the structures found, each with its draws; see `derender.results.posterior`.
     seed, command, version, meta : what made it, and what else is known.
     image : the DepthImage that it explains, or None where the folder has none.
 
-    Examples
-    --------
     >>> import derender
     >>> image = derender.sample("stack", seed=0).render(derender.Camera.from_field_of_view(48, 36), noise=True)
     >>> posterior = derender.infer(image, prior="stack", method="map")
@@ -182,9 +172,7 @@ class Posterior(kept.Posterior):
     def predictive(self, count: int, seed: int = 0) -> np.ndarray:
         """Return (count, H, W) float64 depth images, metres, drawn from the posterior with their noise.
 
-        Raises
-        ------
-        DerenderError : neither image nor camera is known.
+        Raises DerenderError : neither image nor camera is known.
         """
         from derender.results.predictive import predictive_images
 
@@ -201,8 +189,6 @@ class Posterior(kept.Posterior):
     ) -> "Chance":
         """Return how probable something is to happen: (probability, standard error, draws simulated).
 
-        Parameters
-        ----------
         event : what a `derender.physics.outcome.Outcome` must be like; or a verdict ("stands", "settles", "falls"); or
             the name of an object that moves.
         draws : to simulate. until : instead, as many as it takes to a standard error no greater than this.
@@ -219,9 +205,7 @@ class Posterior(kept.Posterior):
         Its groups are `posterior`, `sample_stats` and, where the image is known, `observed_data`, `log_likelihood` and
         `posterior_predictive` by blocks of pixels: neighbours share their errors, so a block is one observation.
 
-        Raises
-        ------
-        DerenderError : ArviZ is not installed.
+        Raises DerenderError : ArviZ is not installed.
         """
         import tempfile
 

@@ -27,14 +27,10 @@ SHOWN_WIDTH = 240  # pixels of a picture in a notebook
 class Scene:
     """A scene graph with the camera that sees it.
 
-    Attributes
-    ----------
     graph : the scene graph.
     camera : or None, where its file has none.
     likelihood : how its images come about (noise, blur), or None.
 
-    Examples
-    --------
     >>> import derender
     >>> scene = derender.sample("stack", seed=0)
     >>> scene.names

@@ -45,8 +45,6 @@ class How(Acts, total=False):
 class Simulation(NamedTuple):
     """What physics says of a scene or a posterior.
 
-    Attributes
-    ----------
     verdict : "stands", "settles" or "falls", of the (most probable) scene. stable : whether it stands.
     p_stable : how probable standing is, p_stable_error : its Monte Carlo error; of a scene alone 1 or 0, and 0.
     displacement : metres that each body moved, by name. rotation : radians that it turned.
@@ -89,8 +87,6 @@ def simulate(
 ) -> Simulation:
     """Let gravity act on a scene, or on the draws of a posterior, and say whether it stands.
 
-    Parameters
-    ----------
     scene : a Scene, a scene graph, a Posterior, a scene file or a folder of results.
     duration : seconds. engine : "mujoco", "statics" or "both".
     draws : of a posterior or of the jitter, for p_stable. until : draw until its standard error is no greater.
@@ -98,12 +94,8 @@ def simulate(
     push, remove, add, tilt, shake, jitter : see `Acts`.
     jobs : threads. seed : of the draws and of the jitter.
 
-    Raises
-    ------
-    DerenderError : an unknown object, a text that cannot be read, numbers that diverge.
+    Raises DerenderError : an unknown object, a text that cannot be read, numbers that diverge.
 
-    Examples
-    --------
     >>> import derender
     >>> scene = derender.sample("stack", seed=0)
     >>> derender.simulate(scene, duration=0.2).names

@@ -36,9 +36,7 @@ PROFILES = {  # of solids of size 1
 def solid_mesh(solids: Solids, index: int, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return one solid as triangles in its own axes; of a plane a square, see `plane_patch`.
 
-    Returns
-    -------
-    vertices : (V, 3) float64, metres.
+    Returns vertices : (V, 3) float64, metres.
     triangles : (T, 3) int32, counter-clockwise seen from outside.
     """
     kind, size = int(solids.kind[index]), solids.size[index]

@@ -14,9 +14,7 @@ def scene_json(graph: SceneGraph, posterior: Any = None) -> dict[str, Any]:
     posterior : adds `size_interval`, `probability` and `parent_probability` to each object, and `support_probability`
         to what may have a second support.
 
-    Returns
-    -------
-    {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
+    Returns {"frame": "camera", "gravity": [gx, gy, gz] in m/s^2, "objects": [...]}, and of a posterior that was judged
     (results/trust.py) `explained`, `trusted` and `doubts`; of an object, `size` is the three full extents along its own
     axes in metres, None for what has none; `size_interval` their 90 % intervals, likewise; `pose` is 4x4 row-major,
     object to camera; `supports`, where there, names what it rests on besides its parent.

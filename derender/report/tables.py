@@ -47,9 +47,7 @@ def parameter_rows(
     values : (chains, draws, P) float64, in metres and radians.
     periods : of those that are angles; they are unwrapped about their circular mean.
 
-    Returns
-    -------
-    dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
+    Returns dicts with `address`, `unit`, `scale`, the entries of `diagnostics.summary` in our own units, and `draws`
     (chains, draws).
     """
     from derender.sampling.diagnostics import summary, unwrap
