@@ -10,6 +10,7 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.detection.estimate import point_estimate, settings_for
+from derender.detection.fattening import fattened, thinned
 from derender.detection.floor import read_floor
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import CORRELATED, Observation, of_whole_image
@@ -44,6 +45,7 @@ class Case(NamedTuple):
     settings: Settings  # of the search, as asked
     library: Any  # of known objects, empty: none
     plane: Any  # the floor as it is given, see detection.floor.read_floor; None: find it
+    fattened: bool  # whether its silhouettes were a pixel wider as it came, see `detection.fattening`
 
     @property
     def beliefs(self) -> Beliefs:
@@ -106,8 +108,11 @@ def case_of(image: np.ndarray, camera: Camera | Mapping[str, float], options: Op
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     whole = whole_camera(camera, depth.shape)
     depth, frames = averaged(depth, whole, options.frames)
+    wide = fattened(depth)
+    depth = thinned(depth) if wide else depth
+    frames = [frame._replace(depth=thinned(frame.depth)) if fattened(frame.depth) else frame for frame in frames]
     library = chosen_library(options.known) if options.known else ()
-    return Case(depth, whole, frames, options, settings_of(options), library, read_floor(options.floor))
+    return Case(depth, whole, frames, options, settings_of(options), library, read_floor(options.floor), wide)
 
 
 def unit_of_lengths(case: Case) -> float:
@@ -214,7 +219,8 @@ def answered(case: Case, looks: "list[Look]", parts: "list[StructurePosterior]",
     seen = looks[0].seen
     things = [thing for each in observations for thing in each.things]
     settings = settings_for(case.settings, seen)
-    meta: dict[str, Any] = {"reduced_by": seen.factor, "noise": seen.floor.sigma, "correlation": seen.correlation,
+    meta: dict[str, Any] = {"reduced_by": seen.factor, "fattened": case.fattened, "noise": seen.floor.sigma,
+            "correlation": seen.correlation,
             "faces": case.beliefs.loose.faces if seen.correlation > CORRELATED else 0.0,
             "backdrop": seen.background if seen.backdrop else 0.0,
             "other_floors": [rival._asdict() for rival in seen.rivals],

@@ -1,0 +1,62 @@
+"""Silhouettes that a camera fattens are told by surfaces that go on flat beyond their slope, and made as wide as they
+are; those of other cameras stay as they are."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import minimum_filter
+
+from derender.detection.fattening import fattened, flat_pixels, thinned
+from derender.evaluation.frontier_scenes import KINDS, make
+from derender.scene.pose import translation
+from derender.structures.infer import case_of
+from derender.structures.options import Frame, Options
+
+
+def scene(kind, number=3):
+    return make(np.random.default_rng([number, list(KINDS).index(kind)]), kind)
+
+
+def fat(depth, pixels=1):
+    """Return a depth image in which what is near takes the pixels beside it, where they are farther by a jump."""
+    for _ in range(pixels):
+        near = minimum_filter(np.where(np.isnan(depth), np.inf, depth), 3)
+        depth = np.where(depth - near > 0.05 * near, near, depth)
+    return depth
+
+
+def test_fattened_silhouettes_are_thinned():
+    depth = scene("edge").depth
+    wide = fat(depth)
+    found, error = flat_pixels(wide)
+    assert found == pytest.approx(1.0, abs=0.2) and error < 0.1 and fattened(wide)
+    wrong, left = (np.nansum(np.abs(image - depth) > 0.02) for image in (wide, thinned(wide)))
+    assert wrong > 300 and left < 0.2 * wrong
+
+
+@pytest.mark.parametrize("kind", ["edge", "rows", "overhead", "free", "phone"])
+def test_silhouettes_of_other_cameras_stay_as_they_are(kind):
+    assert not any(fattened(scene(kind, number).depth) for number in range(3))
+
+
+def test_what_grows_flat_over_several_pixels_is_smoothed_and_stays():
+    wide = fat(scene("edge").depth, 2)
+    assert flat_pixels(wide)[0] == pytest.approx(2.0, abs=0.3) and not fattened(wide)
+
+
+def test_what_lies_behind_a_shadow_is_not_made_up():
+    """Beside a silhouette nothing returned: what was given to it is left out, not filled."""
+    depth = np.full((60, 80), 2.0)
+    depth[20:40, 30:50] = np.linspace(1.1, 1.0, 20)[:, None]
+    depth[20:40, 26:29] = np.nan
+    thin = thinned(fat(depth))
+    assert np.isnan(thin[21:39, 26:30]).all() and np.isfinite(thin[21:39, 30:50]).all()
+
+
+def test_an_image_that_is_to_be_explained_is_thinned():
+    seen = scene("edge")
+    wide = fat(seen.depth)
+    beside = Frame(wide, seen.camera, translation(0.1, 0.0, 0.0), "beside")
+    case = case_of(wide, seen.camera, Options(frames=(beside,)))
+    assert case.fattened
+    for depth in (case.depth, case.frames[0].depth):
+        np.testing.assert_array_equal(depth, thinned(wide))
