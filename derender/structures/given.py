@@ -32,7 +32,7 @@ from derender.results.posterior import Posterior, StructurePosterior
 from derender.sampling.chains import POPULATIONS, STRUCTURES, Plan, Record, child_seed, fingerprint, run_chains, stream
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
-from derender.scene.priors.terms import bound_by, total_log_density
+from derender.scene.priors.terms import total_log_density, with_relations
 from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes import Body
 from derender.structures.options import names_objects
@@ -61,7 +61,8 @@ def structures(prior: TreePrior, rng: np.random.Generator) -> list[SceneGraph]:
         drawn += 1
         key = graph.structure()
         if shown.get(key) is None:
-            shown[key] = bound_by(prior.constraints, graph)
+            allowed = total_log_density(prior.constraints, graph) > -math.inf
+            shown[key] = with_relations(prior.constraints, graph) if allowed else None
             ruled_out[key] += shown[key] is None
         if len(shown) > 1:
             wanted = min(max(STRUCTURE_DRAWS, DRAWS_EACH * len(shown)), MOST_DRAWS)

@@ -1,7 +1,7 @@
 """Priors on one object: of a number, p_s(psi) of its shape, p_{s,t}(c) over its contacts and p_c(phi) of each."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -89,14 +89,6 @@ def fault(place: Node | None, what: str, remedy: str | None = None) -> DerenderE
     return place.fault(what, remedy) if place is not None else DerenderError(what, remedy=remedy)
 
 
-def unit_quaternion(parts: Sequence[float], place: Node | None = None) -> tuple[float, ...]:
-    """Return four numbers normalised; refuse them where they are not a rounded unit quaternion."""
-    norm = math.sqrt(math.fsum(part * part for part in parts))
-    if not abs(norm - 1.0) < 0.01:
-        raise fault(place, f"the quaternion has length {norm:.3g}", "give a unit quaternion [w, x, y, z]")
-    return tuple(parts) if abs(norm - 1.0) < 1e-12 else tuple(part / norm for part in parts)
-
-
 @dataclass(frozen=True)
 class ShapePrior:
     """A shape type, what is fixed about it, and the distribution of its parameters.
@@ -173,13 +165,6 @@ def draw_vertex(
 def identity(options: Mapping[str, Any]) -> tuple:
     """Return what tells two meshes apart; masses and colours do not."""
     return (str(options["file"]), bool(options.get("hull", True))) if "file" in options else ()
-
-
-def check_places(shape: str, values: Mapping[str, Value], places: Mapping[str, Node]) -> None:
-    """Check values against the ranges of a shape's parameters, with the place of each in its file."""
-    for parameter in shapes[shape].parameters:
-        if parameter.name in values:
-            check_range(values[parameter.name], parameter, places.get(parameter.name), strict=True)
 
 
 TOP = "top"  # the face that looks up while the parent rests on the opposite one

@@ -6,6 +6,7 @@ An image says nothing of such numbers, so that they are no unknowns of inference
 written, and drawn from wherever the scene is sampled or simulated.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -29,9 +30,7 @@ from derender.scene.priors.objects import (
     ContactRule,
     ShapePrior,
     Value,
-    check_places,
     check_range,
-    unit_quaternion,
 )
 from derender.scene.shapes import shapes
 
@@ -138,14 +137,13 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
     names = [parameter.name for parameter in shape.parameters]
     node.allow("type", *names, *shape.options, *extra)
     values: dict[str, Value] = {}
-    places: dict[str, Node] = {}
     for parameter in shape.parameters:
         item = node.get(parameter.name)
         if item is not None:
-            values[parameter.name], places[parameter.name] = read_value(item, parameter.unit), item
+            values[parameter.name] = read_value(item, parameter.unit)
+            check_range(values[parameter.name], parameter, item, strict=True)
         elif parameter.default is None:
             raise node.fault(f"the {parameter.name} of the {kind} is missing", f"add {parameter.name}: 0.1 or so")
-    check_places(kind, values, places)
     options = {key: _option(key, node[key], folder) for key in shape.options if key in node}
     if "file" in shape.options and "file" not in options:
         raise node.fault(f"a {kind} needs its file", "add file: PATH")
@@ -234,7 +232,11 @@ def read_contact_values(node: Section, kind: str, extra: tuple[str, ...]) -> tup
 def read_rotation(node: Node) -> Any:
     """Read four numbers [w, x, y, z] or `uniform-rotation`."""
     if isinstance(node, List):
-        return unit_quaternion([item.number() for item in node.sequence(4)], node)
+        parts = [item.number() for item in node.sequence(4)]
+        norm = math.sqrt(math.fsum(part * part for part in parts))
+        if not abs(norm - 1.0) < 0.01:
+            raise node.fault(f"the quaternion has length {norm:.3g}", "give a unit quaternion [w, x, y, z]")
+        return tuple(parts) if abs(norm - 1.0) < 1e-12 else tuple(part / norm for part in parts)
     if isinstance(node, Section):
         name, _ = node.only()
         if name != "uniform-rotation":

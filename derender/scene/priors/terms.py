@@ -55,11 +55,6 @@ def with_relations(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph:
     return replace(graph, constraints=relations) if relations else graph
 
 
-def bound_by(terms: tuple[Term, ...], graph: SceneGraph) -> SceneGraph | None:
-    """Return the scene with its relations, None where the terms rule it out."""
-    return with_relations(terms, graph) if total_log_density(terms, graph) > -math.inf else None
-
-
 def sample_until_allowed(rng: np.random.Generator, sample: Callable, terms: tuple[Term, ...]) -> SceneGraph:
     """Draw whole scenes until one is accepted with the probability that its terms give: exact rejection sampling."""
     if not terms:
