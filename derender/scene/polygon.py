@@ -56,8 +56,7 @@ def upper(x, theta, a, b, c, d, radius):
     y = 0.5 * (height - rise_1 - rise_2)
     offset = min(max(x, left - radius), -left + radius) - left
     # `offset` is measured from the vertex walked to; the arc about it ends where the next edge's normal points.
-    for edge in range(3):  # numba cannot cache a loop over a tuple of tuples
-        width, rise = (width_1, rise_1) if edge == 0 else (a, 0.0) if edge == 1 else (width_2, rise_2)
+    for width, rise in ((width_1, rise_1), (a, 0.0), (width_2, rise_2)):
         length = math.hypot(width, rise)
         if length > 0.0:
             normal_x, normal_y = -rise / length, width / length
