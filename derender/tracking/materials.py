@@ -13,6 +13,7 @@ from derender.dynamics.result import Answer
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
 from derender.scene.pose import inverse
+from derender.tracking.page import with_materials
 from derender.tracking.thing import GONE, HIDDEN, LOST
 from derender.tracking.track import Track
 
@@ -114,7 +115,7 @@ def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
 def materials_to_folder(
     track: Track, folder: Path, seed: int | None, command: str, prior: Prior | None = None
 ) -> list[str]:
-    """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal.
+    """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal, which the page has too.
 
     prior : what is believed of the materials before; None: the default of dynamics.parameters.
 
@@ -130,4 +131,7 @@ def materials_to_folder(
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
     write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json()}))
+    page = folder / "report.html"
+    if page.is_file():
+        write_text(page, with_materials(page.read_text(encoding="utf-8"), answer.lines()))
     return answer.lines()

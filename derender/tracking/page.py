@@ -46,6 +46,12 @@ def report_page(
     return as_page(title, PAGE_STYLE.read_text() + STYLE, inside, SCRIPT + PAGE_SCRIPT.read_text())
 
 
+def with_materials(page: str, lines: Sequence[str]) -> str:
+    """Return a film's page with what its motion tells of materials and velocities, in lines, at its end."""
+    told = wide(f"<pre>{escape(chr(10).join(lines))}</pre>", "materials")
+    return page.replace("</main>", f"<h2>What the motion tells</h2>{told}</main>", 1)
+
+
 def solids_at(track: Track, t: int) -> Solids:
     """Return the floor and all things that are there in a frame; others lie behind the camera."""
     poses = track.poses[t].copy()

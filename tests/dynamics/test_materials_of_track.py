@@ -50,7 +50,9 @@ def test_poses_are_told_in_the_first_cameras_axes_and_errors_in_the_bodys():
 @pytest.mark.slow
 def test_a_slide_says_its_friction_in_track_json_and_in_draws(tmp_path):
     (tmp_path / "track.json").write_text(json.dumps({"objects": [], "parameters": {}}))
+    (tmp_path / "report.html").write_text("<main></main>")
     lines = materials_to_folder(track(sliding()), tmp_path, 0, "test")
+    assert all(line in (tmp_path / "report.html").read_text() for line in lines)
     told = json.loads((tmp_path / "track.json").read_text())["parameters"]
     assert set(told) == {"friction"}
     low, high = told["friction"]["interval"]

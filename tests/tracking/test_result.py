@@ -8,7 +8,7 @@ import pytest
 from browser import needed, violations
 
 from derender.errors import DerenderError
-from derender.tracking.page import report_page
+from derender.tracking.page import report_page, with_materials
 from derender.tracking.result import FILES, events_of, read_track, track_json, write_track
 from derender.tracking.track import Recorder
 
@@ -35,6 +35,7 @@ def test_a_track_is_written_and_read_again(tmp_path):
     assert told["seed"] == 3 and told["version"] and len(told["objects"][0]["poses"]) == 4
     lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
     assert {"frame", "time", "event", "object"} <= set(lines[0])
+    assert "<pre>friction 0.3 &lt; 1</pre>" in with_materials(page, ["friction 0.3 < 1"])
     assert "<h2>Events</h2><p>None.</p>" in report_page(track, frames, films.CAMERA, [], "a film")
     assert page.count('class="shot"') == 4 and "http" not in page.replace("http://www.w3.org", "")
 
