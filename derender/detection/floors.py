@@ -92,7 +92,11 @@ def fitted(depth: np.ndarray, points: np.ndarray, candidate: Candidate, share: f
 
 def floors_of(depth: np.ndarray, camera: Camera | dict[str, float], gravity: Any = None,
               believed: Floors | None = None) -> list[Candidate]:  # fmt: skip
-    """Return the Candidates that come near the likeliest one, that first. Takes what `find_floor` does."""
+    """Return the Candidates that come near the likeliest one, that first.
+
+    gravity : (3,) the way things fall in the camera's frame, where it is known: then a level plane is the floor if
+        enough lies on one. Takes and raises else what `find_floor` does.
+    """
     believed = bare_image().loose.floor if believed is None else believed
     points = back_project(depth, camera)
     count = int((np.isfinite(depth) & (depth > 0)).sum())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from derender.camera.intrinsics import Camera
-from derender.detection.floors import find_floor
+from derender.detection.floors import find_floor, floors_of
 from derender.detection.search.observation import observe
 
 CAMERA = Camera(150.0, 150.0, 79.5, 59.5, 160, 120)
@@ -35,8 +35,8 @@ def depth():
 def test_the_level_plane_is_the_floor(depth):
     without = find_floor(depth, CAMERA)
     assert without.pose[:3, 2] @ -FALL < 0.95  # the ramp: what the image alone would have
-    known = find_floor(depth, CAMERA, gravity=FALL)
-    assert known.pose[:3, 2] @ -FALL > 0.9999
+    known = floors_of(depth, CAMERA, FALL)[0]
+    assert known.normal @ -FALL > 0.999  # of three points each; the fit that follows is closer
 
 
 def test_gravity_comes_with_the_camera(depth):
@@ -47,9 +47,9 @@ def test_gravity_comes_with_the_camera(depth):
 
 
 def test_gravity_that_fits_no_plane_is_set_aside(depth):
-    sideways = find_floor(depth, CAMERA, gravity=(1.0, 0.0, 0.0))
-    plain = find_floor(depth, CAMERA)
-    np.testing.assert_array_equal(sideways.pose, plain.pose)
+    sideways, plain = floors_of(depth, CAMERA, (1.0, 0.0, 0.0))[0], floors_of(depth, CAMERA)[0]
+    np.testing.assert_array_equal(sideways.normal, plain.normal)
+    assert sideways.offset == plain.offset
 
 
 def test_a_small_floor_before_a_wall_is_the_floor():

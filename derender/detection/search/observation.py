@@ -177,7 +177,7 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
     Floors that come near the first are weighed by what they explain, see `odds_among`. Only what a sensor saw is
     weighed so; what is drawn shows the floor of its prior.
 
-    gravity : see `find_floor`.
+    gravity : see `floors_of`.
     """
     found: list[Observation] = []
     try:
