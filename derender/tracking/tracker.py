@@ -365,7 +365,10 @@ class Tracker(Drawing):
                 continue
             there, room = self._expected(thing), self._information(thing)
             self.draw(k, there)
-            price = WAKES * rests + narrowed(room[:6, :6], self.fit_from_afar(k, there, room, free=False))
+            curvature = self.fit_from_afar(k, there, room, free=False)
+            if self.unexplained(k):
+                curvature = self._search(k, there, room, curvature)
+            price = WAKES * rests + narrowed(room[:6, :6], curvature[:6, :6])
             if rests and float(cost(self.misfit, self.poses, self.sizes)) / self.start.temper + price > nats:
                 self._put(k, found)
                 continue
