@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.render.blur import blur
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
@@ -125,6 +126,9 @@ SLOPING = 0.004  # share of the depth by which a surface may go on beside all th
 # Standard deviations of a blur, rounded up to pixels, beyond which a pixel shows less than 2 % of a jump's other side;
 # and those of the noise by which three pixels in line are bent at a jump: five times sqrt(6), what noise alone makes.
 MIXED, JUMP = 1.5, 12.0
+# Rounds in which a mixture is undone, the widest blur, in pixels, for which they are enough (what they leave is less
+# than the noise then, under one of .6 it is seven times that), and times the noise of these pixels is what it was.
+UNMIXED, MOST_UNMIXED, LOUDER = 8, 0.55, 2.0
 ONWARD = 2  # blocks: of a slope told by rows that are nearer to each other noise is the larger part
 
 
@@ -270,25 +274,21 @@ def reduce(
     return np.where(filled > 0, filled, np.nan), reduced_camera(camera, factor, depth.shape), factor
 
 
-def single_pixels(depth: np.ndarray, factor: int, beside: np.ndarray | None = None) -> np.ndarray:
+def single_pixels(depth: np.ndarray, factor: int) -> np.ndarray:
     """Return (H / factor, W / factor) depths: of each block that of the pixel that stands for it, NaN = no return.
 
     Where `reduce` makes use of all pixels of a block, these are as the sensor gave them: their noise is the image's,
     and no edge that runs through a block bends them.
-
-    beside : (H, W) bool, pixels that are left out, see `blurred_jumps`; None: none.
     """
     first = sampled(factor)
     height, width = depth.shape[0] // factor, depth.shape[1] // factor
     single = np.asarray(depth, float)[first::factor, first::factor][:height, :width]
-    told = np.isfinite(single) & (single > 0)
-    if beside is not None:
-        told &= ~beside[first::factor, first::factor][:height, :width]
-    return np.where(told, single, np.nan)
+    return np.where(np.isfinite(single) & (single > 0), single, np.nan)
 
 
-def blurred_jumps(depth: np.ndarray, sigma: float) -> np.ndarray:
-    """Return (H, W) bool: the pixels so near a jump that a blurred image shows a mixture of its sides there.
+def blurred_jumps(depth: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
+    """Return (H, W) bool, the pixels so near a jump that a blurred image shows a mixture of its sides there, and the
+    blur's standard deviation in pixels.
 
     How much of each a pixel shows hangs on where within a pixel the jump is: in a smaller image of single pixels that
     falls between them, and no blur of whole pixels of that image explains it.
@@ -298,12 +298,38 @@ def blurred_jumps(depth: np.ndarray, sigma: float) -> np.ndarray:
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), np.nan)
     noise = np.maximum(sigma * inverse**2, sigma / np.median(depth[known]) ** 2) if known.any() else inverse
-    reach = int(np.ceil(MIXED * estimate_blur(depth, noise / inverse**2)))
+    blurred = estimate_blur(depth, noise / inverse**2)
+    reach = int(np.ceil(MIXED * blurred))
     jump = np.zeros(depth.shape, bool)
     if reach == 0:
-        return jump
+        return jump, blurred
     for bend, limit, out in ((inverse, noise, jump), (inverse.T, noise.T, jump.T)):
         before, middle, after = bend[:, : -2 * reach], bend[:, reach:-reach], bend[:, 2 * reach :]
         with np.errstate(invalid="ignore"):  # inverse depth is affine on a plane: there it does not bend
             out[:, reach:-reach] |= np.abs(before - 2.0 * middle + after) > JUMP * limit[:, reach:-reach]
-    return jump
+    return jump, blurred
+
+
+def unmixed(depth: np.ndarray, beside: np.ndarray, blurred: float, sigma: float) -> np.ndarray:
+    """Return the depth (H, W) with pixels beside jumps as they were without the blur; NaN where that cannot be told.
+
+    These pixels alone tell where a solid ends: without them its sides were open to two pixels of the whole image. What
+    the blur does once more to the image as it is found to be is taken away from it, again and again (van Cittert 1931);
+    what leaks across jumps then tells how much more, or less, the blur was.
+
+    beside, blurred : see `blurred_jumps`. sigma : metres of noise.
+    """
+    known = np.isfinite(depth) & (depth > 0)
+    there = beside & (blur((~known).astype(float), blurred) == 0.0)
+    if blurred > MOST_UNMIXED or not there.any():
+        return np.where(beside, np.nan, depth)
+    seen = np.where(known, depth, np.median(depth[known]))
+    for _ in range(2):
+        sharp = seen.copy()
+        for _ in range(UNMIXED):
+            sharp += seen - blur(sharp, blurred)
+        sharp = np.where(there, sharp, np.where(beside, np.nan, depth))
+        left = leaks(1.0 / sharp, LOUDER * sigma / sharp**2)
+        if len(left):
+            blurred = float(np.interp(np.interp(blurred, SIGMAS, LEAKS) + np.median(left), LEAKS, SIGMAS))
+    return sharp

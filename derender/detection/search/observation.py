@@ -41,7 +41,7 @@ from derender.detection.floors import (
     tolerance_of,
 )
 from derender.detection.patches import Patches, find_patches
-from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels
+from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
 from derender.scene.priors.bare_image import Floors
@@ -148,8 +148,9 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
     gravity = getattr(camera, "gravity", None)  # a mapping of four numbers knows none
     whole = depth
     factor = reduced_by(whole, widest)
-    beside = blurred_jumps(whole, pixel_noise(whole)) if factor > 1 else None
-    depth, camera, factor = reduce(whole if beside is None else np.where(beside, np.nan, whole), camera, widest)
+    sigma = pixel_noise(whole)
+    beside, blurred = blurred_jumps(whole, sigma) if factor > 1 else (np.zeros(whole.shape, bool), 0.0)
+    depth, camera, factor = reduce(np.where(beside, np.nan, whole), camera, widest)
     if isinstance(plane, Support):
         others = None if plane.others is None else single_pixels(plane.others, factor) > 0.0
         alone = depth if others is None else np.where(others, np.nan, depth)
@@ -167,7 +168,9 @@ def observe(depth: np.ndarray, camera: Camera | dict[str, float], widest: int = 
         seen = tell_apart(depth, camera, factor, floor, backdrop, rounding, floating, fills=fills)
     else:
         seen = likeliest(depth, camera, factor, gravity, rounding, floating, believed)
-    return seen._replace(single=single_pixels(whole, factor, beside))
+    # what a real sensor shows at its edges is no mixture by a blur alone
+    whole = np.where(beside, np.nan, whole) if seen.correlation > CORRELATED else unmixed(whole, beside, blurred, sigma)
+    return seen._replace(single=single_pixels(whole, factor))
 
 
 def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity: Any, rounding: float,
