@@ -26,6 +26,7 @@ from derender.structures.draws.chart import make_chart, place_rows
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
     Refined,
+    at_its_blur,
     climb,
     floor_pose_of,
     height,
@@ -256,4 +257,6 @@ def with_own_sensor(rng: np.random.Generator, trial: Refined, places: Any, least
     if height(found) < height(trial) + least or not places:
         return found
     members = members_of(found.chart, places)
-    return climb(rng, found.state, found.chart, found.values.copy(), found.sensor, SETTLING, members, ())
+    moved = found.sensor.values["blur"] != trial.sensor.values["blur"]
+    found = climb(rng, found.state, found.chart, found.values.copy(), found.sensor, SETTLING, members, ())
+    return at_its_blur(rng, found, members) if moved else found
