@@ -8,7 +8,7 @@ from derender.structures.alternatives import MOST_COMBINED, combinations, likeli
 from derender.structures.graph_posterior import DrawsOfOne, weighed_structures
 from derender.structures.weighing import CLOSE, Weighed
 
-NOISE = 0.03  # metres, in which a cube of 6 cm may as well be a box
+NOISE = 0.04  # metres, in which a cube of 6 cm may as well be a box
 
 
 def two_cubes():

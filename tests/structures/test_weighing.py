@@ -12,8 +12,9 @@ from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.render.raycast.state import BLUR, RADIUS, taps_of
-from derender.sampling.evidence import draw_t, log_t
+from derender.sampling.evidence import Evidence, draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
+from derender.structures import weighing
 from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
 from derender.structures.changes import longer, stood_up, uprighted
 from derender.structures.draws.chart import HELD
@@ -201,6 +202,30 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
     draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
     again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
     assert same is far and abs(again.odds - first.odds) < 4.0 * math.hypot(again.error, first.error) + 0.3
+    one_failed = averaged(np.array([-1.0, -1.2, -0.9, 3.0]), np.array([0.1, 0.1, 0.1, 30.0]))  # 7.38 was said once
+    assert abs(one_failed["odds"] + 1.03) < 0.05 and one_failed["error"] < 0.2
+
+
+def test_an_integral_that_failed_is_made_again(monkeypatch):
+    """One of 2.86 nats of error said that what was 2.6 nats less likely was 5.1 so, too far to be looked at closer."""
+    rng, cube = np.random.default_rng(11), solid(BOX, (0.08,) * 3, cube=True)
+    sensor, chart, values = observe(rng, cube, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
+    made = [Evidence(1.0, 2.86), Evidence(3.5, 0.1)]
+    monkeypatch.setattr(weighing, "log_evidence", lambda *given: made.pop(0))
+    found = weighing.evidence_over(rng, Refined(cube, chart, values, sensor, 0.0, 0.0), (0,))
+    assert found == Evidence(3.5, 0.1) and not made
+
+
+@pytest.mark.parametrize(("error", "places"), [(0.1, 4), (1.0, 12)])
+def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, error, places):
+    state = solid(BOX, (0.1,) * 3, cube=True)
+    sensor, chart, values = observe(np.random.default_rng(1), state, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
+    best, asked = Refined(state, chart, values, sensor, 0.0, 0.0), []
+    monkeypatch.setattr(weighing, "integrals", lambda rng, best, places, draws: [None] * len(draws))
+    monkeypatch.setattr(weighing, "odds_at", lambda rng, **given: asked.append(given["values"][0]) or (-0.5, error))
+    draws = np.arange(50.0)[:, None] * np.ones(len(values))
+    made_sure(np.random.default_rng(2), best, [Weighed(best, 0.0, 1.0, ((0,), (0,)))], lambda rng: draws, RULES)
+    assert len(set(asked)) == len(asked) == places
 
 
 def test_a_rival_goes_with_what_touches_it():
