@@ -31,6 +31,7 @@ from derender.structures.changes import (
     changes,
     other_shapes,
     propped_up,
+    reached_down,
     still_bears,
     uprighted,
 )
@@ -98,7 +99,7 @@ def of_one_solid(
                 found.append(trial)
         return found
 
-    found = likely([*changes(best, i), *other_shapes(best, i, shapes)])
+    found = likely([*changes(best, i), *other_shapes(best, i, shapes), *reached_down(best, i)])
     found += likely(as_boxes(best, likeliest_of_each(found), i))
     propped = [] if rules.floating else propped_up(best, i, shapes)
     least = PROPPING if propped else PRUNE_THRESHOLD

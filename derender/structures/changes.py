@@ -11,7 +11,7 @@ from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
-from derender.detection.solids.support import flat_top, shadows_overlap, with_bottom
+from derender.detection.solids.support import flat_top, shadows_overlap, shares_of_load, with_bottom
 from derender.scene.pose import rotation_z
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.structures.draws.chart import HELD, PARENT, levelled, support_of
@@ -20,6 +20,7 @@ from derender.structures.draws.refined import Refined, pixels_of
 LONGER = 1.4  # times as long as a cube is a box tried on one side
 YAWS = tuple(np.radians([0.0, 30.0, 60.0]))  # in which a solid that was round is tried as a box
 NARROWER, BEHIND = 0.7, 0.3  # times as wide as what it bears is a support, and how far behind its middle it may be
+REACH = 0.01  # metres between solids that touch: where they do an image tells to millimetres
 LEAST_TALL = 0.01  # metres: what is lower is no solid that was found lying
 SQUARER = 0.87  # times as wide as a circle is a square of about the same outline
 FEW_PIXELS = 80  # in which a solid's shape may hardly show
@@ -221,3 +222,32 @@ def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
                 new.parents[i], new.bottoms[i] = len(state), gap
                 states.append(new)
     return states
+
+
+def reached_down(best: Refined, i: int) -> list[State]:
+    """Return the state in which a tilted box that none of its contacts holds goes on to the floor, behind what hides
+    its lower end, as thick as it is; none where they hold it."""
+    state, row = best.state, best.state.rows[i]
+    if int(row[0]) != BOX or state.forms[i] != FREE or lowest(row) < REACH or is_held(state, i):
+        return []
+    up = rotation_of(row)[2]
+    steep = np.where(np.arange(3) == np.argmin(row[13:16]), 0.0, np.abs(up))
+    axis, new = int(np.argmax(steep)), row.copy()
+    more = lowest(row) / abs(up[axis])
+    new[13 + axis] += more
+    new[10:13] -= 0.5 * more * np.sign(up[axis]) * rotation_of(row)[:, axis]
+    longer = changed(state, i, new, cube=False)
+    longer.parents[i], longer.bottoms[i] = FLOOR, np.nan
+    return [longer]
+
+
+def is_held(state: State, i: int) -> bool:
+    """Whether forces where solid `i` touches others can hold it, friction helping."""
+    return bool(shares_of_load(state.rows, i, REACH))
+
+
+def tipping_of(refined: Refined) -> float:
+    """Return the nats that tilted solids cost which none of their contacts holds: they tip, as what stands may."""
+    state = refined.state
+    tilted = (k for k in range(len(state)) if state.forms[k] == FREE and int(state.rows[k][0]) != SPHERE)
+    return refined.chart.tipping * sum(not is_held(state, k) for k in tilted)

@@ -28,6 +28,7 @@ from derender.structures.alternatives import (
     weighed_whole,
 )
 from derender.structures.bearers import by_bearer
+from derender.structures.changes import tipping_of
 from derender.structures.draws.metropolis import Draws
 from derender.structures.draws.refined import (
     WARM,
@@ -182,7 +183,11 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
             chosen = surest([other for other, _ in pairs])
             own = next(own for other, own in pairs if other is chosen)
             found[key] = (chosen.trial, chosen.odds, own, chosen.error)
-    return sorted(found.values(), key=lambda each: -each[1])
+    least = -NEGLIGIBLE - tipping_of(best)  # what is less likely stays negligible, whatever the best costs
+    standing = [(trial, odds - (tipping_of(trial) if odds > least else 0.0), own, error)
+                for trial, odds, own, error in found.values()]  # fmt: skip
+    most = max(odds for _, odds, _, _ in standing)
+    return sorted(((trial, odds - most, own, error) for trial, odds, own, error in standing), key=lambda each: -each[1])
 
 
 def draws_of(rng: np.random.Generator, made: DrawsOfOne, refined: Refined) -> np.ndarray:

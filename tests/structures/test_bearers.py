@@ -1,4 +1,7 @@
-"""Who bears most of a board that leans: it hangs on the friction of its contacts, of which the prior's file speaks."""
+"""Who bears most of a board that leans: it hangs on the friction of its contacts, of which the prior's file speaks.
+And one that nothing holds goes on to the floor, behind what it leans on."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,11 +10,15 @@ from derender.detection.solids.beliefs import Rules
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
+from derender.evaluation.frontier_scenes import KINDS, make
 from derender.scene.distributions import distributions
 from derender.scene.priors.bare_image import Loose
 from derender.scene.solids import BOX
 from derender.structures.bearers import by_bearer
+from derender.structures.changes import reached_down, tipping_of
 from derender.structures.draws.chart import make_chart
+from derender.structures.infer import infer_structure
+from derender.structures.options import Options
 
 LONG, THICK, BLOCK = 0.17, 0.01, np.array([0.08, 0.12, 0.07])  # metres
 
@@ -45,3 +52,25 @@ def test_a_parent_that_hangs_on_friction_is_open():
 def test_the_friction_of_the_file_decides():
     assert chances(0.09, distributions["uniform"](0.25, 0.3)) == {FLOOR: 1.0}
     assert chances(0.09, distributions["uniform"](0.8, 0.9)) == {0: 1.0}
+
+
+def test_a_board_that_nothing_holds_goes_on_to_the_floor():
+    """Its upper half alone would slip off the block's edge: that costs what tipping does."""
+    whole = leaning(0.06)
+    short = whole.copy()
+    half = 0.4 * LONG
+    short.rows[1, 13] -= half
+    short.rows[1, 10:13] += 0.5 * half * short.rows[1, 1:10].reshape(3, 3)[:, 0]
+    (found,) = reached_down(SimpleNamespace(state=short), 1)
+    assert found.rows[1, 13] == pytest.approx(LONG, abs=1e-6) and found.rows[1, 15] == THICK
+    assert reached_down(SimpleNamespace(state=whole), 1) == []
+    chart = SimpleNamespace(tipping=4.6)
+    costs = [tipping_of(SimpleNamespace(state=state, chart=chart)) for state in (short, whole)]
+    assert costs == [4.6, 0.0]
+
+
+def test_a_board_whose_foot_hides_is_not_surely_on_the_block():
+    """Of 7303 106 pixels show the upper end: said to lie on the block's edge at .88, and nothing else was weighed."""
+    seen = make(np.random.default_rng([7303, list(KINDS).index("boards")]), "boards")
+    found = infer_structure(seen.depth, seen.camera, Options(seed=0))
+    assert found.parent_probability("box_2").get("floor", 0.0) > 0.2
