@@ -6,7 +6,7 @@ parabolas through the tracked centres.
 
 import numpy as np
 
-from derender.dynamics.errors import LEVER, STEADY
+from derender.dynamics.engine import LEVER, STEADY
 from derender.dynamics.motion import Motion
 from derender.dynamics.states import difference, from_poses, moved
 

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
-from derender.dynamics.engine import Engine
-from derender.dynamics.errors import Scales
+from derender.dynamics.engine import Engine, Scales
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import ALWAYS, Parameters, Prior, read_dynamics_prior
 from derender.dynamics.shooting import Errors, Path, Shooting

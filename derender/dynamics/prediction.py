@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.dynamics.engine import Engine, Material
-from derender.dynamics.errors import LEVER, Scales, velocity_errors
+from derender.dynamics.engine import LEVER, Engine, Material, Scales, velocity_errors
 from derender.dynamics.inference import Identified
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters

@@ -8,7 +8,7 @@ import numpy as np
 
 from derender import __version__
 from derender.atomic import atomic_path
-from derender.dynamics.errors import ENGINE_FRICTION, ENGINE_RESTITUTION
+from derender.dynamics.engine import ENGINE_FRICTION, ENGINE_RESTITUTION
 from derender.dynamics.inference import Identified
 from derender.dynamics.states import CHANGE, moved, to_poses
 
@@ -23,7 +23,7 @@ class Answer:
 
     draws : name -> (K,) or (K, 3) float64: friction, restitution, contact_time (s), mass_ratio.OF.TO; velocity.NAME
         (m / s) and angular_velocity.NAME (rad / s) in the first frame, in the frame of the poses; error.impact,
-        error.steady, error.tracking and error.turning, the scales of `errors`.
+        error.steady, error.tracking and error.turning, the `Scales` of the engine.
     told : names of the numbers that the motion tells.
     """
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
 
-from derender.dynamics.engine import SLIDING_RESTITUTION, Engine, Material
-from derender.dynamics.errors import LATE, LEVER, Scales, velocity_errors
+from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
 from derender.dynamics.impacts import BOUNCE, Impacts
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters

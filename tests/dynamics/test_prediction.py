@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from derender.dynamics.engine import Engine, Material
-from derender.dynamics.errors import Scales
+from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
