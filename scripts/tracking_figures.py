@@ -24,9 +24,9 @@ from derender.camera.intrinsics import Camera  # noqa: E402
 from derender.render.raycast.normal_equations import cost  # noqa: E402
 from derender.structures.options import Options  # noqa: E402
 from derender.tracking.film import Film  # noqa: E402
-from derender.tracking.first import start_from  # noqa: E402
 from derender.tracking.passes import Passes  # noqa: E402
 from derender.tracking.run import inferrer  # noqa: E402
+from derender.tracking.thing import start_from  # noqa: E402
 from derender.tracking.track import Recorder  # noqa: E402
 
 LOST = 0.03  # metres

@@ -12,7 +12,7 @@ from derender.tracking import fit as fitting
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
-    from derender.tracking.first import Start
+    from derender.tracking.thing import Start
 
 BACKGROUND = 10.0  # metres, where nothing is drawn
 LIMIT = 8.0  # nats: a pixel off by more than four standard deviations tells no more
@@ -33,7 +33,7 @@ BESIDE, MOST_BESIDE = 6, 0.12  # pixels about a thing, and the share of its own 
 class Drawing:
     """The floor and the things as they are drawn, and the frame that they are compared with.
 
-    camera : Camera. start : first.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
+    camera : Camera. start : thing.Start. things : what is followed. view : (4, 4), world to camera. planes : 1 or 0.
     kinds : (N,), poses : (N, 4, 4), sizes : (N, 3) of all solids, in camera axes; the floor first. counts : (N, 4).
     misfit : Misfit. observed, spread : (H, W) metres. backdrop : (H, W) depth of what lies behind and is no floor.
     rounds : sets of normal equations so far.

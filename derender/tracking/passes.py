@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from derender.tracking.drawing import DEVIATION
-from derender.tracking.first import Start
-from derender.tracking.thing import LOST
+from derender.tracking.thing import LOST, Start
 from derender.tracking.track import Recorder, Track
 
 if TYPE_CHECKING:

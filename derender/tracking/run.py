@@ -24,11 +24,10 @@ from derender.tracking.film import (
     read_film,
     read_timing,
 )  # fmt: skip
-from derender.tracking.first import start_from
 from derender.tracking.page import report_page
 from derender.tracking.passes import Passes
 from derender.tracking.result import events_of, write_track
-from derender.tracking.thing import GONE
+from derender.tracking.thing import GONE, start_from
 from derender.tracking.track import Recorder, Track
 
 POLL = 0.2  # seconds between looks at a folder that grows

@@ -7,8 +7,7 @@ import numpy as np
 
 from derender.tracking.contact import parent_probabilities
 from derender.tracking.drawing import OFF
-from derender.tracking.first import Start, thing_of
-from derender.tracking.thing import MOVING, STILL, Seen
+from derender.tracking.thing import MOVING, STILL, Seen, Start, thing_of
 from derender.tracking.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ def upright(gravity: Any) -> np.ndarray:
 class Recorder:
     """Follows frame after frame and keeps what was found, so that a growing film can be told of at any time.
 
-    depth : (H, W) the first frame. camera : Camera. start : first.Start, what is there. gravity : (3,) or None.
+    depth : (H, W) the first frame. camera : Camera. start : thing.Start, what is there. gravity : (3,) or None.
     step : seconds between frames. moving_camera : whether the camera may move. infer : (depth) -> Posterior, for what
     comes in later, or None.
     """

@@ -17,12 +17,11 @@ from derender.scene.solids import BOX
 from derender.tracking import fit as fitting
 from derender.tracking.drawing import FEW, OFF, ROUNDS, TOLERANCE, Drawing
 from derender.tracking.hidden import last_seen, moved, one_frame_later
-from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Thing
+from derender.tracking.thing import GONE, HIDDEN, LOST, MOVING, STILL, Seen, Start, Thing
 from derender.tracking.unexplained import Blob, blobs_of, shifts_to
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
-    from derender.tracking.first import Start
 
 WAKE = 25.0  # nats that moving a resting thing must gain: the noise of both frames does so once in 100,000 tests
 WOKEN = (0.0010, 0.012)  # metres and radians from where it rested from which on it moves
@@ -66,14 +65,14 @@ class Viewpoint(NamedTuple):
 class Tracker(Drawing):
     """Follows things through frames.
 
-    camera : Camera. start : first.Start. depth : (H, W) metres, the first frame. gravity : (3,) m/s^2, camera axes.
+    camera : Camera. start : thing.Start. depth : (H, W) metres, the first frame. gravity : (3,) m/s^2, camera axes.
     step : seconds between frames. moving_camera : whether the camera may move.
     """
 
     def __init__(
         self,
         camera: "Camera",
-        start: "Start",
+        start: Start,
         depth: np.ndarray,
         gravity: np.ndarray,
         step: float,
