@@ -36,7 +36,8 @@ def command(frames: tuple[str, ...], output: str, camera: str | None, depth_scal
         seen = read_depth(name, camera, depth_scale)
         depth = np.where(np.isfinite(seen.depth) & (seen.depth > 0), seen.depth, np.nan)
         pairs.append(residuals(depth, seen.camera.to_dict(), name))
-    fit = fit_sensor(pairs)
+    with talk.bar() as bar:
+        fit = fit_sensor(pairs, lambda done: bar(done, "fitting") if bar else None)
     before, after = fit.correlation
     talk.say(f"{fit.pixels} pixels of table: neighbours correlate at {before:.2f}, whitened at {after:+.2f} at most; "
              f"99 % of whitened residuals are within {fit.beyond:.2f} times the normal's limit")  # fmt: skip

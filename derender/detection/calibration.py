@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from derender.detection.floor import back_project
 from derender.detection.floors import find_floor
 from derender.detection.pyramid import noise_of
+from derender.detection.solids.beliefs import any_sensor, log_prior_of
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
 from derender.render.raycast.evaluator import DepthEvaluator
@@ -16,11 +18,13 @@ from derender.render.raycast.evaluator import DepthEvaluator
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
 LEAST_PIXELS = 2000  # on the table, in each frame: fewer tell nothing of what neighbours share
-ROUNDS, AGAIN = 250, 2  # of the simplex, at most, and how often it is begun
+ROUNDS, AGAIN = 400, 8  # of the simplex, at most, and how often it is begun
+GAINED = 1.0  # nats that it has to gain to be begun again
+BETWEEN = 3  # pixels: gaps and bridges among those on the table that are less than twice as wide are closed, or cut
 ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
 BEGIN = {"white": 0.05, "reach": 4.0, "reach_down": 2.0, "tail": 0.1}  # where the simplex begins, and a step
-SHARES = ("white", "tail")
-ON_TABLE = 1e-6  # share of outliers among pixels that were chosen because they lie on the table
+SHARES = ("white", "tail", "outlier")
+BEFORE = 1e-3  # share of outliers where the simplex begins
 LEAST = 1e-5  # of a number whose logarithm is taken
 KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
 NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
@@ -48,25 +52,47 @@ def residuals(depth: np.ndarray, camera: Any, name: str) -> tuple[np.ndarray, np
     if floor.inliers.sum() < LEAST_PIXELS:
         what = f"{int(floor.inliers.sum())} pixels lie on a plane: fewer than {LEAST_PIXELS}"
         raise DerenderError(what, name, "give frames that show a bare table and little else")
-    residual = np.where(floor.inliers, depth - plane, np.nan)
+    seen = np.isfinite(depth) & (depth > 0)
+    residual = np.where(whole_patches(floor.inliers) & seen, depth - plane, np.nan)
     if np.nanstd(residual) < LEAST_NOISE:
         what = f"the table shows no noise ({1e6 * np.nanstd(residual):.2g} micrometres)"
         raise DerenderError(what, name, "give frames of a real sensor, as it writes them")
     return residual, np.where(np.isfinite(plane), plane, 0.0)
 
 
-def fit_sensor(pairs: list[tuple[np.ndarray, np.ndarray]]) -> Fit:
-    """Return the Fit of (residual, depth) pairs of frames by one sensor: how its residuals scatter, and the most likely
-    numbers of what neighbours share."""
+def whole_patches(inliers: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: patches of pixels that lie on a plane (H, W) and the few others among them.
+
+    What is chosen by its own residual has lost those that a fit has to see: outliers, tails, drifts.
+    """
+    from scipy import ndimage
+
+    closed = ndimage.binary_closing(inliers, iterations=BETWEEN)
+    return ndimage.binary_opening(closed, iterations=BETWEEN)
+
+
+def fit_sensor(
+    pairs: list[tuple[np.ndarray, np.ndarray]], progress: Callable[[float], None] = lambda done: None
+) -> Fit:
+    """Return the Fit of (residual, depth) pairs of frames by one sensor: its most probable numbers under what is
+    believed of any sensor. Noise alone is not how residuals scatter: pixels that go on drift away from the surface.
+
+    progress : called with the fraction done, at the least.
+    """
     depths = np.concatenate([depth.ravel() for _, depth in pairs])
     sigma, growth = noise_of(np.concatenate([residual.ravel() for residual, _ in pairs]), depths)
     steps = [innovations(depth + residual, NOISE.complete(BEGIN)).ravel() for residual, depth in pairs]
     step, step_growth = noise_of(np.concatenate(steps), depths)
     begin = {**BEGIN, "step": step, "step_growth": step_growth}
-    values = {"sigma": sigma, "sigma_growth": growth, **begin, "outlier": ON_TABLE}
+    values = {"sigma": sigma, "sigma_growth": growth, **begin, "outlier": BEFORE}
+    sought, believed = tuple(values), partial(log_prior_of, any_sensor())
     tables = [DepthEvaluator.of_depth(depth + residual, depth, "correlated", values) for residual, depth in pairs]
-    for _ in range(AGAIN):
-        values = likeliest(tables, values, tuple(begin), ROUNDS)
+    gained, height, again = np.inf, -np.inf, 0
+    while gained > GAINED and again < AGAIN:
+        values = likeliest(tables, values, sought, ROUNDS, believed)
+        found = sum(table.set_values(values) or 0.0 for table in tables) + believed(values)
+        gained, height, again = found - height, found, again + 1
+        progress(again / AGAIN)
     white = [whitened(residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
     return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin)}, int(every.size),
@@ -114,7 +140,7 @@ def log_density(residual: np.ndarray, depth: np.ndarray, values: dict[str, float
 
 def whitened(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
     """Return residuals (H, W) about a surface at `depth`, whitened, NaN where there is none."""
-    return NOISE.whitened(depth + residual, depth, {**values, "outlier": ON_TABLE})
+    return NOISE.whitened(depth + residual, depth, values)
 
 
 def correlation(images: list[np.ndarray], up: int, left: int) -> float:

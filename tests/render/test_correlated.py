@@ -8,8 +8,9 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter
 
 from derender import data_path
+from derender.camera.intrinsics import Camera
 from derender.cli import group
-from derender.detection.calibration import Fit, correlation, fit_sensor, sensor_text
+from derender.detection.calibration import Fit, correlation, fit_sensor, residuals, sensor_text
 from derender.document import document_from, read_document
 from derender.render.likelihoods import likelihoods
 from derender.render.likelihoods.correlated import NEIGHBOURS, independent_share, prediction, shown_share
@@ -194,16 +195,38 @@ def test_whitened_noise_is_the_density_s_own():
 
 
 def test_numbers_of_a_sensor_are_found_again():
-    """Of noise that is a smooth field: by how much it scatters, and goes on otherwise; and it whitens."""
+    """Of noise that is a smooth field, not a mixture: of the size of what it scatters by, growing as it; it whitens."""
     rng, depth = np.random.default_rng(5), np.linspace(0.5, 1.0, 96)[:, None].repeat(128, axis=1)
     field = gaussian_filter(rng.standard_normal(depth.shape), (1.0, 2.0))
     field = field / field.std() + 0.2 * rng.standard_normal(depth.shape)
     residual = (0.0005 + 0.004 * depth**2) * field
     fit = fit_sensor([(residual, depth)])
     for metres in (0.6, 0.9):
+        scatter = 0.0005 + 0.004 * metres**2
         noise, step = (fit.values[name] + fit.values[f"{name}_growth"] * metres**2 for name in ("sigma", "step"))
-        assert noise == pytest.approx(0.0005 + 0.004 * metres**2, rel=0.15) and 0.2 < step / noise < 0.5
+        assert 0.5 < noise / scatter < 1.2 and 0.2 < step / scatter < 0.5  # of a mixture those that tell anew alone
     assert fit.correlation[0] > 0.85 and abs(fit.correlation[1]) < 0.25 and 0.6 < fit.beyond < 1.1
+
+
+def test_a_sensor_s_own_frames_tell_its_numbers(tmp_path):
+    """As `derender calibrate` does: the table is found, and what lies among its pixels counts. Pixels that go on drift:
+    they scatter three times as much as the noise."""
+    true = {"sigma": 0.0005, "sigma_growth": 0.003, "step": 0.0002, "step_growth": 0.0015, "white": 0.2, "reach": 5.0,
+            "reach_down": 2.0, "tail": 0.1, "outlier": 0.02}  # fmt: skip
+    camera, rng = Camera(150.0, 150.0, 79.5, 59.5, 160, 120), np.random.default_rng(0)
+    pairs = []
+    for distance in (0.6, 0.9):
+        normal = np.array([0.0, -np.sqrt(0.5), -np.sqrt(0.5)])
+        table = distance * normal[2] / (camera.rays() @ normal)
+        depth = NOISE.sample(rng, table, NOISE.complete(true))
+        pairs.append(residuals(depth, camera.to_dict(), "table"))
+    found = fit_sensor(pairs).values
+    for metres in (0.6, 0.9):
+        noise, step = (found[name] + found[f"{name}_growth"] * metres**2 for name in ("sigma", "step"))
+        assert noise == pytest.approx(0.0005 + 0.003 * metres**2, rel=0.2)  # one pixel of ten tells it anew
+        assert step == pytest.approx(0.0002 + 0.0015 * metres**2, rel=0.1)
+    assert found["reach"] == pytest.approx(5.0, rel=0.1) and found["reach_down"] == pytest.approx(2.0, rel=0.1)
+    assert found["white"] == pytest.approx(0.2, abs=0.02) and found["tail"] == pytest.approx(0.1, abs=0.05)
 
 
 @pytest.mark.parametrize("path", SENSORS, ids=lambda path: path.stem)

@@ -137,6 +137,12 @@ class Beliefs(NamedTuple):
     sensor: LikelihoodPrior | None  # LikelihoodPrior, or None where the file has none
 
 
+# Numbers of what neighbours share, and all numbers of a sensor that are fitted.
+SHARED = ("step", "step_growth", "reach", "reach_down", "white", "tail")
+UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)
+RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
+
+
 @cache
 def bare_image() -> Beliefs:
     """Return what is believed where no prior is given."""
@@ -164,6 +170,14 @@ def sensor_beliefs(beliefs: Beliefs, shared: bool) -> LikelihoodPrior | None:
     known = any_sensor().values
     own = {} if said is None else {name: value for name, value in said.values.items() if name in known}
     return LikelihoodPrior("correlated", {**known, **own})
+
+
+def log_prior_of(prior: LikelihoodPrior | None, numbers: dict[str, float]) -> float:
+    """Return the log density of a sensor's numbers under a LikelihoodPrior; never minus infinity."""
+    if prior is None:
+        return 0.0
+    known = [(value, numbers[name]) for name, value in prior.values.items() if name in UNKNOWN and name in numbers]
+    return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
 def beliefs_of(prior: Any, likelihood: LikelihoodPrior | None = None) -> Beliefs:

@@ -22,6 +22,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.compilation.threads import in_threads
+from derender.detection.solids.beliefs import log_prior_of
 from derender.detection.solids.image import ROW
 from derender.render.raycast.engine import new_engine, rescore_state, with_blur
 from derender.render.raycast.state import CANDIDATE, CURRENT
@@ -32,7 +33,7 @@ from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_th
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, log_prior, log_prior_about, place_rows
 from derender.structures.draws.curvature import Curvature
-from derender.structures.draws.sensor import Sensor, blurs_about, log_prior_of, model_depth
+from derender.structures.draws.sensor import Sensor, blurs_about, model_depth
 from derender.structures.draws.steps import (
     FACTOR,
     FIRST,

@@ -12,7 +12,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED
-from derender.detection.solids.beliefs import Rules, bare_image, sensor_beliefs
+from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
 from derender.detection.solids.graph import scene_graph
 from derender.detection.solids.image import ROW
 from derender.detection.solids.misfit import AS_SEEN
@@ -30,7 +30,6 @@ from derender.structures.draws.sensor import (
     final_sensor,
     first_sensor,
     floor_depth,
-    log_prior_of,
     model_depth,
     model_image,
     same_sensor_refitted,

@@ -10,6 +10,7 @@ import numpy as np
 from derender.camera.intrinsics import Camera
 from derender.detection.calibration import likeliest
 from derender.detection.pyramid import LEAST_SIGMA, MOST_SIGMA, noise_of
+from derender.detection.solids.beliefs import SHARED, log_prior_of
 from derender.detection.solids.image import ROW
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
@@ -21,13 +22,10 @@ from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import Chart, camera_poses, place_rows
 
-SHARED = ("step", "step_growth", "reach", "reach_down", "white", "tail")  # numbers of what neighbours share
 ROUNDS = 60  # in which these are sought
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
-UNKNOWN = ("sigma", "sigma_growth", "blur", "outlier", *SHARED)  # numbers of a sensor that are fitted
-RULED_OUT = -30.0  # nats of a number that a prior rules out: a fit comes from somewhere
 STEPS, WALKED = (0.3, 0.1, 0.03), 4  # pixels by which a blur is improved, and how many such steps at most
 APART, NODES = 0.02, 11  # pixels from a blur to the first that is tried beside it; blurs over which is summed
 RULES_OUT = 15.0  # nats by which a blur explains less, solids held: where they give way the blur is more open
@@ -145,14 +143,6 @@ def too_far(observed: np.ndarray) -> np.ndarray:
 def shown(observed: np.ndarray) -> np.ndarray:
     """Return an image (H, W) where it shows the scene, NaN where it shows something else or nothing."""
     return np.where(observed > 0.0, observed, np.nan)
-
-
-def log_prior_of(prior: LikelihoodPrior | None, numbers: dict[str, float]) -> float:
-    """Return the log density of a sensor's numbers under a LikelihoodPrior; never minus infinity."""
-    if prior is None:
-        return 0.0
-    known = [(value, numbers[name]) for name, value in prior.values.items() if name in UNKNOWN and name in numbers]
-    return float(sum(max(value.log_density(x), RULED_OUT) for value, x in known if isinstance(value, Distribution)))
 
 
 def held_by(prior: LikelihoodPrior | None) -> dict[str, float]:
