@@ -247,7 +247,7 @@ class WrongCount(Twin):
     """Counts all objects as if every one could die."""
 
     def log_choice(self, words, graph, choice):
-        if hasattr(choice, "vertex"):
+        if not isinstance(choice, str):  # a birth
             return super().log_choice(words, graph, choice)
         return math.log(0.5 / len(words.grown(graph)))
 
