@@ -1,9 +1,7 @@
 """Exact volumes of intersections of convex solids.
 
-A solid is a list of half-spaces n . x <= d. The intersection of two solids is the two lists together; its volume is a
-third of the sum over its faces of (distance of the face's plane from an origin) times (area of the face), by the
-divergence theorem. Each face is a large square in its plane, clipped by every other half-space. That is exact for boxes
-and convex polyhedra, needs no interior point, and does not mind faces that coincide.
+A solid is a list of half-spaces n . x <= d. The intersection of two solids is the two lists together; Qhull finds its
+corners about the middle of the largest ball inside, and their volume. That is exact for boxes and convex polyhedra.
 
 Cylinders are prisms with 64 sides and spheres polyhedra with 256 faces, of the solid's own volume: their intersections
 are right to about half a percent (two spheres: exact).
@@ -18,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from derender.compilation.cache import njit
 from derender.scene.shapes.kinds import CORNERS
 
 PRISM_SIDES = 64
 SPHERE_FACES = 256
+FLAT = 1e-7  # of the solids' extent: an intersection that holds no larger ball has no volume
 
 
 def half_spaces(solid: Mapping[str, Any]) -> np.ndarray:
@@ -65,7 +63,7 @@ def volume_of(solid: Mapping[str, Any]) -> float:
     size = np.asarray(solid["size"], float)
     if solid.get("vertices") is not None:
         centre = np.asarray(solid["pose"], float)[:3, 3]
-        return float(_convex_volume(_recentred(half_spaces(solid), centre), _reach(solid)))
+        return _convex_volume(half_spaces(solid), centre, _reach(solid))
     factor = {"sphere": pi / 6, "cylinder": pi / 4}.get(solid["type"], 1.0)
     return factor * float(np.prod(size))
 
@@ -79,8 +77,7 @@ def intersection_volume(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
         return 0.0
     if a["type"] == b["type"] == "sphere":
         return _lens_volume(0.5 * float(a["size"][0]), 0.5 * float(b["size"][0]), distance)
-    planes = _recentred(np.vstack([half_spaces(a), half_spaces(b)]), centre_a)
-    return max(0.0, float(_convex_volume(planes, reach_a + reach_b)))
+    return _convex_volume(np.vstack([half_spaces(a), half_spaces(b)]), centre_a, reach_a + reach_b)
 
 
 def intersection_over_union(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
@@ -96,12 +93,6 @@ def _reach(solid: Mapping[str, Any]) -> float:
         return float(np.linalg.norm(np.asarray(solid["vertices"], float), axis=1).max())
     # The polyhedron that stands for a cylinder or sphere reaches a little beyond it.
     return 0.51 * float(np.linalg.norm(np.asarray(solid["size"], float)))
-
-
-def _recentred(planes: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    moved = planes.copy()
-    moved[:, 3] -= planes[:, :3] @ centre
-    return moved
 
 
 def _lens_volume(radius_a: float, radius_b: float, distance: float) -> float:
@@ -123,7 +114,7 @@ def _lens_volume(radius_a: float, radius_b: float, distance: float) -> float:
 def _sphere_scale() -> float:
     """Return the distance of the faces at which the polyhedron has the volume of the unit ball."""
     planes = np.column_stack([_fibonacci_sphere(SPHERE_FACES), np.ones(SPHERE_FACES)])
-    return (4 / 3 * pi / _convex_volume(planes, 2.0)) ** (1 / 3)
+    return (4 / 3 * pi / _convex_volume(planes, np.zeros(3), 1.0)) ** (1 / 3)
 
 
 def _hull_half_spaces(vertices: np.ndarray) -> np.ndarray:
@@ -133,77 +124,18 @@ def _hull_half_spaces(vertices: np.ndarray) -> np.ndarray:
     return np.column_stack([equations[:, :3], -equations[:, 3]])
 
 
-@njit(cache=True, nogil=True)
-def _convex_volume(planes, reach):
-    """Return the volume of the intersection of half-spaces that lies within `reach` of the origin's surroundings.
+def _convex_volume(planes: np.ndarray, centre: np.ndarray, reach: float) -> float:
+    """Return the volume of the intersection of half-spaces (M, 4), n . x <= d, within a ball about a centre (3,)."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-    planes : (M, 4) float64, n . x <= d; the intersection is bounded and inside the ball of radius `reach`.
-    reach : float, metres.
-    """
-    count = planes.shape[0]
-    tolerance = 1e-12 * reach
-    polygon = np.zeros((count + 8, 2))
-    clipped = np.zeros((count + 8, 2))
-    total = 0.0
-    for i in range(count):
-        nx, ny, nz, offset = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
-        repeated = False
-        for j in range(i):
-            # A face of one solid that coincides with one of the other counts once.
-            if (
-                abs(nx - planes[j, 0]) + abs(ny - planes[j, 1]) + abs(nz - planes[j, 2]) < 1e-9
-                and abs(offset - planes[j, 3]) < tolerance
-            ):
-                repeated = True
-                break
-        if repeated or offset > reach or offset < -reach:
-            continue
-        # Two axes in the plane.
-        if abs(nx) < 0.6:
-            ax, ay, az = 1.0, 0.0, 0.0
-        else:
-            ax, ay, az = 0.0, 1.0, 0.0
-        ux, uy, uz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
-        length = np.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / length, uy / length, uz / length
-        vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
-        size = 4
-        polygon[0, 0], polygon[0, 1] = -reach, -reach
-        polygon[1, 0], polygon[1, 1] = reach, -reach
-        polygon[2, 0], polygon[2, 1] = reach, reach
-        polygon[3, 0], polygon[3, 1] = -reach, reach
-        for j in range(count):
-            if j == i:
-                continue
-            mx, my, mz = planes[j, 0], planes[j, 1], planes[j, 2]
-            a = mx * ux + my * uy + mz * uz
-            b = mx * vx + my * vy + mz * vz
-            c = planes[j, 3] - offset * (mx * nx + my * ny + mz * nz)
-            kept = 0
-            for k in range(size):
-                following = k + 1 if k + 1 < size else 0
-                here = a * polygon[k, 0] + b * polygon[k, 1] - c
-                there = a * polygon[following, 0] + b * polygon[following, 1] - c
-                if here <= tolerance:
-                    clipped[kept, 0], clipped[kept, 1] = polygon[k, 0], polygon[k, 1]
-                    kept += 1
-                if (here <= tolerance) != (there <= tolerance):
-                    along = here / (here - there)
-                    clipped[kept, 0] = polygon[k, 0] + along * (polygon[following, 0] - polygon[k, 0])
-                    clipped[kept, 1] = polygon[k, 1] + along * (polygon[following, 1] - polygon[k, 1])
-                    kept += 1
-            size = kept
-            polygon, clipped = clipped, polygon
-            if size < 3:
-                break
-        if size < 3:
-            continue
-        area = 0.0
-        for k in range(size):
-            following = k + 1 if k + 1 < size else 0
-            area += polygon[k, 0] * polygon[following, 1] - polygon[following, 0] * polygon[k, 1]
-        total += offset * 0.5 * area
-    return total / 3.0
+    normals, offsets = planes[:, :3], (planes[:, 3] - planes[:, :3] @ centre) / reach
+    bounds = [(None, None)] * 3 + [(0.0, None)]
+    ball = linprog([0.0, 0.0, 0.0, -1.0], np.column_stack([normals, np.ones(len(planes))]), offsets, bounds=bounds)
+    if not ball.success or ball.x[3] < FLAT:
+        return 0.0
+    corners = HalfspaceIntersection(np.column_stack([normals, -offsets]), ball.x[:3]).intersections
+    return float(ConvexHull(corners).volume) * reach**3
 
 
 POINTS = 1000
