@@ -71,12 +71,13 @@ def next_views(
         "stable": np.array([[float(Equilibrium(matter_of_graph(graph)).stands) for graph in graphs]]),
     }
     floors = {"sizes": KNOWN, "structure": SURE, "stable": SURE}
+    most = {"sizes": np.inf, "structure": entropy(targets["structure"]), "stable": entropy(targets["stable"])}
     small = camera.downscaled(max(1.0, camera.width / LARGEST))
     scenes, found = [graph.solids() for graph in graphs], []
     for pose, turn, elevation, moved in candidates(best):
         images = images_from(scenes, pose, small, likelihood)
         left = dict(zip(targets, spreads_after(list(targets.values()), images), strict=True))
-        nats = {name: information(*left[name], floors[name]) for name in ABOUT}
+        nats = {name: min(information(*left[name], floors[name]), most[name]) for name in ABOUT}
         told = information(*left[about], floors[about], ENOUGH)
         spreads = {name: (float(a), float(b)) for name, a, b in zip(sizes_of(best), *left["sizes"], strict=True)}
         found.append((told, NextView(pose, turn, elevation, moved, nats, spreads)))
@@ -171,6 +172,13 @@ def spreads_after(tables: Sequence[np.ndarray], images: np.ndarray) -> list[tupl
         before, after = np.sum(apart**2, axis=1) / count, np.sum((apart @ told) * apart, axis=1) / count
         found.append((np.sqrt(before), np.sqrt(np.maximum(after, 0.0))))
     return found
+
+
+def entropy(table: np.ndarray) -> float:
+    """Return how many nats there are to tell of a table (m, n) of what is so (1) or not (0) in n draws."""
+    _, count = np.unique(table, axis=1, return_counts=True)
+    share = count / count.sum()
+    return float(np.sum(share * np.log(1.0 / share)))
 
 
 def information(before: np.ndarray, after: np.ndarray, known: float, most: float = np.inf) -> float:

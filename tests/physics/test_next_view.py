@@ -1,6 +1,7 @@
 """The next best view: its linear-Gaussian estimate, and what it says of scenes where the answer is known."""
 
 import json
+from dataclasses import replace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -65,6 +66,17 @@ def test_expected_spreads_are_those_of_a_kalman_update():
 
 def test_what_is_known_already_tells_nothing():
     assert information(np.array([1e-4, 0.01]), np.array([1e-6, 0.001]), 3e-4) == pytest.approx(np.log(10.0))
+
+
+def test_no_image_tells_more_of_structures_than_is_unknown():
+    """Two structures at .9 and .1, told apart by a length that any image shows."""
+    (likely,) = (one := posterior("length")).parts
+    other = replace(
+        likely, graph=likely.graph.add(Vertex("frame", "frame")), values=likely.values + [0.05, 0.0], weight=0.1
+    )
+    both = replace(one, parts=(replace(likely, weight=0.9), other))
+    views = next_views(both, CAMERA, LIKELIHOOD, np.random.default_rng(0), "structure")
+    assert 0.0 < views[0].nats["structure"] < 0.5  # entropy .33, as often as it was drawn
 
 
 def test_two_sizes_half_told_count_for_more_than_one_told_twice():
