@@ -177,7 +177,7 @@ def look_at(seen: DepthImage, document: Document | None, where: object, warn: Sa
         if document.camera.shape == seen.depth.shape:
             seen = seen._replace(camera=document.camera, camera_is_guess=False)
     if seen.camera_is_guess:
-        warn(f"no camera is given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
+        warn(f"--camera is not given: taking {seen.camera.field_of_view:.0f} degrees horizontal field of view")
     known = seen.depth[np.isfinite(seen.depth) & (seen.depth > 0)]
     if not known.size:
         raise DerenderError("the image has no pixel with a depth", where, "give an image that shows something")

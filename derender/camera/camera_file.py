@@ -92,6 +92,13 @@ def read_camera(path: str | Path, shape: tuple[int, int] | None = None, frame: s
         raise DerenderError(error.what, where, error.remedy) from None
 
 
+def camera_beside(path: str | Path) -> Path | None:
+    """Return the camera.json beside an image, or in a folder of images; None where there is none."""
+    place = Path(path)
+    beside = (place if place.is_dir() else place.parent) / "camera.json"
+    return beside if str(path) != "-" and beside.is_file() else None
+
+
 def camera_from_tree(tree: object, shape: tuple[int, int] | None = None, frame: str | None = None) -> Camera:
     """Return the camera that a loaded JSON or YAML tree describes; see `read_camera`."""
     for _ in range(4):  # wrappers are at most a few deep

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.camera_file import camera_from_tree, read_camera
+from derender.atomic import write_bytes
+from derender.camera.camera_file import camera_beside, camera_from_tree, read_camera
 from derender.camera.image_files import (
     DAMAGE,
     FEW_STEPS,
@@ -73,7 +74,8 @@ def read_depth(
     path : the file; `-` is stdin; `recording.bag@12` is a frame of a ROS bag. Or an array (H, W), or a list of rows:
         floats are metres, integers of 16 bits or more are units of depth_scale millimetres.
     camera : a Camera, a camera file, a mapping as a camera file holds it (fx, fy, cx, cy are enough), or a 3 x 3 matrix
-        of intrinsics; default: the camera in the file, else a guess of 60 degrees field of view.
+        of intrinsics; default: the camera in the file, else camera.json beside it, else a guess of 60 degrees field of
+        view.
     depth_scale : millimetres for one unit; overrides the camera's, and applies to float images too.
     topic : of a bag's depth images, where it has several.
 
@@ -180,10 +182,7 @@ def write_depth(
     if str(path) == "-":
         sys.stdout.buffer.write(data)
         return
-    from derender.atomic import atomic_path
-
-    with atomic_path(path) as temporary:
-        Path(temporary).write_bytes(data)
+    write_bytes(path, data)
 
 
 def check_suffix(path: str | Path) -> None:
@@ -231,6 +230,9 @@ def _camera(path: str | Path, given: Any, inside: object, shape: tuple[int, int]
             return camera_from_tree(inside, shape), False
         except DerenderError as error:
             raise DerenderError(error.what, f"{path}: camera", error.remedy) from None
+    beside = camera_beside(path)
+    if beside is not None:
+        return read_camera(beside, shape, frame=Path(path).stem), False
     return Camera.from_field_of_view(shape[1], shape[0], FALLBACK_FIELD_OF_VIEW), True
 
 

@@ -44,6 +44,10 @@ def no_scene(folder: Path) -> DerenderError:
     if (folder / "track.json").exists():
         remedy = "derender view shows it, and its track.json holds the poses"
         return DerenderError("this folder holds a film, not a scene", folder, remedy)
+    inside = sorted(folder.glob("**/scene.yaml"))
+    if inside:
+        what = f"this folder holds {len(inside)} result{'s' * (len(inside) != 1)}"
+        return DerenderError(what, folder, f"name one, such as {inside[0].parent}")
     return DerenderError("there is no scene in this folder", folder, "derender infer IMAGE -o DIR writes one")
 
 
@@ -158,9 +162,9 @@ MOST_MOVING = 8_000_000  # bytes of one
 
 def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     """Return what simulation.json of a result folder says, {} where there is none, and its animations as data: URIs."""
-    import base64
     import json
 
+    from derender.report.pictures import data_uri
     from derender.report.result_folder import SIMULATION
 
     try:
@@ -168,7 +172,7 @@ def read_simulation(folder: str | Path) -> tuple[dict[str, Any], list[str]]:
     except (OSError, ValueError, RecursionError):
         told = {}
     animations = [
-        f"data:{MOVING[path.suffix.lower()]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+        data_uri(MOVING[path.suffix.lower()], path.read_bytes())
         for path in sorted(Path(folder).iterdir())
         if path.suffix.lower() in MOVING and path.is_file() and path.stat().st_size <= MOST_MOVING
     ]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.camera.camera_file import camera_from_tree, read_camera
+from derender.camera.camera_file import camera_beside, camera_from_tree, read_camera
 from derender.camera.depth_file import read_depth
 from derender.camera.image_files import read_bytes
 from derender.camera.intrinsics import Camera
@@ -63,13 +63,9 @@ def _in_counting_order(path: Path) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]
 
 
-def camera_beside(sources: Sequence[str | Path], camera: str | None) -> str | None:
+def camera_of(sources: Sequence[str | Path], camera: str | None) -> str | Path | None:
     """Return the camera file: the one given, or camera.json beside the frames, or None."""
-    if camera is not None or not sources:
-        return camera
-    first = Path(sources[0])
-    beside = (first if first.is_dir() else first.parent) / "camera.json"
-    return str(beside) if beside.exists() else None
+    return camera if camera is not None or not sources else camera_beside(sources[0])
 
 
 def read_timing(path: str | Path | None) -> Timing:
@@ -145,7 +141,7 @@ def read_film(sources, camera=None, depth_scale=None, fps=None) -> Film:
         raise DerenderError(
             "the film is empty: there is no frame", where, "name files, or a folder of frame_000.npy ..."
         )
-    camera = camera_beside(sources, camera)
+    camera = camera_of(sources, camera)
     timing = read_timing(camera)
     if len(files) == 1 and files[0].suffix.lower() == ".npz" and (whole := _whole_film(files[0], camera)) is not None:
         frames, names, seen_camera, guessed, inside = whole

@@ -17,7 +17,7 @@ from derender.structures.options import Options
 from derender.tracking.film import (
     FPS,
     Film,
-    camera_beside,
+    camera_of,
     check_size,
     checked_fps,
     frame_files,
@@ -174,7 +174,7 @@ def first_of(sources: Any, camera: Any, depth_scale: Any, fps: Any) -> Film:
             raise DerenderError("no frame came", ", ".join(map(str, sources)), "name the folder that frames come into")
         time.sleep(POLL)
         waited += POLL
-    camera = camera_beside(sources, camera)
+    camera = camera_of(sources, camera)
     timing = read_timing(camera)
     seen = patiently(files[0], camera, depth_scale)
     rate = checked_fps(fps, "--fps") if fps is not None else timing.fps
@@ -184,7 +184,7 @@ def first_of(sources: Any, camera: Any, depth_scale: Any, fps: Any) -> Film:
 
 def watched(sources: Any, camera: Any, depth_scale: Any, film: Film) -> Iterator[np.ndarray]:
     """Yield the frames after the first as they come, until none has come for some time."""
-    camera = camera_beside(sources, camera)
+    camera = camera_of(sources, camera)
     taken, last = {film.names[0]}, time.monotonic()
     while time.monotonic() - last < PATIENCE:
         fresh = [path for path in frame_files(sources) if path.name not in taken]

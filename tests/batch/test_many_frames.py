@@ -9,10 +9,12 @@ import time
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from derender.batch.frames import Frame
 from derender.batch.run import Processes, infer_frames
 from derender.batch.work import Done, Order, failure, is_done
+from derender.cli import group
 from derender.structures.options import Options
 
 
@@ -41,6 +43,7 @@ def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
     one = infer("frames", "-o", "one", "--quick", "-j", 1, folder=frames)
     assert one.returncode == 1 and "Traceback" not in one.stderr, one.stderr
     assert "derender: bad: frames/bad.npz: not a depth image" in one.stderr
+    assert one.stderr.count("--camera is not given") == 1  # of all frames alike
     assert one.stdout.splitlines() == ["a\ttrusted", "b\ttrusted", "bad\tfailed", "more/c\ttrusted"]
     two = infer("frames", "-o", "two", "--quick", "-j", 2, folder=frames)
     assert two.returncode == 1 and two.stdout == one.stdout
@@ -57,6 +60,8 @@ def test_a_bad_frame_does_not_stop_the_others_and_jobs_change_no_byte(frames):
     assert (frames / "one" / "a" / "posterior.npz").stat().st_mtime_ns == kept and files(frames / "one") == second
     other = infer("frames", "-o", "one", folder=frames)
     assert other.returncode == 1 and "were made with other options (--quick)" in other.stderr
+    shown = CliRunner().invoke(group, ["show", str(frames / "one")])
+    assert str(shown.exception).endswith(f"one: this folder holds 3 results; name one, such as {frames / 'one' / 'a'}")
 
 
 @pytest.mark.slow

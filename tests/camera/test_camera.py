@@ -236,6 +236,18 @@ def test_the_camera_of_a_larger_image_is_told_at_the_size_of_this_one(tmp_path):
     assert "{" not in str(caught.value)
 
 
+def test_a_camera_beside_the_image_is_its_own_unless_one_is_given(tmp_path):
+    image = tmp_path / "frame.npy"
+    np.save(image, np.ones((48, 64), np.float32))
+    assert read_depth(image).camera_is_guess
+    (tmp_path / "camera.json").write_text('{"fx": 70, "fy": 71, "cx": 31, "cy": 23}')
+    beside = read_depth(image)
+    assert not beside.camera_is_guess and (beside.camera.fx, beside.camera.shape) == (70.0, (48, 64))
+    assert read_depth(image, {"fx": 90, "fy": 90, "cx": 31, "cy": 23}).camera.fx == 90.0
+    write_depth(tmp_path / "own.npz", beside.depth, Camera(80, 80, 31, 23, 64, 48))
+    assert read_depth(tmp_path / "own.npz").camera.fx == 80.0  # that of the file itself comes first
+
+
 def test_the_fallback_sees_sixty_degrees():
     camera = Camera.from_field_of_view(160, 120)
     assert camera.field_of_view == pytest.approx(60)
