@@ -166,8 +166,13 @@ def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write bytes atomically."""
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(data)
 
 
 def make_folder(path: str | Path, room: int = 0) -> Path:

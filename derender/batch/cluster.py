@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from derender.atomic import atomic_path, files_together, make_folder
+from derender.atomic import files_together, make_folder, write_bytes
 from derender.batch.frames import Frame
 from derender.batch.work import THUMBNAIL, Done, Order, answer_frame, failure, request_of
 from derender.compilation.threads import THREADS_VARIABLE
@@ -142,5 +142,4 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
         for name, data in files.items():
             if name != THUMBNAIL:
                 (place / name).write_bytes(data)
-    with atomic_path(folder / THUMBNAIL) as temporary:
-        temporary.write_bytes(files[THUMBNAIL])
+    write_bytes(folder / THUMBNAIL, files[THUMBNAIL])

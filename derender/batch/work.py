@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from derender.atomic import atomic_path, make_folder
+from derender.atomic import make_folder, write_bytes
 from derender.batch.frames import RESULT, Frame
 from derender.camera.depth_file import Reading
 from derender.errors import DerenderError
@@ -127,8 +127,7 @@ def write_thumbnail(path: Path, posterior: Any, seen: "DepthImage") -> None:
     things = np.isin(render_depth(solids, camera)[1], np.flatnonzero(solids.kind != PLANE))
     left = pictures.paint(depth, *pictures.depth_limits(depth, things), pictures.DEPTH_ANCHORS)
     right = pictures.shade(solids, camera, graph.solid_names, samples=1, shadows=False)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(png_bytes(np.hstack([left, right])))
+    write_bytes(path, png_bytes(np.hstack([left, right])))
 
 
 def leave_with_parent() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from derender.atomic import atomic_path
+from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.physics.verdict import Trajectory
@@ -55,8 +55,7 @@ def animate(path: str | Path, graph: SceneGraph, trajectory: Trajectory, camera:
     if path.suffix.lower() == ".glb":
         from derender.report.export import glb_bytes
 
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(glb_bytes(graph, trajectory))
+        write_bytes(path, glb_bytes(graph, trajectory))
         return
     assert camera is not None
     names = graph.solid_names

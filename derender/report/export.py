@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from derender import __version__
-from derender.atomic import atomic_path
+from derender.atomic import atomic_path, write_bytes
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.report.geometry import plane_patch, solid_mesh, upright_pose
@@ -45,8 +45,7 @@ def export_scene(graph: SceneGraph, path: str | Path, camera: Camera | None = No
     written = []
     for name, data in EXPORTERS[suffix](graph, path, camera).items():
         target = path.parent / name
-        with atomic_path(target) as temporary:
-            temporary.write_bytes(data)
+        write_bytes(target, data)
         written.append(target)
     return written
 

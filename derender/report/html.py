@@ -1,6 +1,5 @@
 """report.html: one file, no network, of what was seen, what explains it, and how sure that is."""
 
-import base64
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from derender.atomic import write_text
 from derender.report import pictures, svg, tables, viewer
 from derender.report.contents import Report
 from derender.report.depth_pictures import depth_pictures
@@ -20,10 +20,7 @@ MOST_STRUCTURES = 8  # of the table
 
 def write_report(path: str | Path, report: Report) -> None:
     """Write report.html, whole or not at all."""
-    from derender.atomic import atomic_path
-
-    with atomic_path(path) as temporary:
-        temporary.write_text(page(report), encoding="utf-8")
+    write_text(path, page(report))
 
 
 def page(report: Report) -> str:
@@ -85,8 +82,7 @@ def _downloads(report: Report) -> str:
         return ""
     links = []
     for name, (kind, data) in report.files.items():
-        uri = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-        links.append(f'<a download="{escape(name)}" href="{uri}">{escape(name)}</a>')
+        links.append(f'<a download="{escape(name)}" href="{pictures.data_uri(kind, data)}">{escape(name)}</a>')
     return '<p class="files">Download ' + ", ".join(links) + "</p>"
 
 

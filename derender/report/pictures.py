@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.atomic import atomic_path
+from derender.atomic import write_bytes
 from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
 from derender.scene.graph import SceneGraph
@@ -40,9 +40,14 @@ NAMED_COLOURS = {
 }
 
 
+def data_uri(kind: str, data: bytes) -> str:
+    """Return bytes of a media type as a data: URI for an HTML page."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
 def png_uri(pixels: np.ndarray, palette: np.ndarray | None = None) -> str:
     """Return the picture as a data: URI for an HTML page; see `png_bytes`."""
-    return "data:image/png;base64," + base64.b64encode(png_bytes(pixels, palette)).decode()
+    return data_uri("image/png", png_bytes(pixels, palette))
 
 
 def painted_uri(values: np.ndarray, low: float, high: float, anchors: tuple[str, ...] = DEPTH_ANCHORS) -> str:
@@ -137,8 +142,7 @@ def write_picture(path: Path, graph: SceneGraph, camera: Camera, views: "Sequenc
     # an object has the colour that it has in the other pictures, where it stands elsewhere among its neighbours
     scene = shade(there.solids(), small, colours=colours_of(graph.solids(), graph.solid_names))
     chart = polar_map(views, about, len(scene))
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(png_bytes(np.hstack([scene[..., :3], chart])))
+    write_bytes(path, png_bytes(np.hstack([scene[..., :3], chart])))
 
 
 def polar_map(views: "Sequence[NextView]", about: str, side: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.atomic import files_together, write_text
+from derender.atomic import files_together, write_bytes, write_text
 from derender.camera.depth_file import DepthImage, write_depth
 from derender.compilation.threads import run_together
 from derender.document import LikelihoodPrior, document_text
@@ -78,9 +78,9 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
     page : whether report.html and posterior.nc are among them: `derender report DIR` makes the page later.
     timed : whether summary.json says how long it took. home : as seen from where files are named; None: the folder.
     """
+    from derender.camera.image_files import encode_npy, png_bytes
     from derender.report.contents import sensor_words
     from derender.report.html import write_report
-    from derender.results.fit import write_explained, write_labels
     from derender.results.netcdf import can_be_read, write_netcdf
     from derender.results.predictive import blocks_of
 
@@ -116,8 +116,8 @@ def write_results(folder: Path, posterior: Posterior, seen: DepthImage, likeliho
                 blocks = blocks_of(posterior, seen.depth, seen.camera, np.random.default_rng(posterior.seed))
                 write_netcdf(place / "posterior.nc", posterior, blocks)
             if fit is not None:
-                write_labels(place / "labels.png", fit.label)
-                write_explained(place / "explained.npy", fit.depth)
+                write_bytes(place / "labels.png", png_bytes(fit.label))
+                write_bytes(place / "explained.npy", encode_npy(fit.depth))
             write_depth(place / "observation.npz", seen.depth, seen.camera, dict(made))
             write_text(place / "summary.json", json.dumps(summary, indent=1, default=str) + "\n")
 

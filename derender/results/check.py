@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import ndimage
 
 from derender.camera.intrinsics import Camera
-from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise, neighbourhood
+from derender.results.fit import SENSOR_PER_DEPTH, SENSOR_PER_SQUARE, Fit, Noise
 from derender.results.focal import wrong_focal_length
-from derender.results.trust import LETTERS, Doubt, Region, components, opened
+from derender.results.trust import LETTERS, Doubt, Region
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -134,8 +135,8 @@ def check_fit(
 def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions that neither solids nor floor nor background explain."""
     left = valid & ~fit.explained & ~fit.background
-    solid = opened(left, max(1, round(left.shape[1] / THIN)))
-    label, count = components(solid)
+    wide = 2 * max(1, round(left.shape[1] / THIN)) + 1
+    label, count = ndimage.label(ndimage.binary_opening(left, np.ones((wide, wide))))
     sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
     order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
     if not order:
@@ -228,7 +229,6 @@ def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Dou
 def at_the_border(graph: "SceneGraph", fit: Fit) -> list[Doubt]:
     """Return doubts about solids that the image's border cuts, or that fill the image."""
     doubts = []
-    height, width = fit.label.shape
     for place, vertex in enumerate(graph.vertices, start=1):
         mask = fit.label == place
         count = int(mask.sum())
@@ -239,9 +239,7 @@ def at_the_border(graph: "SceneGraph", fit: Fit) -> list[Doubt]:
             words = f"{vertex.name} fills {percent(region.share)} of the image, so that little shows what it stands on"
             doubts.append(Doubt(words, True, (region,)))
             continue
-        inner = ~mask
-        _, high = neighbourhood(inner.astype(float), 1)
-        outline = int((mask & (high > 0)).sum())
+        outline = count - int(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
         if cut > CUT * (outline + cut):
             words = f"{vertex.name} is cut by the image's border: how big it is beyond is a guess"

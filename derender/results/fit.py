@@ -5,12 +5,11 @@ Of a result folder `labels.png` holds which object each pixel shows and `explain
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
-from derender.atomic import atomic_path
 from derender.camera.intrinsics import Camera
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
@@ -148,34 +147,5 @@ def tolerance_of(observed: np.ndarray, noise: Noise) -> np.ndarray:
 def neighbourhood(depth: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest depth (H, W) within `reach` rows and columns; NaN counts for nothing."""
     low, high = np.where(np.isfinite(depth), depth, np.inf), np.where(np.isfinite(depth), depth, -np.inf)
-    for axis in (0, 1):
-        low, high = _along(np.minimum, low, reach, axis), _along(np.maximum, high, reach, axis)
-    return low, high
-
-
-def _along(extreme: np.ufunc, values: np.ndarray, reach: int, axis: int) -> np.ndarray:
-    """Return the extreme of values within `reach` along an axis."""
-    found = values.copy()
-    length = values.shape[axis]
-    for step in range(1, min(reach, length - 1) + 1):
-        one, other = [slice(None)] * 2, [slice(None)] * 2
-        one[axis], other[axis] = slice(step, None), slice(None, length - step)
-        extreme(found[tuple(one)], values[tuple(other)], out=found[tuple(one)])
-        extreme(found[tuple(other)], values[tuple(one)], out=found[tuple(other)])
-    return found
-
-
-def write_labels(path: str | Path, label: np.ndarray) -> None:
-    """Write labels (H, W) as a 16-bit grey PNG, whole or not at all."""
-    from derender.camera.image_files import png_bytes
-
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(png_bytes(label))
-
-
-def write_explained(path: str | Path, depth: np.ndarray) -> None:
-    """Write an explained depth (H, W) as a float32 .npy, whole or not at all."""
-    from derender.camera.image_files import encode_npy
-
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(encode_npy(np.asarray(depth, np.float32)))
+    side = 2 * reach + 1
+    return ndimage.minimum_filter(low, side, mode="nearest"), ndimage.maximum_filter(high, side, mode="nearest")
