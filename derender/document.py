@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from derender.scene.priors.objects import QUATERNION, ROTATION, Value, draw, log
 from derender.scene.priors.reading import read_value
 from derender.scene.priors.tree import Prior, TreePrior
 from derender.scene.shapes import shapes
+
+if TYPE_CHECKING:
+    from derender.scene.graph import Contact, Vertex
 
 FORMAT = 1
 TOP_KEYS = ("derender", "made", "camera", *KEYS, "likelihood", "inference")
@@ -275,7 +278,7 @@ def root_data(pose: np.ndarray) -> dict[str, Any]:
     return {"pose": np.asarray(pose, dtype=float).tolist()}
 
 
-def _shape_data(vertex: Any, folder: Path | None) -> Any:
+def _shape_data(vertex: "Vertex", folder: Path | None) -> Any:
     data = {"type": vertex.shape, **vertex.parameters}
     if "file" in vertex.options:
         file = vertex.options["file"]
@@ -290,7 +293,7 @@ def _shape_data(vertex: Any, folder: Path | None) -> Any:
     return data if len(data) > 1 else vertex.shape
 
 
-def _contact_data(contact: Any) -> dict[str, Any]:
+def _contact_data(contact: "Contact") -> dict[str, Any]:
     data: dict[str, Any] = {"type": contact.type}
     for key in ("parent_face", "child_face"):
         if getattr(contact, key) is not None:

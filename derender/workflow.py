@@ -276,7 +276,13 @@ def infer_image(
 
 
 def _given(
-    seen: Any, document: Any, options: Any, gradient: str, progress: Any, warn: Any, command: str
+    seen: DepthImage,
+    document: Document,
+    options: Options,
+    gradient: str,
+    progress: Progress | None,
+    warn: Say,
+    command: str,
 ) -> tuple[Posterior, LikelihoodPrior]:
     """Infer the unknown numbers of objects that are given."""
     from derender.posterior.sampler import read_settings
@@ -284,7 +290,7 @@ def _given(
 
     precompile("steps")
     import_in_background(*WRITERS)
-    said = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
+    said: dict[str, Any] = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
     settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
     posterior, interrupted, lost = infer_scene(
         document, seen.depth, seen.camera, settings, options.method, options.seed or 0, options.jobs or 1,
@@ -299,7 +305,7 @@ def _given(
 
 
 def _bare(
-    seen: Any, document: Any, options: Any, progress: Any, warn: Callable[..., Any]
+    seen: DepthImage, document: Document | None, options: Options, progress: Progress | None, warn: Say
 ) -> tuple[Posterior, LikelihoodPrior]:
     """Infer what there is; a document is a prior of open structure."""
     from derender.structures.infer import infer_structure

@@ -148,7 +148,7 @@ def _end_at_once() -> None:
                 signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
-def _run(arguments: Sequence[str] | None) -> Any:
+def _run(arguments: Sequence[str] | None) -> int | None:
     _end_as_ctrl_c()
     try:
         return group.main(args=arguments, prog_name="derender", standalone_mode=False)

@@ -13,6 +13,7 @@ from derender.cli.reading import read_scene_document
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
     from derender.document import Document
     from derender.scene.graph import SceneGraph
     from derender.scene.solids import Solids
@@ -118,7 +119,7 @@ def _name(scene: str) -> str:
     return path.resolve().parent.name if path.name == "scene.yaml" and path.parent.name else path.stem
 
 
-def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> Any:
+def _camera(document: "Document", given: str | None, depth_scale: float | None, talk: Talk) -> "Camera | None":
     """Return the camera: the one given, else the scene's, else a guess."""
     from dataclasses import replace
 
@@ -172,7 +173,7 @@ def _sensor(name: str) -> Callable[..., Any]:
     return lambda rng, depth: observe(rng, depth, likelihood)
 
 
-def _picture(engine: Any, solids: "Solids", names: Any, camera: Any) -> np.ndarray:
+def _picture(engine: Any, solids: "Solids", names: tuple[str, ...], camera: Any) -> np.ndarray:
     """Return (height, width, 3) uint8, shaded from a renderer's depth."""
     from derender.render.renderers.preview import draw_preview, enlarged
     from derender.report.pictures import colours_of

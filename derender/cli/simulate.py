@@ -13,6 +13,7 @@ from derender.cli.options import Idle, Talk
 from derender.errors import DerenderError
 
 if TYPE_CHECKING:
+    from derender.cli.reading import Source
     from derender.physics.intervention import Intervention
 
 ANIMATIONS = (".gif", ".webp", ".mp4", ".glb")
@@ -286,7 +287,7 @@ def _check_names(animate: str | None, settle: str | None, output: str | None, ma
         raise DerenderError(what, output, f"give a name that ends in {' or '.join(wanted)}")
 
 
-def _animate(path: str, source: Any, best: Any, talk: Talk) -> None:
+def _animate(path: str, source: "Source", best: Any, talk: Talk) -> None:
     from derender.camera.intrinsics import Camera
     from derender.report.animation import animate
 

@@ -10,7 +10,7 @@ All lengths here are counted in metres as they would be were the floor seen from
 what is long on a desk is short in a hall.
 """
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -108,7 +108,7 @@ def standing_bodies(
     return standing
 
 
-def frame_seen(good: np.ndarray) -> Any:
+def frame_seen(good: np.ndarray) -> tuple[int, ...]:
     """Return the first and last row and column of what the camera sees; good : (H, W) bool, pixels with a depth.
 
     Registered images have margins without returns; but where returns end in few pixels that is the top of a solid
@@ -125,7 +125,7 @@ def frame_seen(good: np.ndarray) -> Any:
     return tuple(found)
 
 
-def at_border(mask: np.ndarray, frame: Any) -> Any:
+def at_border(mask: np.ndarray, frame: Sequence[int]) -> bool:
     """Return whether a body reaches the border of what has a depth."""
     top, bottom, left, right = frame
     rows, columns = np.nonzero(mask)
@@ -133,17 +133,15 @@ def at_border(mask: np.ndarray, frame: Any) -> Any:
                 or columns.max() >= right - 1)  # fmt: skip
 
 
-def along_edge(points: np.ndarray, beyond: np.ndarray) -> Any:
+def along_edge(points: np.ndarray, beyond: np.ndarray) -> bool:
     """Return whether a body (K, 3) stands along the edge of the support, as the wall of a bin does.
 
     beyond : (K,) metres by which its points lie beyond the support's outline.
     """
-    return length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY
+    return bool(length(points) > WALL and np.mean(beyond > -EDGE) > MOSTLY)
 
 
-def cut_off(
-    points: np.ndarray, mask: np.ndarray, frame: tuple[int, int, int, int], real: bool = True, least: float = WALL
-) -> Any:
+def cut_off(points: np.ndarray, mask: np.ndarray, frame: Sequence[int], real: bool = True, least: float = WALL) -> bool:
     """Return whether a body is cut by the image's border so that it may go on as a wall does.
 
     frame : first and last row and column of what the camera sees. least : metres that a body is long of which one of
@@ -158,7 +156,7 @@ def cut_off(
     long = length(points[mask])
     if real and (over > CUT or (beside > CUT and long > least)):
         return True
-    return max(over, under, beside) > 0.0 and long > LONG
+    return bool(max(over, under, beside) > 0.0 and long > LONG)
 
 
 def shows_top(points: np.ndarray, normal: np.ndarray) -> bool:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from derender.detection.solids.beliefs import any_sensor, log_prior_of
 from derender.errors import DerenderError
 from derender.render.likelihoods.correlated import NEIGHBOURS, SHARE, Correlated, innovations
 from derender.render.raycast.evaluator import DepthEvaluator
+
+if TYPE_CHECKING:
+    from derender.camera.intrinsics import Camera
 
 NOISE = Correlated()
 LEAST_NOISE = 1e-6  # metres: what was rendered without noise scatters less
@@ -152,7 +155,7 @@ def correlation(images: list[np.ndarray], up: int, left: int) -> float:
     return float(np.corrcoef(here[both], there[both])[0, 1]) if both.sum() > 2 else math.nan
 
 
-def sensor_text(fit: Fit, camera: Any, frames: int) -> str:
+def sensor_text(fit: Fit, camera: "Camera", frames: int) -> str:
     """Return the YAML of a sensor as a prior over its numbers, about those of the fit, seen on a bare table."""
     believed = {}
     for key, value in fit.values.items():

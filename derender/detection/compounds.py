@@ -4,6 +4,7 @@ A mallet's handle, a bottle's neck, a mug's handle, a carton's gable: each shows
 could not be where it is, or hardly ever is, unless it were a part of what it touches.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ SLENDER = 0.25  # of its height, how wide at most a thing is that could hardly s
 JOINT = 0.04  # share of a thing's outline along which a solid goes on that it is a part of
 
 
-def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[Any]]:
+def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, float]]) -> tuple[State, list[Any]]:
     """Return (State, [(mask, gain)]) in which solids that are parts of one, or of no such shape, are things.
 
     A solid that nothing bears, and that touches a round side on which it could not stand, moves with that as one, as
@@ -80,7 +81,9 @@ def compounds(seen: Observation, state: State, masks: Any) -> tuple[State, list[
     return state, masks
 
 
-def adrift(seen: Observation, state: State, masks: Any, normal: np.ndarray, jump: np.ndarray) -> tuple[int, int] | None:
+def adrift(
+    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], normal: np.ndarray, jump: np.ndarray
+) -> tuple[int, int] | None:
     """Return what hangs in the air and what its surface goes on into without an edge; None where nothing does.
 
     A torso goes on into legs. Solids are told by their index, things by that of their masks after all solids.
@@ -128,7 +131,7 @@ def meets(
     return touched, turned
 
 
-def joined(seen: Observation, state: State, parts: Any, piece: Any = None, gain: Any = 0.0) -> Any:
+def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None = None, gain: float = 0.0) -> Any:
     """Return (State without some solids, [(mask, gain)]) with what they show as one free-form thing, if it is seen.
 
     parts : indices of the solids. piece : (H, W) bool, pixels that are the thing's already, and its gain.
@@ -147,7 +150,7 @@ def joined(seen: Observation, state: State, parts: Any, piece: Any = None, gain:
     return state, [(whole, gain)]
 
 
-def alone_on(state: State, i: Any) -> Any:
+def alone_on(state: State, i: int) -> tuple[int, ...]:
     """Return (j,), the solid on which a solid stands alone, that bears nothing itself; () where there is none."""
     j = state.parents[i]
     return () if j == FLOOR or i in state.parents or state.parents.count(j) > 1 else (j,)
@@ -179,7 +182,7 @@ def falling(state: State) -> tuple[int, ...] | None:
     return None
 
 
-def tilted(row: Any) -> Any:
+def tilted(row: np.ndarray) -> bool:
     """Return whether a box or a cylinder neither stands nor lies: one flat top could not hold it as it is."""
     up = np.abs(rotation_of(row)[2])
     return (max(up) if int(row[0]) == BOX else max(up[2], np.hypot(up[0], up[1]))) < TILTED
@@ -199,7 +202,7 @@ def held_by_another(state: State) -> tuple[int, int] | None:
     return None
 
 
-def neck(state: State) -> Any:
+def neck(state: State) -> tuple[int, int] | None:
     """Return (i, j), a narrow cylinder, nothing on it, and the upright wide one about whose axis alone it stands."""
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
@@ -237,7 +240,7 @@ def below_cap(seen: Observation, state: State, mask: np.ndarray, jump: np.ndarra
     return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < 0.5 * COAXIAL * radius else None
 
 
-def gable(seen: Observation, state: State, jump: Any) -> Any:
+def gable(seen: Observation, state: State, jump: np.ndarray) -> tuple[int, int] | None:
     """Return (i, j), a tilted solid and what alone bears it, from which it goes on across a convex edge; else None."""
     normal, label = None, held_out(seen.image, state, -1)[1]
     for i, row in enumerate(state.rows):
@@ -263,7 +266,7 @@ def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarr
     return part if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH else None
 
 
-def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> Any:
+def hangs_on(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     """Return the solid, nothing on it, of which a thing, smaller or a rod on it, is a part that hangs in the air.
 
     mask : (H, W) bool, the thing's pixels.
@@ -288,7 +291,7 @@ def hangs(seen: Observation, state: State, mask: np.ndarray) -> bool:
     return low - support_of(points, state)[1] >= HANGS * (high - low) and hidden_share(seen, mask) <= HIDDEN
 
 
-def hidden_share(seen: Observation, mask: np.ndarray) -> Any:
+def hidden_share(seen: Observation, mask: np.ndarray) -> float:
     """Return the share of a mask's outline beyond which something nearer is seen."""
     good, piece = seen.image.weight > 0, np.where(mask, 0, -1).astype(np.int32)
     jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
@@ -312,7 +315,7 @@ def goes_on(points: np.ndarray, mask: np.ndarray, shows: np.ndarray, normal: np.
     return convex > GOES_ON * outline
 
 
-def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Any = ()) -> Any:
+def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Sequence[int] = ()) -> int | None:
     """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does."""
     label = held_out(seen.image, state, -1)[1]
     jump = TIGHT * (APART * seen.footprint + 3.0 * seen.sigma)

@@ -92,7 +92,12 @@ def squares_to_nearest(points, others):
 
 
 def plane_through(
-    depth: np.ndarray, points: np.ndarray, normal: Any, offset: Any, scale: float, weight: np.ndarray | None = None
+    depth: np.ndarray,
+    points: np.ndarray,
+    normal: np.ndarray,
+    offset: float,
+    scale: float,
+    weight: np.ndarray | None = None,
 ) -> Floor:
     """Return the Floor fitted robustly to the points near a plane.
 
@@ -182,7 +187,7 @@ def bend_of(depth: np.ndarray, floor: Floor, camera: Camera | dict[str, float]) 
     return np.clip(bend, -most, most) / np.maximum(slope, STEEPEST)
 
 
-def robust_fit(terms: Any, seen: Any) -> Any:
+def robust_fit(terms: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (the numbers by which terms (N, K) explain most of what is seen (N,), metres that the rest scatters)."""
     kept = np.abs(seen) < WITHIN * scatter(seen)
     for _ in range(ROUNDS):
@@ -198,7 +203,7 @@ def sensor_deviation(depth: float | np.ndarray) -> float | np.ndarray:
     return (SENSOR_PER_DEPTH * depth + SENSOR_PER_SQUARE * depth**2) / 3.0
 
 
-def scatter(residual: Any) -> float:
+def scatter(residual: np.ndarray) -> float:
     """Return the standard deviation of residuals about zero, from the median of their sizes."""
     return 1.4826 * float(np.median(np.abs(residual))) + 1e-9
 

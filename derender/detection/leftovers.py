@@ -111,7 +111,9 @@ def interior(mask: np.ndarray) -> np.ndarray:
     return inside
 
 
-def with_solid(rng: np.random.Generator, seen: Observation, state: State, mask: np.ndarray, settings: Settings) -> Any:
+def with_solid(
+    rng: np.random.Generator, seen: Observation, state: State, mask: np.ndarray, settings: Settings
+) -> tuple[State, float]:
     """Return (State, gain) with the solid that explains these pixels best, where LEFT_PRICE is all that one costs."""
     image, points = seen.image, seen.points[clear_of_edges(seen, mask)[0]]
     view, before = held_out(image, state, -1), total_energy(image, state, settings)

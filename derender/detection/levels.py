@@ -80,7 +80,7 @@ def levels_of(seen: Observation) -> list[Any]:
     return found
 
 
-def patch_of(seen: Observation) -> Any:
+def patch_of(seen: Observation) -> list[float] | None:
     """Return [x, y, length, width, turn] of the rectangle of its floor's plane that an Observation shows, None: none.
 
     Metres and radians, in the floor's frame.

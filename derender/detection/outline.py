@@ -1,7 +1,5 @@
 """Outlines without scipy, whose import takes long: ends along axes, convex hulls, axes of surfaces of revolution."""
 
-from typing import Any
-
 import numpy as np
 
 from derender.compilation.cache import njit
@@ -9,7 +7,7 @@ from derender.compilation.cache import njit
 FLAT = 1e-10  # area over squared extent below which points count as being on a line
 
 
-def convex_outline(points: Any) -> Any:
+def convex_outline(points: np.ndarray) -> np.ndarray | None:
     """Return the (M, 2) corners of the convex hull of points (N, 2), counterclockwise; None where they are on a line.
 
     Two monotone chains (Andrew 1979), there and back; corners at which the way hardly turns are left out afterwards.

@@ -392,7 +392,7 @@ def sloping_foot(points: np.ndarray, normal: np.ndarray, bottom: float) -> np.nd
     return points[foot, :2] + onward
 
 
-def made_thing(seen: Any, state: State, mask: Any, existence: Any) -> Thing:
+def made_thing(seen: Any, state: State, mask: np.ndarray, existence: Any) -> Thing:
     """Return the Thing that these pixels show, standing on a solid of the state or on the floor.
 
     Of what is a surface of revolution the far side is where the axis says; of all else it is where it was seen last,

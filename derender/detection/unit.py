@@ -82,7 +82,7 @@ def powers_of(graph: "SceneGraph") -> dict[str, int]:
     return found
 
 
-def likelihood_in_metres(numbers: Any, unit: Any) -> dict[str, float | str]:
+def likelihood_in_metres(numbers: Any, unit: float) -> dict[str, float | str]:
     """Return a likelihood's type and numbers, as a scene file has them, with lengths in metres."""
     powers = {"m": 1, "1/m": -1}
     units = {p.name: powers.get(p.unit, 0) for p in likelihoods[numbers["type"]].parameters}

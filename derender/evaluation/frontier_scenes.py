@@ -93,7 +93,7 @@ def table_pose(rng: np.random.Generator, kind: Kind) -> np.ndarray:
     return pose @ rotation_z(rng.uniform(-0.4, 0.4))
 
 
-def at(x: float, y: float, z: Any, yaw: float = 0.0) -> np.ndarray:
+def at(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
     """Return the pose (4, 4) of an upright solid with its centre there."""
     pose = rotation_z(yaw)
     pose[:3, 3] = x, y, z
@@ -291,7 +291,7 @@ def arranged(rng, name):
     return types, sizes, poses, parents or ["floor"] * count, supports or [()] * count, meshes or [None] * count
 
 
-def make(rng: Any, name: str) -> Any:
+def make(rng: np.random.Generator, name: str) -> Scene:
     """Return one Scene of the kind of this name."""
     kind = KINDS[name]
     camera = Camera.from_field_of_view(*kind.size, FIELD_OF_VIEW)
@@ -353,10 +353,10 @@ def shared(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
 def stereo(
     rng: np.random.Generator,
     depth: np.ndarray,
-    baseline_focal: Any = 30.0,
-    step: Any = 1 / 32,
-    error: Any = 0.05,
-    bias: Any = 0.08,
+    baseline_focal: float = 30.0,
+    step: float = 1 / 32,
+    error: float = 0.05,
+    bias: float = 0.08,
 ) -> np.ndarray:
     """Return the depth as active stereo gives it: what is near is fattened by about a pixel, what only one eye sees is
     lost, disparities (in the sensor's pixels: 600 of focal length, 50 mm of baseline) are off by what neighbours share,

@@ -142,7 +142,7 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
 
 
 def stack(
-    rng: np.random.Generator, count: int, low: Any = 0.04, high: Any = 0.14
+    rng: np.random.Generator, count: int, low: float = 0.04, high: float = 0.14
 ) -> tuple[list[str], np.ndarray, np.ndarray, list[int | str]]:
     """Return kinds, sizes, poses and parents of a flush tower of boxes: upright, centres anywhere on the face below."""
     kinds, sizes, poses, parents = [], [], [], []
@@ -192,8 +192,8 @@ def photograph(
     poses: np.ndarray,
     parents: list[int | str],
     *,
-    width: Any = 160,
-    height: Any = 120,
+    width: int = 160,
+    height: int = 120,
     noise: str = "millimetre",
     distance: tuple[float, float] = (0.65, 0.9),
 ) -> Any:

@@ -1,7 +1,7 @@
 """The scene graph of where things came to rest: every body on what bears it now."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from derender.scene.pose import inverse
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
+    from derender.scene.shapes.base import Body
 
 TYPES = ("face-to-face", "side-on-face", "edge-on-face", "corner-on-face", "point-on-face")
 # A contact is taken where it reproduces the pose to a millimetre and a fifth of a degree; slack takes up the rest.
@@ -61,7 +62,7 @@ def _at_rest(vertex: Vertex) -> Vertex:
     return replace(vertex, options=options, contact=replace(vertex.contact, values=values))
 
 
-def _contact(relative: np.ndarray, parent: Any, child: Any) -> Contact | None:
+def _contact(relative: np.ndarray, parent: "Body", child: "Body") -> Contact | None:
     """Return the flattest contact of two bodies that reproduces a relative pose, or None."""
     best: tuple[float, Contact] | None = None
     for kind in TYPES:

@@ -72,7 +72,7 @@ class MapProblem:
         background: float = 10.0,
         limit: float = math.inf,
         ranges: dict[str, tuple[float, float]] | None = None,
-        edges: Any = True,
+        edges: bool = True,
     ) -> None:
         self.graph, self.addresses = graph, tuple(addresses)
         self.placement, self.values, self.domain = new_placement(graph, self.addresses)

@@ -25,7 +25,7 @@ from derender.sampling.metropolis import log_threshold
 from derender.scene.priors.terms import MOST_TRIES
 
 if TYPE_CHECKING:
-    from derender.posterior.compiled.backend import Backend
+    from derender.posterior.compiled.backend import Backend, CompiledBackend
 
 
 FEW = 20  # draws' worth that must meet the prior's terms before a population is taken from them
@@ -277,7 +277,7 @@ def restarted(
 
 
 def turned(
-    rng: np.random.Generator, space: Space, name: str, backend: Any, values: np.ndarray
+    rng: np.random.Generator, space: Space, name: str, backend: "CompiledBackend", values: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return where an object of `values` ends, and the densities there, set down at some angles."""
     target, ends = backend.target, []

@@ -19,6 +19,7 @@ from derender.scene.pose import inverse, rotation_z, translation
 
 if TYPE_CHECKING:
     from derender.camera.intrinsics import Camera
+    from derender.render.raycast.evaluator import DepthEvaluator
     from derender.scene.priors.tree import TreePrior
 
 
@@ -171,7 +172,7 @@ class ObservedImage:
         self.values = dict(values or {})
         self._evaluators = threading.local()
 
-    def evaluator(self) -> Any:
+    def evaluator(self) -> "DepthEvaluator":
         """Return a new DepthEvaluator: each chain, which may run in a thread of its own, has one."""
         from derender.render.raycast.evaluator import DepthEvaluator
 

@@ -154,12 +154,12 @@ def likelihood_at_best(likelihood: LikelihoodPrior, part: StructurePosterior) ->
     )
 
 
-def _number(value: Any) -> float | None:
+def _number(value: float) -> float | None:
     """Return a number as JSON can hold it: None for nan and infinity."""
     return float(value) if np.isfinite(value) else None
 
 
-def structure_summary(part: Any) -> dict[str, Any]:
+def structure_summary(part: StructurePosterior) -> dict[str, Any]:
     """Return what summary.json says of one structure: its weight, the 90 % interval of that, its objects."""
     interval = (part.weight, part.weight) if part.weight_interval is None else part.weight_interval
     return {

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from derender.results.posterior import Posterior, StructurePosterior
 from derender.results.table import digits, probability_text
@@ -12,6 +12,11 @@ from derender.scene.priors.bare_image import BareImagePrior
 from derender.scene.priors.grammar import Algorithm1Prior, GrammarPrior
 from derender.scene.priors.objects import ROTATION, ContactPrior
 from derender.scene.priors.tree import TreePrior
+
+if TYPE_CHECKING:
+    from derender.document import LikelihoodPrior
+    from derender.scene.priors.objects import ContactRule
+    from derender.scene.priors.tree import TreeObject
 
 ALTERNATIVE = 0.005  # another parent is named from this probability on
 
@@ -117,7 +122,7 @@ def prior_lines(prior: Any) -> list[str]:
     return lines
 
 
-def likelihood_lines(likelihood: Any) -> list[str]:
+def likelihood_lines(likelihood: "LikelihoodPrior | None") -> list[str]:
     """Return the line of a prior's likelihood, its numbers and distributions; none where it says nothing of one."""
     return [] if likelihood is None else [f"likelihood {likelihood.type}  {_values(likelihood.values)}".rstrip()]
 
@@ -127,7 +132,7 @@ def _tree_lines(prior: TreePrior) -> list[str]:
     for item in prior.objects:
         children.setdefault(item.parents[0], []).append(item)
 
-    def describe(item: Any) -> str:
+    def describe(item: "TreeObject") -> str:
         parent = f"   on {item.parent}" if isinstance(item.parent, Categorical) else ""
         free = _values(item.shape.free())
         return f"{item.name}  {item.shape.type}{' ' + free if free else ''}{parent}   {_rules(item.contact)}"
@@ -147,7 +152,7 @@ def _rules(contact: ContactPrior) -> str:
     return " or ".join(_rule(rule) for rule in contact.rules)
 
 
-def _rule(rule: Any) -> str:
+def _rule(rule: "ContactRule") -> str:
     faces = [
         f"{label} {face}" for label, face in (("on", rule.parent_face), ("by", rule.child_face)) if face is not None
     ]

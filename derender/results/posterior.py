@@ -345,7 +345,7 @@ def _check_meta(meta: Mapping[str, Any]) -> None:
             raise DerenderError(f"its {key} is {meta[key]!r}")
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 

@@ -199,7 +199,7 @@ def without(best: Refined, i: int, floor: np.ndarray, rules: Rules) -> Refined:
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 
 
-def one_step_away(best: Any, names: Any) -> Iterator[Any]:
+def one_step_away(best: Refined, names: list[str]) -> Iterator[Any]:
     """Yield the keys of the structures that `of_one_solid` weighs, at a fifth of the cost of an integral over all."""
     for i in range(len(best.state)):
         yield from (structure_key(state, names) for state in changes(best, i))

@@ -1,7 +1,7 @@
 """Free-form things in a posterior: each part of it gets them as objects, with what is not known of their extents."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -167,7 +167,9 @@ LEAST_FOOT = 0.005  # metres under what is seen that may be hidden
 DEEP = 0.002  # metres that a thing is deep behind each point that is seen, at least
 
 
-def closed_surface(image: Image, mask: np.ndarray, row: np.ndarray, jump: np.ndarray) -> Any:
+def closed_surface(
+    image: Image, mask: np.ndarray, row: np.ndarray, jump: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return (vertices (V, 3) in metres, the box's axes; triangles (T, 3)) of a thing, closed; None where too few show.
 
     What is seen is joined where neighbours have no jump between them. Nothing is added before it on any ray, so drawing

@@ -196,7 +196,7 @@ def draws_of(rng: np.random.Generator, made: DrawsOfOne, refined: Refined) -> np
 
 
 def one_solid_each(
-    rng: np.random.Generator, best: Any, others: Any, rules: Rules, shapes: Any
+    rng: np.random.Generator, best: Any, others: list[Weighed], rules: Rules, shapes: tuple[str, ...]
 ) -> tuple[Refined, list[Weighed]]:
     """Return the likeliest and the others once each solid of it has been tried otherwise, all against the same best.
 

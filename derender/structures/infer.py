@@ -323,7 +323,9 @@ def view_data(
     return {"image": frame.name, "pose": inverse(into).tolist(), "explained": told.share(frame.depth)}
 
 
-def explanation_of(graph: Any, observations: Any, depth: np.ndarray, camera: Any) -> Explanation:
+def explanation_of(
+    graph: SceneGraph, observations: list[Observation], depth: np.ndarray, camera: Camera
+) -> Explanation:
     """Return what a scene says of each pixel of the image as it came, an Explanation.
 
     observations : of the image, one for each plane on which something stands.
@@ -345,7 +347,7 @@ def explanation_of(graph: Any, observations: Any, depth: np.ndarray, camera: Any
     return explain(graph, depth, whole_camera(camera, depth.shape), noise, behind, bent, bend, coarse, hides)
 
 
-def whole_camera(camera: Any, shape: tuple[int, int]) -> Any:
+def whole_camera(camera: Any, shape: tuple[int, int]) -> Camera:
     """Return the Camera that a mapping of fx, fy, cx, cy or a Camera is for an image of this shape."""
 
     if isinstance(camera, Camera):
@@ -353,7 +355,7 @@ def whole_camera(camera: Any, shape: tuple[int, int]) -> Any:
     return Camera(**{**camera, "width": shape[1], "height": shape[0]})
 
 
-def likelihood_of(parts: "list[StructurePosterior]", observations: list[Observation], depth: np.ndarray, camera: Any,
+def likelihood_of(parts: "list[StructurePosterior]", observations: list[Observation], depth: np.ndarray, camera: Camera,
                   settings: Settings) -> dict[str, float | str]:  # fmt: skip
     """Return the type and the numbers of the likelihood under which the image as it came is explained.
 

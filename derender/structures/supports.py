@@ -65,12 +65,12 @@ def with_supports(parts: list[StructurePosterior], seen: Observation, others: li
     return parts
 
 
-def bounded(graph: SceneGraph, name: str, patch: Any) -> SceneGraph:
+def bounded(graph: SceneGraph, name: str, patch: list[float] | None) -> SceneGraph:
     """Return a graph in which a plane is there as far as a patch reaches; None: everywhere."""
     return graph if patch is None or name not in graph.names else graph.replace(name, options={"patch": patch})
 
 
-def new_names(parts: Any, more: Any, number: Any) -> Any:
+def new_names(parts: list[StructurePosterior], more: list[StructurePosterior], number: int) -> Any:
     """Return {name: new name} of what the parts of another plane have: counted on where the first parts' names end."""
     last: dict[str, int] = {}
     for part in parts:
@@ -87,7 +87,7 @@ def new_names(parts: Any, more: Any, number: Any) -> Any:
     return names
 
 
-def renamed(part: Any, names: Any, patch: Any) -> Any:
+def renamed(part: StructurePosterior, names: Any, patch: list[float] | None) -> StructurePosterior:
     """Return a StructurePosterior with other names, its plane as far as a patch reaches."""
     graph = bounded(part.graph, FLOOR_NAME, patch)
     waiting = {f"{new} ": old for old, new in names.items() if old in graph.names}  # no new name is an old one
@@ -100,7 +100,7 @@ def renamed(part: Any, names: Any, patch: Any) -> Any:
     return replace(part, graph=graph, addresses=addresses)
 
 
-def multiplied(part: Any, other: Any, weight: Any) -> Any:
+def multiplied(part: StructurePosterior, other: StructurePosterior, weight: float) -> StructurePosterior:
     """Return the StructurePosterior of two planes' together: draws of each, independent of the other's.
 
     The best draws of both are one draw. What hung on the other's root, its plane first, hangs on the first one's.
@@ -135,13 +135,13 @@ def multiplied(part: Any, other: Any, weight: Any) -> Any:
     return both.at((np.zeros(shape, int), np.arange(order.size).reshape(shape)))
 
 
-def as_one_chain(part: Any, count: Any) -> Any:
+def as_one_chain(part: StructurePosterior, count: int) -> StructurePosterior:
     """Return a StructurePosterior with so many of its draws in one chain, each as often as the others, or nearly."""
     chains, draws = np.unravel_index(np.resize(np.arange(part.log_density.size), count), part.log_density.shape)
     return part.at((chains[None], draws[None]))
 
 
-def hung_anew(part: Any, other: Any, names: Any) -> Any:
+def hung_anew(part: StructurePosterior, other: StructurePosterior, names: list[str]) -> np.ndarray:
     """Return (K, draws, 7) the poses of what hangs on another's root, over the root of part's draw of the same number.
 
     part, other : of one chain each. names : of the K vertices.
@@ -156,7 +156,7 @@ def hung_anew(part: Any, other: Any, names: Any) -> Any:
     return found
 
 
-def periods_of(part: Any) -> Any:
+def periods_of(part: StructurePosterior) -> Any:
     """Return the period of each unknown of a StructurePosterior, None for those without."""
     return part.periods or (None,) * len(part.addresses)
 

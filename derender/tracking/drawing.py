@@ -1,6 +1,6 @@
 """What is drawn of the things that are followed, how it compares with the present frame, and fits of one of them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -151,7 +151,7 @@ class Drawing:
         turn[:3, :3] = turn[3:6, 3:6] = self.view[:3, :3].T if back else self.view[:3, :3]
         return np.ascontiguousarray(turn @ matrix @ turn.T)
 
-    def draw(self, k: int, pose: Any) -> float:
+    def draw(self, k: int, pose: np.ndarray) -> float:
         """Draw thing k at a pose in the world and return the whole cost."""
         self.poses[self.planes + k] = self.view @ pose
         self.sizes[self.planes + k] = self.things[k].size

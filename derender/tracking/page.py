@@ -95,7 +95,7 @@ def _film(track: Track, frames: Any, camera: Camera) -> str:
     )
 
 
-def _time_line(track: Any, events: Any, named: Any) -> str:
+def _time_line(track: Track, events: Any, named: Any) -> str:
     """Return an SVG: a row for each thing, coloured by what it rests on."""
     count, parents = len(track.times), track.parents()
     step = WIDE / max(count, 1)

@@ -39,11 +39,11 @@ class Passes:
         self,
         frames: Any,
         camera: "Camera",
-        gravity: Any,
+        gravity: np.ndarray | None,
         step: float,
         begin: Callable[..., Any],
         look: Any = None,
-        moving_camera: Any = False,
+        moving_camera: bool = False,
         progress: Any = None,
     ) -> None:
         self.frames, self.camera, self.gravity, self.step = frames, camera, gravity, step

@@ -122,7 +122,7 @@ def track_to_folder(
     return Outcome(track, folder, events)
 
 
-def track_film(film: Film, options: Options, moving_camera: Any = False, progress: Any = None) -> Track:
+def track_film(film: Film, options: Options, moving_camera: bool = False, progress: Any = None) -> Track:
     """Infer the first frame of a film, and follow what is there through the others."""
     infer, rng = inferrer(options, film.camera, progress), np.random.default_rng(options.seed)
     passes = Passes(

@@ -11,6 +11,7 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 from derender.tracking.hidden import Hidden
 
 if TYPE_CHECKING:
+    from derender.results.posterior import Posterior
     from derender.scene.graph import SceneGraph
 
 STILL, MOVING, HIDDEN, LOST, GONE = "still", "moving", "hidden", "lost", "gone"
@@ -107,7 +108,7 @@ class Start(NamedTuple):
         return self._replace(things=[thing.copy() for thing in self.things])
 
 
-def start_from(posterior: Any, rng: np.random.Generator) -> Start:
+def start_from(posterior: "Posterior", rng: np.random.Generator) -> Start:
     """Return what a posterior of the first frame says is there."""
     graph = posterior.best_graph()
     poses = graph.poses()

@@ -123,7 +123,9 @@ def box_about(points: np.ndarray, yaw: float, bottom: float) -> np.ndarray:
     return make_row(BOX, upright, upright @ (0.5 * (low + high)), np.maximum(high - low, THINNEST))
 
 
-def body_hypotheses(points: np.ndarray, origin: Any, shapes: Any, bottom: Any = 0.0) -> Iterator[Any]:
+def body_hypotheses(
+    points: np.ndarray, origin: np.ndarray, shapes: tuple[str, ...], bottom: float = 0.0
+) -> Iterator[Any]:
     """Yield a solid of each shape allowed that shows these points (N, 3) and stands on a height.
 
     origin : (3,) the camera's centre, floor frame.

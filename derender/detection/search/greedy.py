@@ -4,7 +4,7 @@ Whole searches are put together from these in searches.py.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -256,7 +256,7 @@ def prune(image: Image, state: State, settings: Settings, only: set[int] | None 
 
 def settle(
     rng: np.random.Generator,
-    image: Any,
+    image: Image,
     state: State,
     settings: Settings,
     rounds: int = TRIED,
@@ -284,7 +284,7 @@ def complexity(kind: int, form: int, cube: bool, settings: Settings) -> float:
     return price
 
 
-def total_energy(image: Any, state: Any, settings: Settings) -> float:
+def total_energy(image: Image, state: State, settings: Settings) -> float:
     """Return minus the log posterior density of a state, up to a constant."""
     total = energy(image, state, settings.slack, settings.temper, in_the_way(state.rows, settings))
     for k in range(len(state)):

@@ -228,7 +228,7 @@ def odds_among(seen: Observation, found: list[Observation], level: bool, believe
 
 
 def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, candidate: Candidate, rounding: float,
-                   floating: bool, others: Any = None) -> Observation | None:  # fmt: skip
+                   floating: bool, others: np.ndarray | None = None) -> Observation | None:  # fmt: skip
     """Return the Observation of a reduced image over a Candidate, see `on_its_floor`; None where no plane fits."""
     alone = depth if others is None else np.where(others, np.nan, depth)
     points = back_project(alone, camera)
@@ -253,7 +253,7 @@ def plane_of(floor: Floor) -> tuple[float, float, float, float]:
 
 
 def on_its_floor(depth: np.ndarray, camera: dict[str, float], factor: int, floor: Floor, rounding: float,
-                 floating: bool, others: Any = None) -> Observation:  # fmt: skip
+                 floating: bool, others: np.ndarray | None = None) -> Observation:  # fmt: skip
     """Return the Observation of a reduced image whose floor was found at first sight; a sensor's is straightened.
 
     others : (h, w) bool, pixels that are explained otherwise, and background here; None: none.

@@ -5,7 +5,7 @@ strip of its side and a bit of its end show, which no least-squares circle fits;
 any extent into what is hidden, one is near enough to be polished. A guess costs the pixels of its rectangle.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
+    from derender.detection.solids.state import State
 
 
 NEAR = 2  # pixels from a bad one to the solids that share it
@@ -47,7 +48,7 @@ class Places(NamedTuple):
 MISFIT = 4.5  # nats of a pixel, as of three standard deviations: more is badly explained
 
 
-def find_places(image: Any, state: Any) -> Places:
+def find_places(image: Image, state: "State") -> Places:
     """Return the Places of a state; lone pixels count for nothing: they are noise or the rounding of a silhouette."""
     depth, label, misfit, _ = held_out(image, state, -1)
     bad = misfit > MISFIT

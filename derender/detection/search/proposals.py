@@ -148,7 +148,7 @@ def leans(surface: Surface, k: int) -> bool:
     return snapped @ surface.normal[k] < np.cos(max(np.radians(1.0), 4.0 * accuracy))
 
 
-def axes_of(surface: Any, group: Any, leaning: list[bool]) -> Iterator[Any]:
+def axes_of(surface: Surface, group: Any, leaning: list[bool]) -> Iterator[Any]:
     """Yield (rotation (3, 3), form) of boxes whose faces are these patches: upright, tilted, or one after the other.
 
     leaning : of each patch, see `leans`.
@@ -193,7 +193,7 @@ def box_axes(surface, group, form):
     return np.column_stack([x, cross(z, x), z]), FREE
 
 
-def boxes(surface: Any, group: Any, leaning: list[bool]) -> Iterator[Any]:
+def boxes(surface: Surface, group: Any, leaning: list[bool]) -> Iterator[Any]:
     """Yield box hypotheses for one group of patches; where an extent cannot be seen, several guesses of it.
 
     A patch may run on over a second box flush with the first: where the faces disagree about an extent, the extent of
@@ -203,7 +203,7 @@ def boxes(surface: Any, group: Any, leaning: list[bool]) -> Iterator[Any]:
         yield from boxes_along(surface, group, rotation, form)
 
 
-def boxes_along(surface: Any, group: Any, rotation: Any, form: Any) -> Iterator[Any]:
+def boxes_along(surface: Surface, group: Any, rotation: np.ndarray, form: int) -> Iterator[Any]:
     """Yield the same with these axes."""
     margin = 0.25 * surface.footprint
     ends = []  # (low (3,), high (3,)) of each face's points
@@ -262,9 +262,7 @@ def distinct(intervals: list[tuple[float, float]], tolerance: float) -> list[tup
     return kept
 
 
-def hidden_intervals(
-    low: float, high: float, ends: tuple[np.ndarray, np.ndarray], axis: int, form: int
-) -> list[tuple[float, float]]:
+def hidden_intervals(low: float, high: float, ends: np.ndarray, axis: int, form: int) -> list[tuple[float, float]]:
     """Return guesses for the extent behind a single face: as long as its sides, short, down to the floor."""
     guesses = [ends[1][k] - ends[0][k] for k in range(3) if k != axis] + [0.04, 0.08]
     if form == UPRIGHT and axis == 2 and not np.isnan(high):
@@ -284,7 +282,7 @@ def fit_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     return solution[:3], np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-8))
 
 
-def spheres(surface: Any, group: Any) -> Iterator[Any]:
+def spheres(surface: Surface, group: Any) -> Iterator[Any]:
     """Yield the sphere through a cluster of patches, if it has a sensible size."""
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
@@ -328,7 +326,7 @@ def cylinder_axes(surface: Surface, group: tuple[int, ...]) -> list[np.ndarray]:
     return axes
 
 
-def cylinders(surface: Any, group: Any) -> Iterator[Any]:
+def cylinders(surface: Surface, group: Any) -> Iterator[Any]:
     """Yield cylinders through a cluster of patches, upright, lying and tilted."""
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
@@ -427,7 +425,7 @@ def clusters(surface):
     return sorted({tuple(sorted(c)) for c in found})
 
 
-def all_hypotheses(surface: Surface, shapes: Any) -> list[Hypothesis]:
+def all_hypotheses(surface: Surface, shapes: tuple[str, ...]) -> list[Hypothesis]:
     """Return every hypothesis that the patches suggest, for the shapes allowed (box, cube, cylinder, sphere)."""
     found = []
     if "box" in shapes or "cube" in shapes:

@@ -232,7 +232,7 @@ def floor_area(prior: GrammarPrior) -> float:
     return 1.0
 
 
-def entropy(value: Any) -> float:
+def entropy(value: Distribution) -> float:
     """Return the differential entropy of a distribution: minus the mean of its log density over its quantiles."""
     if not isinstance(value, Distribution):
         return 0.0

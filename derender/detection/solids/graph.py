@@ -145,7 +145,7 @@ class Fit(NamedTuple):
     cost: float
 
 
-def fits(graph: SceneGraph, name: str, parent: Any, row: Any, faces: Any) -> Iterator[Any]:
+def fits(graph: SceneGraph, name: str, parent: str, row: np.ndarray, faces: Any) -> Iterator[Any]:
     """Yield the Fit of each kind of contact by each of its (parent's face, child's face) that faces(kind) returns."""
     reach = 0.5 * float(np.linalg.norm(row[13:16]))
     for place, kind in enumerate(ON_A_FACE):

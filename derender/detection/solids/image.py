@@ -252,7 +252,7 @@ def draw_one(image, row, index, depth, label):
                 label[j, i0 + n] = index
 
 
-def make_row(kind: Any, rotation: Any, centre: Any, size: Any) -> np.ndarray:
+def make_row(kind: int, rotation: Any, centre: Any, size: Any) -> np.ndarray:
     """Return a solid's row from its kind, rotation (3, 3), centre (3,) and size (3,)."""
     row = np.empty(ROW)
     row[KIND] = kind
@@ -271,7 +271,7 @@ KINDS = {"box": BOX, "cube": BOX, "sphere": SPHERE, "cylinder": CYLINDER}
 
 
 def render_floor_scene(
-    kinds: Any, poses: Any, sizes: Any, floor_pose: Any, camera: Any
+    kinds: list[str], poses: np.ndarray, sizes: Any, floor_pose: np.ndarray, camera: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth (H, W), NaN where nothing is hit, and label (H, W) of solids over a floor.
 

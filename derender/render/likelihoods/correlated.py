@@ -100,7 +100,9 @@ class Correlated(Likelihood):
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""
         return self.going_on(observed, values, (0, 0))[0]
 
-    def going_on(self, observed: np.ndarray, values: Mapping[str, float], shape: tuple[int, int]) -> Any:
+    def going_on(
+        self, observed: np.ndarray, values: Mapping[str, float], shape: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return (H, W) the density of each pixel that goes on, and the probability that it is nearer than it is.
 
         shape : of the second, (H, W), or (0, 0) where it is not asked for.
@@ -129,7 +131,7 @@ class Correlated(Likelihood):
         density = (1.0 - goes_on) * anew + goes_on * self.beside(observed, values)
         return np.where(seen, np.log(np.maximum(density, NOWHERE)), 0.0)
 
-    def whitened(self, observed: Any, depth: np.ndarray, values: Any = None) -> np.ndarray:
+    def whitened(self, observed: np.ndarray, depth: np.ndarray, values: Any = None) -> np.ndarray:
         """Return an image's noise (H, W) without what earlier neighbours tell of it, NaN where nothing returned.
 
         Each pixel's quantile among those that it might have had given these, as the quantile of a normal number: under

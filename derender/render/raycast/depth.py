@@ -4,7 +4,7 @@ Triangle meshes are drawn by a z-buffer in inverse depth, which is affine over e
 """
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def camera_array(camera: "Camera") -> np.ndarray:
 
 
 def render_depth(
-    solids: Solids, camera: Any, antialias: int = 1, background: float = np.nan
+    solids: Solids, camera: "Camera", antialias: int = 1, background: float = np.nan
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render the depth image of posed solids by casting a ray through every pixel centre.
 

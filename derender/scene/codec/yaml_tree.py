@@ -233,7 +233,7 @@ def _flow(value: Any) -> str:
     return write_number(value if isinstance(value, int) else float(value))
 
 
-def _quoted(value: Any) -> str:
+def _quoted(value: object) -> str:
     """Return a text plain where every reader takes it for text, else in double quotes."""
     value = str(value)
     if _PLAIN.fullmatch(value) and reads_as_text(value) and not value.startswith(("- ", "-- ", "---")) and value != "-":

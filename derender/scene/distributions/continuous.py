@@ -24,12 +24,12 @@ class Normal(Distribution):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         z = (x - row[0]) / row[1]
         return -0.5 * z * z - math.log(row[1]) - HALF_LOG_TWO_PI
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         return row[0] + row[1] * rng.standard_normal()
 
     def cdf(self, x: float) -> float:
@@ -51,7 +51,7 @@ class LogNormal(Distribution):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         """Row: median, sd of the logarithm, log median."""
         if x <= 0.0:
             return -math.inf
@@ -60,7 +60,7 @@ class LogNormal(Distribution):
         return -0.5 * z * z - math.log(row[1]) - HALF_LOG_TWO_PI - log_x
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         return math.exp(row[2] + row[1] * rng.standard_normal())
 
     def fault(self) -> str | None:
@@ -91,11 +91,11 @@ class Exponential(Distribution):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         return -x / row[0] - math.log(row[0]) if x >= 0.0 else -math.inf
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         return row[0] * rng.standard_exponential()
 
     def cdf(self, x: float) -> float:
@@ -115,14 +115,14 @@ class Gamma(Distribution):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         """Row: shape, scale, log of the normalising constant."""
         if x <= 0.0:
             return -math.inf
         return (row[0] - 1.0) * math.log(x) - x / row[1] - row[2]
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         return row[1] * rng.standard_gamma(row[0])
 
     def _row(self) -> tuple[float, ...]:
@@ -169,11 +169,11 @@ class Uniform(Interval):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         return -math.log(row[1] - row[0]) if row[0] <= x <= row[1] else -math.inf
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         return row[0] + (row[1] - row[0]) * rng.random()
 
     def cdf(self, x: float) -> float:
@@ -196,12 +196,12 @@ class LogUniform(Interval):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         """Row: lower, upper, log lower, log log(upper / lower)."""
         return -math.log(x) - row[3] if row[0] <= x <= row[1] else -math.inf
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         x = math.exp(row[2] + math.exp(row[3]) * rng.random())
         return min(max(x, row[0]), row[1])  # rounding must not leave the support
 
@@ -237,7 +237,7 @@ class Beta(Interval):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         a, b, lower, upper = row[0], row[1], row[2], row[3]
         t = (x - lower) / (upper - lower)
         if t <= 0.0 or t >= 1.0:  # the ends have no mass; a density there may be infinite
@@ -246,7 +246,7 @@ class Beta(Interval):
         return constant + (a - 1.0) * math.log(t) + (b - 1.0) * math.log1p(-t)
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         first = rng.standard_gamma(row[0])
         second = rng.standard_gamma(row[1])
         return row[2] + (row[3] - row[2]) * first / (first + second)
@@ -282,7 +282,7 @@ class TruncatedNormal(Interval):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         mean, sd = row[0], row[1]
         if x < row[2] or x > row[3]:
             return -math.inf
@@ -294,7 +294,7 @@ class TruncatedNormal(Interval):
         return -0.5 * z * z - math.log(sd) - HALF_LOG_TWO_PI - math.log(mass)
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         """Reject: from the normal where the interval keeps much of it, else from the uniform (both bounds finite)."""
         mean, sd, lower, upper = row[0], row[1], row[2], row[3]
         if lower - 0.5 * sd <= mean <= upper + 0.5 * sd and upper - lower > 2.0 * sd:
@@ -351,14 +351,14 @@ class VonMises(Distribution):
     compiled = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         """Row: mean, concentration, period, log of the normalising constant with exp(concentration) taken out."""
         if x < 0.0 or x > row[2]:
             return -math.inf
         return row[1] * (math.cos(TWO_PI * (x - row[0]) / row[2]) - 1.0) - row[3]
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> float:
         """Best and Fisher (1979): a wrapped Cauchy envelope."""
         concentration = row[1]
         if concentration < 1e-6:

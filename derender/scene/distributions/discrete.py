@@ -90,13 +90,13 @@ class UniformInteger(Distribution):
     discrete = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         if x < row[0] or x > row[1] or x != math.floor(x):
             return -math.inf
         return -math.log(row[1] - row[0] + 1.0)
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> int:
         return int(row[0]) + int((row[1] - row[0] + 1.0) * rng.random())
 
     def fault(self) -> str | None:
@@ -122,13 +122,13 @@ class Poisson(Distribution):
     discrete = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         if x < 0 or x != math.floor(x):
             return -math.inf
         return x * math.log(row[0]) - row[0] - math.lgamma(x + 1.0)
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> int:
         return int(rng.poisson(row[0]))
 
     def fault(self) -> str | None:
@@ -144,13 +144,13 @@ class Geometric(Distribution):
     discrete = True
 
     @staticmethod
-    def density(x: Any, row: Any) -> Any:
+    def density(x: float, row: Any) -> float:
         if x < 0 or x != math.floor(x):
             return -math.inf
         return x * math.log(row[0]) + math.log1p(-row[0])
 
     @staticmethod
-    def draw(rng: np.random.Generator, row: Any) -> Any:
+    def draw(rng: np.random.Generator, row: Any) -> int:
         return int(rng.geometric(1.0 - row[0])) - 1
 
     def fault(self) -> str | None:

@@ -207,7 +207,9 @@ class ContactRule:
         total = math.fsum(weights.values())
         return {faces: weight / total for faces, weight in weights.items()}
 
-    def table(self, parent: str, child: str, parent_face: Any, child_face: Any) -> tuple[tuple[str, Any], ...]:
+    def table(
+        self, parent: str, child: str, parent_face: str | None, child_face: str | None
+    ) -> tuple[tuple[str, Any], ...]:
         """Return (name, number or distribution) of each parameter of this exact contact; ideal slack is left out."""
         rows: list[tuple[str, Any]] = []
         for parameter in contacts[self.type].parameters(shapes[parent], shapes[child], parent_face, child_face):

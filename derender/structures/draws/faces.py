@@ -12,7 +12,7 @@ far as it returns, and reaches beyond by a share of that band, any share as like
 """
 
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -74,7 +74,7 @@ def lost_at_edges(refined: "Refined") -> np.ndarray:
     return lost
 
 
-def empty_band(depth: np.ndarray, mask: np.ndarray, empty: Any, footprint: Any) -> Any:
+def empty_band(depth: np.ndarray, mask: np.ndarray, empty: np.ndarray, footprint: np.ndarray) -> float:
     """Return the mean width in metres of what returned nothing beyond the silhouettes of a solid, MOST_LOST at most.
 
     depth : (H, W) metres as the scene has it. mask : (H, W) bool, pixels that show the solid. empty : (H, W) bool,

@@ -362,7 +362,9 @@ def sample(rng: np.random.Generator, chart: Chart, sensor: Sensor, values: np.nd
     return drawn
 
 
-def final_draws(rng: Any, walkers: Any, steps: Any, count: int, thin: int, sensor: Any, blurs: Any) -> Any:
+def final_draws(
+    rng: np.random.Generator, walkers: list[Walker], steps: Proposals, count: int, thin: int, sensor: Sensor, blurs: Any
+) -> list[Draws]:
     """Return the Draws of Walkers, `thin` steps apart, their steps as they are.
 
     blurs : for each view those that are drawn, given the scene, now and then between the steps; none: its own holds.

@@ -85,7 +85,13 @@ def climb(rng: np.random.Generator, state: State, chart: Chart, values: np.ndarr
 
 
 def best_climb(
-    rng: Any, state: State, chart: Chart, values: Any, sensor: Sensor, tries: Any = THREADS, **options: Any
+    rng: np.random.Generator,
+    state: State,
+    chart: Chart,
+    values: np.ndarray,
+    sensor: Sensor,
+    tries: Any = THREADS,
+    **options: Any,
 ) -> Refined:
     """As `climb`, the best of some walks: one alone may end beside the mode.
 
@@ -205,7 +211,7 @@ def pixels_of(refined: Refined) -> np.ndarray:
     return pixels
 
 
-def settled(rng: Any, refined: Any, tries: Any = THREADS) -> Refined:
+def settled(rng: np.random.Generator, refined: Refined, tries: Any = THREADS) -> Refined:
     """Return the Refined under the sensor model that it suggests, annealed again from hotter where that has outliers.
 
     Not where the noise grows with depth: such sensors have outliers at edges of their own.

@@ -176,12 +176,12 @@ def density_of(fit: tuple[float, str, dict[str, float]]) -> float:
     return fit[0]
 
 
-def shares_noise(prior: Any) -> bool:
+def shares_noise(prior: LikelihoodPrior | None) -> bool:
     """Return whether what is believed of a sensor (LikelihoodPrior or None) is that neighbouring pixels share noise."""
     return prior is not None and prior.type == "correlated"
 
 
-def under_shared_noise(sensor: Any, clean: Any, rounds: int | None) -> Any:
+def under_shared_noise(sensor: Sensor, clean: np.ndarray, rounds: int | None) -> Any:
     """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
 
     What its prior gives as a number holds. The noise and its growth are those by which residuals scatter; the blur, the

@@ -276,7 +276,7 @@ def factor_of_inverse(precision: np.ndarray) -> np.ndarray:
         return vectors / np.sqrt(np.maximum(values, values[-1] * len(values) * np.finfo(float).eps))
 
 
-def floor_step(covariance: np.ndarray, count: int, center: Any) -> Step:
+def floor_step(covariance: np.ndarray, count: int, center: np.ndarray | None) -> Step:
     """Return the Step that moves the floor, and with it all else as a covariance (D, D) lets expect.
 
     The floor's coordinates f, of covariance L L', move by L z and the others by C(others, f) C(f, f)^-1 L z: what these

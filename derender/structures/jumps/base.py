@@ -351,19 +351,19 @@ class BirthDeath(Move):
 
     weight = 3.0
 
-    def draw(self, rng: np.random.Generator, words: Any, graph: Any) -> Any:
+    def draw(self, rng: np.random.Generator, words: Vocabulary, graph: SceneGraph) -> Any:
         if rng.random() < 0.5:
             return words.proposal.sample(rng, words, graph)
         leaves = words.leaves(graph)
         return leaves[int(rng.random() * len(leaves))] if leaves else None
 
-    def log_choice(self, words: Any, graph: Any, choice: Any) -> float:
+    def log_choice(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> float:
         if isinstance(choice, Vertex):
             return math.log(0.5) + words.proposal.log_density(words, graph, choice)
         leaves = words.leaves(graph)
         return math.log(0.5) + log_uniform_choice(len(leaves)) if choice in leaves else -math.inf
 
-    def apply(self, words: Any, graph: Any, choice: Any) -> Applied | None:
+    def apply(self, words: Vocabulary, graph: SceneGraph, choice: Any) -> Applied | None:
         if isinstance(choice, Vertex):
             return Applied(graph.add(choice), choice.name)
         return Applied(graph.remove(choice), graph.vertex(choice))

@@ -26,7 +26,7 @@ class PriorProposal:
     log density = -log(number of bearers) + log p(kind | parent) + log p(sizes) + log p(contact, numbers).
     """
 
-    def sample(self, rng: Any, words: Any, graph: SceneGraph) -> Vertex | None:
+    def sample(self, rng: np.random.Generator, words: Any, graph: SceneGraph) -> Vertex | None:
         """Return a new vertex with a name of its own; None where nothing can grow."""
         bearers = words.bearers(graph)
         if not bearers:
@@ -116,7 +116,9 @@ class HypothesisProposal:
         self._last = (graph, found)
         return found
 
-    def _ways(self, words: Any, graph: SceneGraph, number: int, parent: str, pose: np.ndarray) -> list[Component]:
+    def _ways(
+        self, words: Vocabulary, graph: SceneGraph, number: int, parent: str, pose: np.ndarray
+    ) -> list[Component]:
         """Return the components of one hypothesis on one parent, remembered until that moves."""
         sizes = () if parent == ROOT else tuple(graph.vertex(parent).parameters.values())
         key = number, parent, *words.seat(graph, parent), pose.tobytes(), sizes
@@ -174,7 +176,13 @@ class HypothesisProposal:
 
 
 def _component(
-    words: Any, graph: Any, hypothesis: Any, parent: str, body: Any, relative: Any, choice: Any
+    words: Any,
+    graph: SceneGraph,
+    hypothesis: Hypothesis,
+    parent: str,
+    body: Any,
+    relative: np.ndarray,
+    choice: tuple[str, ...],
 ) -> list[Component]:
     """Return the component of one hypothesis in one contact, if that is possible at all."""
     table = words.table(*words.seat(graph, parent), body.shape.name, choice)

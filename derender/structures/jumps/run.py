@@ -34,12 +34,15 @@ from derender.structures.jumps.proposal import Hypothesis, HypothesisProposal, v
 
 if TYPE_CHECKING:
     from derender.detection.search.observation import Observation
+    from derender.scene.priors.objects import ShapePrior
+    from derender.structures.jumps.proposal import Component
+    from derender.structures.options import Options
 
 OTHER_KIND = 0.2  # weight of a solid as another kind than it was found to be, beside that kind's
 FARTHEST = 8.0  # metres along the view within which a depth camera may meet the floor; see workflow.NEARBY
 
 
-def root_pose_near(root: Any, floor_pose: np.ndarray) -> np.ndarray:
+def root_pose_near(root: FixedRoot, floor_pose: np.ndarray) -> np.ndarray:
     """Return the pose that a root's prior allows nearest to one at which the floor was seen (its z up)."""
     if isinstance(root, LookedAtRoot):
         seen = _looked_at(floor_pose)
@@ -92,7 +95,15 @@ def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, a
 
 
 def _named(
-    kind: Any, entry: Any, pose: np.ndarray, size: Any, turns: Any, up: Any, likely: Any, length: Any, angle: Any
+    kind: str,
+    entry: "ShapePrior",
+    pose: np.ndarray,
+    size: np.ndarray,
+    turns: np.ndarray,
+    up: np.ndarray,
+    likely: float,
+    length: float,
+    angle: float,
 ) -> list[Hypothesis]:
     variants: list[Hypothesis] = []
     rounded = entry.type in ("cylinder", "sphere")  # which turn about its own axis tells nothing of
@@ -134,7 +145,7 @@ def start_graph(words: Vocabulary, base: SceneGraph, seen: SceneGraph) -> SceneG
     return graph
 
 
-def _placed(words: Any, graph: SceneGraph, component: Any) -> Any:
+def _placed(words: Vocabulary, graph: SceneGraph, component: "Component") -> SceneGraph | None:
     """Return the graph with a component's vertex, shrunk as far as it takes; None where nothing helps."""
     for share in (1.0, 0.99, 0.97, 0.94):
         values = {key: share * x if key.startswith("shape.") and key in component.spreads else x
@@ -146,7 +157,7 @@ def _placed(words: Any, graph: SceneGraph, component: Any) -> Any:
     return None
 
 
-def _inside(x: Any, spread: Any) -> Any:
+def _inside(x: float, spread: Any) -> float:
     """Return a number moved inside its prior's support."""
     if not isinstance(spread, tuple):
         return x
@@ -161,7 +172,12 @@ SEGMENT = 10  # draws of a chain between two moments at which it can be stopped
 
 
 def infer_by_jumps(
-    image: Any, camera: Any, options: Any, document: Any, rng: np.random.Generator | None = None, progress: Any = None
+    image: np.ndarray,
+    camera: Any,
+    options: "Options",
+    document: Any,
+    rng: np.random.Generator | None = None,
+    progress: Any = None,
 ) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 

@@ -88,7 +88,7 @@ class Placement:
         """Return the (N, ROW) proxies."""
         return np.array([item.row for item in placed]).reshape(-1, 16)
 
-    def starts(self, known: Known, anchor: int, bases: Any) -> Iterator[Any]:
+    def starts(self, known: Known, anchor: int, bases: list[float]) -> Iterator[Any]:
         """Yield (row, base) from which an object may be refined where a solid was found."""
         row = self.state.rows[anchor]
         middles = [row[10:12]]
@@ -113,7 +113,8 @@ class Placement:
         return energy, row
 
     def walked(self, rng: np.random.Generator, known: Known, row: np.ndarray, base: float, rows: np.ndarray, skip: int,
-               view: Any, scales: np.ndarray, rounds: int, heat: float, temper: float, adapt: bool) -> Any:  # fmt: skip
+               view: Any, scales: np.ndarray, rounds: int, heat: float, temper: float,
+               adapt: bool) -> tuple[np.ndarray, float]:  # fmt: skip
         """Return (row, energy) of one object walked, see `walk_known`. view : depth, label and misfit without it."""
         start = row.copy()
         start[SIZE:] = known.size * (SHRUNK if known.body.shape.solid_kind == MESH else 1.0)
@@ -291,7 +292,7 @@ class Placement:
         return Placed(None, state.rows[anchor].copy(), anchor, base, 0.0, state.forms[anchor], state.cubes[anchor])
 
     def polished(
-        self, item: Placed, placed: list[Placed], skip: int, view: Any, rounds: Any = 250
+        self, item: Placed, placed: list[Placed], skip: int, view: Any, rounds: int = 250
     ) -> tuple[np.ndarray, float, float]:
         """Return (row, energy, misfit change) of a solid of unknown sizes polished against the rest."""
         rest = State(self.rows(placed), [FREE] * len(placed), [False] * len(placed), [FLOOR] * len(placed),

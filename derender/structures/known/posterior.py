@@ -2,7 +2,6 @@
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -165,8 +164,8 @@ def part_of_known(
     rng: np.random.Generator,
     placement: Placement,
     placed: list[Placed],
-    names: Any,
-    floor_pose: Any,
+    names: list[str],
+    floor_pose: np.ndarray,
     chains: int,
     draws: int,
 ) -> StructurePosterior:
