@@ -112,10 +112,11 @@ def files_together(folder: Path, names: Iterable[str]) -> Iterator[Path]:
                     raise DerenderError("this is a folder", folder / name, remedy)
             with ThreadPoolExecutor(len(written) or 1) as pool:  # one wait for the disk is as long as that for them all
                 list(pool.map(_to_disk, written))
-            for name in names:
-                (folder / name).unlink(missing_ok=True)
-            for path in written:
-                path.replace(folder / path.name)
+            with locked(folder):  # another process may write a set there too, or read one
+                for name in names:
+                    (folder / name).unlink(missing_ok=True)
+                for path in written:
+                    path.replace(folder / path.name)
     except OSError as error:
         raise DerenderError(f"cannot be written: {error.strerror or error}", folder, "choose another place") from None
 
@@ -183,7 +184,7 @@ def make_folder(path: str | Path, room: int = 0) -> Path:
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # the last: of thousands of folders in one another
         reason = getattr(error, "strerror", None) or error
         raise DerenderError(f"the folder cannot be made: {reason}", where=path, remedy="choose another place") from None
     if not os.access(path, os.W_OK):

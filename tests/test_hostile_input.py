@@ -10,11 +10,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from small_scenes import TOWER, SceneWorld
 
+from derender.atomic import make_folder
+from derender.batch.run import infer_frames
+from derender.batch.work import Order
 from derender.camera.camera_file import read_camera
 from derender.camera.depth_file import read_depth
 from derender.cli import group, status_of
@@ -79,6 +83,33 @@ def test_impossible_intrinsics_are_told(tmp_path, change, told):
     path.write_text(json.dumps(numbers | change))
     with pytest.raises(DerenderError, match=told):
         read_camera(path, (48, 64))
+
+
+@pytest.mark.parametrize(("shape", "seen"), [((48, 2), 1.0), ((20, 640), 1.0), ((48, 64), 0.05)])
+def test_an_image_of_few_pixels_is_inferred(tmp_path, shape, seen):
+    """Narrower than any window that is searched for solids, and with no block of pixels that half returned."""
+    known = np.random.default_rng(0).random(shape) < seen
+    np.save(tmp_path / "image.npy", np.where(known, 0.9, np.nan).astype(np.float32))
+    infer_to_folder(str(tmp_path / "image.npy"), Options(), output=str(tmp_path / "out"))
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_thousands_of_folders_in_one_another_are_told(tmp_path):
+    with pytest.raises(DerenderError, match="the folder cannot be made"):
+        make_folder(tmp_path.joinpath(*"a" * 2000))
+
+
+def test_standard_streams_are_no_frame_of_many_and_no_folder(tmp_path):
+    (tmp_path / "frame.npy").write_bytes(b"")
+    with pytest.raises(DerenderError, match="stdin is one image alone"):
+        infer_frames([str(tmp_path / "frame.npy"), "-"], tmp_path / "out", Order(), lambda *_: pytest.fail("begun"))
+    told = CliRunner().invoke(group, ["infer", "x.npy", "-o", "-"], prog_name="derender", standalone_mode=True)
+    assert told.exit_code == 2 and "-o is a folder" in told.stderr
+
+
+def test_a_camera_in_utf_16_is_read(tmp_path):
+    (tmp_path / "camera.json").write_text('{"fx": 60, "fy": 60, "cx": 31, "cy": 23}', encoding="utf-16")
+    assert read_camera(tmp_path / "camera.json", (48, 64)).fx == 60.0
 
 
 SCENE = """derender: 1

@@ -4,6 +4,7 @@ Depth images of devices and apps (ARKit and Record3D, Polycam, Nerfstudio, OAK, 
 images that the intrinsics belong to, and registered to them: then the camera is scaled to the image at hand.
 """
 
+import codecs
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -273,7 +274,8 @@ def load_tree(
     try:
         if data.startswith(b"\x93NUMPY"):
             return np.load(BytesIO(data), allow_pickle=False).tolist()
-        text = data.decode("utf-8-sig")
+        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as PowerShell's `>` writes
+        text = data.decode("utf-16" if wide else "utf-8-sig")
         words = text.replace(",", " ").replace(";", " ").split()
         if len(words) == 9 and all(map(_is_number, words)):  # a matrix as numpy.savetxt or a table writes it
             return [words[0:3], words[3:6], words[6:9]]

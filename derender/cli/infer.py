@@ -236,6 +236,8 @@ def command(talk: Talk, **arguments: Any) -> int | None:
     from derender.batch.frames import is_many
 
     images, watch, scheduler = (arguments.pop(key) for key in ("images", "watch", "scheduler"))
+    if arguments["output"] in ("-", ""):
+        raise click.UsageError("-o is a folder: of many files none can go to stdout")
     if arguments["quick"]:
         if arguments["method"] not in ("auto", "map"):
             raise click.UsageError("--quick is --method map: leave one of them out")

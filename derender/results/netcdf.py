@@ -36,7 +36,7 @@ def write_netcdf(path: str | Path, posterior: Posterior, blocks: Blocks | None =
     stats = {"lp": part.log_density, "log_prior": part.log_prior, "log_likelihood": part.log_likelihood}
     walk = {"chain": chain, "draw": draw}
     groups = {"posterior": (walk, columns), "sample_stats": (walk, stats)}
-    if blocks is not None:
+    if blocks is not None and len(blocks.observed):  # so few pixels may have returned that no block counts
         number = {"block": np.arange(len(blocks.observed))}
         where = {"row": blocks.rows, "column": blocks.columns}
         scored = blocks.log_likelihood

@@ -56,12 +56,13 @@ def nearer_than_explained(best: Refined) -> np.ndarray:
 def spots(nearer: np.ndarray) -> list[Spot]:
     """Return the Spots of an image (H, W) of standard deviations, the strongest first, none beside another."""
     nearer, found = nearer.copy(), []
-    while len(found) < SPOTS:
+    sides = [side for side in SIDES if side <= min(nearer.shape)]
+    while sides and len(found) < SPOTS:
         seen = np.isfinite(nearer)
         filled = np.where(seen, nearer, 0.0)
         tables = np.stack([filled, filled**2, seen], axis=-1).cumsum(axis=0).cumsum(axis=1)
         tables = np.pad(tables, ((1, 0), (1, 0), (0, 0)))
-        strength, side, row, column = max(strongest(tables, side) for side in SIDES)
+        strength, side, row, column = max(strongest(tables, side) for side in sides)
         if strength < FAINT:
             break
         about = slice(max(row - 1, 0), row + side + 1), slice(max(column - 1, 0), column + side + 1)
