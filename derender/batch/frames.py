@@ -63,7 +63,9 @@ def find_frames(
         elif os.path.isdir(argument):
             paths = {path: _inside(path, argument) for path in _below(Path(argument), output, shallow)}
         elif is_pattern(argument):
-            matches = sorted(glob.glob(argument, recursive=True))
+            # Through links that lead back up a file is found again and again: by its shortest path once.
+            matches = sorted(glob.glob(argument, recursive=True), key=len, reverse=True)
+            matches = sorted({os.path.realpath(path): path for path in matches}.values())
             paths = {path: Path(path).stem for path in matches if _may_be_depth(Path(path), output, shallow)}
         else:
             paths = {argument: Path(argument).stem if argument != "-" else "scene"}
@@ -94,7 +96,7 @@ def _may_be_depth(path: Path, output: Path, shallow: list[str]) -> bool:
     """Return whether a file that was not named itself is taken; PNGs of 8 bits are not, and are listed."""
     if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or output in path.resolve().parents:
         return False
-    if (path.parent / RESULT).exists():
+    if (path.parent / RESULT).exists() or (path.exists() and not path.is_file()):  # a folder, or a pipe
         return False
     if path.suffix.lower() != ".png":
         return True

@@ -59,10 +59,13 @@ class Ledger:
         """Return the frames that have no result yet; of the others without lines, lines are written."""
         waiting = []
         for frame in frames:
-            if not is_done(self.folder / frame.name):
+            try:
+                if not is_done(self.folder / frame.name):
+                    waiting.append(frame)
+                elif self.rows.get(frame.name, [{"status": "failed"}])[0]["status"] != "done":
+                    self._append(frame.name, rows_in(self.folder / frame.name, frame.name))
+            except DerenderError:  # its summary is broken
                 waiting.append(frame)
-            elif self.rows.get(frame.name, [{"status": "failed"}])[0]["status"] != "done":
-                self._append(frame.name, rows_in(self.folder / frame.name, frame.name))
         return waiting
 
     def record(self, done: Done) -> None:

@@ -4,10 +4,11 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from contextlib import contextmanager
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -15,6 +16,7 @@ from derender.batch.frames import Frame, Watch, find_frames
 from derender.batch.ledger import Ledger
 from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
 from derender.compilation.threads import THREADS_VARIABLE, safe_path
+from derender.errors import DerenderError
 from derender.sampling.chains import interruptible
 
 LOOK = 0.2  # seconds between two looks at what is finished and at what has come
@@ -77,6 +79,8 @@ def infer_frames(
     """
     watcher = Watch(arguments, output) if watch else None
     frames = watcher.look() if watcher else find_frames(arguments, output, topic=order.reading.topic, warn=warn)
+    if any(frame.path == "-" for frame in frames):  # whoever infers it is another process
+        raise DerenderError("stdin is one image alone", "-", "leave it out, or give it without others")
     ledger = Ledger(output, order)
     waiting = deque(ledger.missing(frames))
     before, total = len(frames) - len(waiting), len(waiting)
@@ -149,7 +153,21 @@ class _InTurn:
             self.tell(self.early.pop(self.names.popleft()))
 
 
-ENDING = ("SIGINT", "SIGTERM", "SIGHUP")  # a terminal or a scheduler sends them to all processes of a group
+# A terminal or a scheduler sends them to all processes of a group.
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextmanager
+def held(signals: Sequence[int]) -> Iterator[None]:
+    """Hold signals back meanwhile; a process that is started here holds them back for good."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Processes:
@@ -160,6 +178,8 @@ class Processes:
         self._idle: list[ProcessPoolExecutor] = []
         self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
         self._context = get_context("spawn")
+        with held(ENDING):
+            resource_tracker.ensure_running()
 
     @property
     def size(self) -> int:
@@ -173,8 +193,8 @@ class Processes:
 
     def submit(self, frame: Frame) -> None:
         """Begin to infer a frame; fewer than `size` are in work."""
-        executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
-        with safe_path():  # an executor starts its process with its first task
+        with safe_path(), held(ENDING):  # an executor starts its process with its first task
+            executor = self._idle.pop() if self._idle else ProcessPoolExecutor(1, self._context, _begin)
             self._busy[executor.submit(infer_frame, frame, self.order, self.output)] = (executor, frame)
 
     def finished(self, timeout: float) -> list[Done]:
@@ -201,8 +221,7 @@ class Processes:
 
 def _begin() -> None:
     """Make this process one of many: signals to end are its parent's business, and one thread is its share."""
-    for name in ENDING:
-        if hasattr(signal, name):  # not on Windows
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
     os.environ[THREADS_VARIABLE] = "1"
     leave_with_parent()

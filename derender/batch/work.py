@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from derender.atomic import make_folder, write_bytes
+from derender.atomic import locked, make_folder, write_bytes
 from derender.batch.frames import RESULT, Frame
 from derender.camera.depth_file import Reading
 from derender.errors import DerenderError
@@ -106,8 +106,12 @@ def is_done(folder: Path) -> bool:
 
 
 def rows_in(folder: Path, name: str) -> list[dict[str, Any]]:
-    """Return the rows of a frame that is done."""
-    return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
+    """Return the rows of a frame that is done; DerenderError where its summary is none."""
+    try:
+        with locked(folder):  # another process may be writing it
+            return rows_of(name, json.loads((folder / RESULT).read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
+        raise DerenderError("this is no summary of a result", folder / RESULT) from fault
 
 
 def write_thumbnail(path: Path, posterior: Any, seen: "DepthImage") -> None:

@@ -82,12 +82,12 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the rows of a file of JSON lines; what a killed writer left half done is left out."""
     if not path.exists():
         return
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         try:
             row = json.loads(line)
         except ValueError:
             continue
-        if isinstance(row, dict) and isinstance(row.get("frame"), str):
+        if isinstance(row, dict) and isinstance(row.get("frame"), str) and row.get("status") in ("done", "failed"):
             yield dict.fromkeys(COLUMNS) | row
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import active_children
 
 import numpy as np
 import pytest
@@ -146,6 +147,21 @@ def test_a_frame_counts_as_done_only_once_its_thumbnail_is_there(tmp_path):
     assert is_done(tmp_path)
     (tmp_path / "summary.json").unlink()
     assert not is_done(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals that are held back need POSIX")
+def test_signals_to_a_process_that_is_starting_are_its_parent_s_business(tmp_path):
+    crew = Processes(1, Order(Options(seed=0, method="map")), str(tmp_path / "out"))
+    former = {child.pid for child in active_children()}
+    try:
+        crew.submit(Frame("missing", str(tmp_path / "missing.npy")))
+        for child in active_children():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if child.pid not in former else ():
+                os.kill(child.pid, number)
+        (done,) = wait_for(crew)
+        assert "cannot read the depth image" in done.error
+    finally:
+        crew.close()
 
 
 class Dies:

@@ -4,14 +4,17 @@ import csv
 import io
 import json
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 import pytest
 
+from derender.atomic import locked
 from derender.batch.frames import Frame, Watch, find_frames, is_many
 from derender.batch.ledger import Ledger, index_page
 from derender.batch.run import duration, words
-from derender.batch.work import Done, Order
+from derender.batch.work import Done, Order, rows_in
 from derender.camera.image_files import png_bytes
 from derender.errors import DerenderError
 from derender.results.table import COLUMNS, as_csv, as_lines, failed_row, read_lines, rows_of, turn_of
@@ -54,6 +57,15 @@ def test_frames_are_found_in_folders_patterns_and_by_name(tmp_path):
         find_frames([str(folder / "*.exr")], tmp_path)
     with pytest.raises(DerenderError, match="no depth image is there but 1 PNG of 8 bits"):
         find_frames([str(folder / "*.png")], tmp_path / "out")
+
+
+def test_links_that_lead_up_and_what_is_no_file_give_no_frame(tmp_path):
+    (tmp_path / "a.npy").write_bytes(b"x")
+    (tmp_path / "folder.npy").mkdir()
+    (tmp_path / "self").symlink_to(".")
+    os.mkfifo(tmp_path / "pipe.npy")
+    for argument in (tmp_path, tmp_path / "**" / "*.npy"):
+        assert [frame.name for frame in find_frames([str(argument)], tmp_path / "out")] == ["a"]
 
 
 def test_no_two_frames_share_a_name(tmp_path):
@@ -150,6 +162,25 @@ def test_a_ledger_goes_on_where_it_was_killed(tmp_path):
     again.write_tables(ended=True)
     last = [row for row in read_lines(tmp_path / "results.jsonl") if row["frame"] == "d"]
     assert [row["object"] for row in last] == ["box_1", "box_2"]
+
+
+@pytest.mark.parametrize("told", [{}, {"scene": {"objects": [{}]}, "trusted": 1, "doubts": 5, "method": "map"}])
+def test_what_is_broken_in_the_folder_is_made_again(tmp_path, told):
+    (tmp_path / "results.jsonl").write_bytes(b'\xff\xfe\n[]\n{"frame": "a", "status": 5}\n')
+    done_folder(tmp_path, "a", told)
+    ledger = Ledger(tmp_path, Order())
+    assert not ledger.rows and ledger.missing([Frame("a", "a.npy")]) == [Frame("a", "a.npy")]
+
+
+def test_a_result_that_another_process_replaces_is_read_whole(tmp_path):
+    done_folder(tmp_path, "a", summary(box()))
+    with ThreadPoolExecutor(1) as pool:
+        with locked(tmp_path / "a"):
+            (tmp_path / "a" / "summary.json").unlink()
+            found = pool.submit(rows_in, tmp_path / "a", "a")
+            wait([found], timeout=0.2)  # as long as a reader that does not wait has to fail
+            (tmp_path / "a" / "summary.json").write_text(json.dumps(summary(box("new"))))
+        assert [row["object"] for row in found.result()] == ["new"]
 
 
 def test_results_of_other_options_are_not_mixed(tmp_path):
