@@ -293,9 +293,8 @@ def _given(
     said: dict[str, Any] = {"chains": options.chains, "draws": options.draws, "warmup": options.warmup}
     settings = read_settings(document.inference)._replace(**{k: v for k, v in said.items() if v is not None})
     posterior, interrupted, lost = infer_scene(
-        document, seen.depth, seen.camera, settings, options.method, options.seed or 0, options.jobs or 1,
-        options.folder, options.resume, progress, command, gradient, warn,
-    )  # fmt: skip
+        document, seen.depth, seen.camera, settings, options, gradient, command, progress, warn
+    )
     likelihood = document.likelihood or LikelihoodPrior()
     meta = {
         **posterior.meta, "interrupted": interrupted, "lost_chains": lost,

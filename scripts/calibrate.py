@@ -32,6 +32,7 @@ from derender.render.likelihoods import likelihoods  # noqa: E402
 from derender.render.raycast.depth import render_depth  # noqa: E402
 from derender.sampling.diagnostics import bulk_ess  # noqa: E402
 from derender.structures.given import infer_scene, targets  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 BINS = 20
 MOST_KEPT = 99  # draws that a rank is taken among
@@ -51,7 +52,7 @@ def ranks_of(document, settings: Settings, seed: int) -> tuple[tuple[str, ...], 
     }}  # fmt: skip
     depth = render_depth(target.graph(truth).solids(), document.camera)[0]
     image = likelihoods[document.likelihood.type].sample(rng, depth, numbers)
-    part = infer_scene(document, image, document.camera, settings, seed=seed).posterior.parts[0]
+    part = infer_scene(document, image, document.camera, settings, Options(seed=seed)).posterior.parts[0]
     bound = targets(document, image, document.camera, 0)[0][0]
     above = bound.log_prior(truth) + bound.log_likelihood(truth) - part.log_density.max()
     ranks, least = [], np.inf

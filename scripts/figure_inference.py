@@ -20,6 +20,7 @@ from derender.report.animation import frames
 from derender.report.contents import likelihood_numbers
 from derender.report.pictures import DEPTH_ANCHORS, depth_limits, paint
 from derender.structures.given import infer_scene
+from derender.structures.options import Options
 
 JOBS = 2
 TIMES = (0.0, 0.3, 0.6, 1.2)
@@ -39,7 +40,7 @@ def figure_4(path: Path, seed: int) -> Rows:
     clean, _ = render_depth(truth.graph.solids(), camera)
     depth = observe(truth.rng, clean, truth.likelihood)
     settings = read_settings(document.inference)._replace(**CHAINS)
-    posterior, _, _ = infer_scene(document, depth, camera, settings, "mcmc", seed, JOBS)
+    posterior, _, _ = infer_scene(document, depth, camera, settings, Options("mcmc", seed=seed, jobs=JOBS))
     best = posterior.best_graph()
     true_verdict, verdict = (judge(simulate(matter_of_graph(graph))) for graph in (truth.graph, best))
     drawn = posterior.graphs(np.random.default_rng(seed), 60)

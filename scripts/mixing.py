@@ -29,6 +29,7 @@ from derender.render.raycast.depth import render_depth  # noqa: E402
 from derender.sampling.diagnostics import bulk_ess, r_hat, unwrap  # noqa: E402
 from derender.scene.codec.yaml_tree import parse_yaml  # noqa: E402
 from derender.structures.given import infer_scene, targets  # noqa: E402
+from derender.structures.options import Options  # noqa: E402
 
 BOX = """
   box_{k}:
@@ -52,7 +53,7 @@ def measured(document, settings, seed: int) -> tuple[float, str, float, float, f
     """Return worst R-hat, its address, least effective sample size, wall and processor seconds of one inference."""
     image, _ = drawn(document, seed)
     wall, processor = time.perf_counter(), time.process_time()
-    part = infer_scene(document, image, document.camera, settings, seed=seed, jobs=2).posterior.parts[0]
+    part = infer_scene(document, image, document.camera, settings, Options(seed=seed, jobs=2)).posterior.parts[0]
     wall, processor = time.perf_counter() - wall, time.process_time() - processor
     draws = [unwrap(part.values[:, :, i], period) for i, period in enumerate(part.periods)]
     values = [r_hat(one) for one in draws]

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -29,13 +28,23 @@ from derender.posterior.smc import tempered
 from derender.posterior.target import ObservedImage, SceneTarget, default_parts, period_of
 from derender.render.likelihoods import likelihoods
 from derender.results.posterior import Posterior, StructurePosterior
-from derender.sampling.chains import POPULATIONS, STRUCTURES, Plan, Record, child_seed, fingerprint, run_chains, stream
+from derender.sampling.chains import (
+    POPULATIONS,
+    STRUCTURES,
+    Outcome,
+    Plan,
+    Record,
+    child_seed,
+    fingerprint,
+    run_chains,
+    stream,
+)
 from derender.scene.distributions import Distribution
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import total_log_density, with_relations
 from derender.scene.priors.tree import TreePrior
 from derender.scene.shapes import Body
-from derender.structures.options import names_objects
+from derender.structures.options import Options, names_objects
 
 STRUCTURE_DRAWS = 300  # of the prior at least, among which its structures are looked for
 DRAWS_EACH, MOST_DRAWS = 20, 20_000  # of the prior for each that is found; and at most: equal ones count together
@@ -43,6 +52,13 @@ FIRST_DRAWS = 8  # after which a structure that was the only one is
 RULED_OUT = 2_000  # scenes of a structure that break the terms, without one that does not
 PREFERRED = "-z"  # face to rest on of a representative
 PARTICLES, STEPS = 50, 60  # of the population by which a structure is weighed
+MOST_STRUCTURES = 64
+LEAST_WEIGHT = 1e-3  # of a structure that is given chains
+SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
+SMC_PARTICLES, SMC_STEPS = 400, 100
+CLIMB_DRAWS = 200  # and as many rounds of warm-up, of chains of which the best draw alone is asked
+
+Progress = Callable[[float, str], None]
 
 
 def structures(prior: TreePrior, rng: np.random.Generator) -> list[SceneGraph]:
@@ -130,14 +146,6 @@ def _laws(prior: TreePrior, graph: SceneGraph, name: str) -> dict[str, tuple] | 
     return {address: (law.name, *law.parameters) for address, law in own.items()}
 
 
-MOST_STRUCTURES = 64
-LEAST_WEIGHT = 1e-3  # of a structure that is given chains
-SHORT = 2_000_000  # steps of all chains: below this a spawned process costs more than it brings
-SMC_PARTICLES, SMC_STEPS = 400, 100
-
-Progress = Callable[[float, str], None]
-
-
 class Result(NamedTuple):
     """What came of it. posterior; interrupted: by Ctrl-C, with what there was; lost: why chains died, by number."""
 
@@ -188,23 +196,18 @@ def infer_scene(
     image: np.ndarray,
     camera: Camera,
     settings: Settings | None = None,
-    method: str = "auto",
-    seed: int = 0,
-    jobs: int = 1,
-    folder: Path | None = None,
-    resume: bool = False,
-    progress: Progress | None = None,
-    command: str = "",
+    options: Options | None = None,
     gradient: str = "exact",
+    command: str = "",
+    progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> Result:
     """Infer the unknown numbers of a document's scene from a depth image.
 
     image : (H, W) metres, NaN where nothing returned.
-    method : "auto" or "mcmc": chains; "smc": tempered particles; "map": the best scene only.
-    jobs : threads, or for long runs processes; the draws do not depend on it.
-    folder : where checkpoints go, in a folder of their own; None: none.
-    resume : go on from the checkpoints there.
+    settings : of the chains and particles, as the document's `inference:` may say.
+    options : of which method, seed, jobs, folder and resume are looked at. jobs are threads, or for long runs
+        processes; the draws do not depend on them.
     gradient : "exact" or "finite-difference", the derivative by which "map" climbs in the end.
     progress : called with the fraction that is done and a word on what is being done.
     warn : called with a line on what makes it slow.
@@ -213,7 +216,8 @@ def infer_scene(
     ------
     DerenderError : a prior of open structure, nothing unknown, a fault in the mixture, a checkpoint of another run.
     """
-    settings = settings or Settings()
+    settings, options = settings or Settings(), options or Options()
+    seed, method = options.seed or 0, options.method
     if not names_objects(document):
         raise DerenderError("the prior does not name its objects", document.file, "infer without --scene")
     found = targets(document, image, camera, seed)
@@ -231,31 +235,11 @@ def infer_scene(
         backend_of(target, mixed)
         if target.uncompiled and warn is not None and not parts:
             warn(f"chains run uncompiled, a hundred times slower: there is no compiled form of {target.uncompiled}")
-        sampler = MixtureSampler(target, mixed, settings.thin, settings.cycle, settings.particles, settings.population)
-        draws, warmup, chains = settings.draws, settings.warmup, settings.chains
-        if method == "map":
-            draws, warmup = 200, 200
         run = fingerprint(
             image.tobytes(), repr(camera), document.file, repr(target.space.unknowns), repr(target.template.numbers()),
             repr(settings._replace(draws=0, where=None)), method, str(seed), str(number),
         )  # fmt: skip
-        own = child_seed(seed, STRUCTURES, number) if number else seed  # the first one's is the seed itself
-        place = None
-        if folder is not None and method != "map":
-            place = folder / "checkpoint" / str(number)
-            place.mkdir(parents=True, exist_ok=True)
-        if not (resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
-            tell(0.0, "searching")
-            sampler = sampler.prepared(own, chains, jobs)
-        plan = Plan(sampler, own, chains, warmup, draws, place, run, resume)
-        total = chains * (warmup + draws)
-        done = dict.fromkeys(range(chains), 0)
-
-        def report(chain: int, steps: int, _: int, done=done, total=total) -> None:
-            done[chain] = steps
-            tell(sum(done.values()) / total, "sampling")
-
-        outcome = run_chains(plan, jobs, total * settings.thin > SHORT, report)
+        outcome = _walk(target, mixed, settings, options, number, run, tell)
         lost.update(outcome.lost)
         interrupted = interrupted or outcome.interrupted
         part = part_of(target, list(outcome.records.values()), mixed, weight)
@@ -266,6 +250,36 @@ def infer_scene(
     total_weight = sum(part.weight for part in parts)
     parts = [replace(part, weight=part.weight / total_weight) for part in parts]
     return Result(Posterior(tuple(parts), seed, command), interrupted, lost)
+
+
+def _walk(
+    target: SceneTarget, mixed: list[Part], settings: Settings, options: Options, number: int, run: str, tell: Progress
+) -> Outcome:
+    """Return the Outcome of the chains of one structure, with checkpoints in a folder of their own where there is one.
+
+    number : the structure's. run : fingerprint of all that decides about the draws.
+    """
+    sampler = MixtureSampler(target, mixed, settings.thin, settings.cycle, settings.particles, settings.population)
+    draws, warmup, chains = settings.draws, settings.warmup, settings.chains
+    place = None
+    if options.method == "map":
+        draws, warmup = CLIMB_DRAWS, CLIMB_DRAWS
+    elif options.folder is not None:
+        place = options.folder / "checkpoint" / str(number)
+        place.mkdir(parents=True, exist_ok=True)
+    seed, jobs = options.seed or 0, options.jobs or 1
+    own = child_seed(seed, STRUCTURES, number) if number else seed  # the first one's is the seed itself
+    if not (options.resume and place is not None and all((place / f"chain_{k}.npz").exists() for k in range(chains))):
+        tell(0.0, "searching")
+        sampler = sampler.prepared(own, chains, jobs)
+    plan = Plan(sampler, own, chains, warmup, draws, place, run, options.resume)
+    total, done = chains * (warmup + draws), dict.fromkeys(range(chains), 0)
+
+    def report(chain: int, steps: int, _: int) -> None:
+        done[chain] = steps
+        tell(sum(done.values()) / total, "sampling")
+
+    return run_chains(plan, jobs, total * settings.thin > SHORT, report)
 
 
 def part_of(target: SceneTarget, records: list[Record], mixed: list[Part], weight: float) -> StructurePosterior | None:
@@ -320,7 +334,7 @@ def summit(target: SceneTarget, part: StructurePosterior, gradient: str, seed: i
 
 
 def _particles(
-    target: Any, mixed: Any, settings: Settings, seed: int, number: int, weight: float, tell: Any
+    target: SceneTarget, mixed: list[Part], settings: Settings, seed: int, number: int, weight: float, tell: Progress
 ) -> StructurePosterior:
     """Return tempered particles as chains of independent draws, one chain for each of `settings.chains` populations."""
     populations = []

@@ -13,6 +13,7 @@ from derender.posterior.sampler import Settings, read_settings
 from derender.sampling import diagnostics
 from derender.structures import given
 from derender.structures.given import infer_scene, targets
+from derender.structures.options import Options
 
 TWO_NUMBERS = (
     OPENING
@@ -49,7 +50,7 @@ def test_posterior_of_two_numbers_by_quadrature(method):
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
     theta, x = np.meshgrid(thetas, places, indexing="ij")
-    result = infer_scene(world.document, image, world.document.camera, Settings(draws=1500), method, seed=5)
+    result = infer_scene(world.document, image, world.document.camera, Settings(draws=1500), Options(method, seed=5))
     values = result.posterior.parts[0].values
     tests = {
         "cos": (np.cos(2 * theta), np.cos(2 * values[..., 0])),
@@ -73,7 +74,7 @@ def test_a_wrong_posterior_is_seen():
     world, _, image = image_of(TWO_NUMBERS)
     _, _, other = image_of(TWO_NUMBERS, seed=11)
     means = [
-        infer_scene(world.document, picture, world.document.camera, Settings(draws=500), seed=5)
+        infer_scene(world.document, picture, world.document.camera, Settings(draws=500), Options(seed=5))
         .posterior.parts[0]
         .values[..., 1]
         for picture in (image, other)
@@ -86,7 +87,7 @@ def test_a_wrong_posterior_is_seen():
 @pytest.mark.parametrize("text", [TOWER, LOOKED_AT], ids=["tower", "looked-at"])
 def test_same_bytes_for_any_jobs(text):
     world, _, image = image_of(text)
-    one, two = (infer_scene(world.document, image, world.document.camera, FEW, jobs=jobs) for jobs in (1, 2))
+    one, two = (infer_scene(world.document, image, world.document.camera, FEW, Options(jobs=jobs)) for jobs in (1, 2))
     np.testing.assert_array_equal(one.posterior.parts[0].values, two.posterior.parts[0].values)
     np.testing.assert_array_equal(one.posterior.parts[0].log_likelihood, two.posterior.parts[0].log_likelihood)
 
@@ -103,15 +104,15 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
         "derender.sampling.chains.run_chain",
         lambda plan, number, stop, progress: genuine(plan, number, lambda: next(calls) >= 3, progress),
     )
-    infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path)
+    infer_scene(world.document, image, world.document.camera, FEW, Options(folder=tmp_path))
     monkeypatch.undo()
-    again = infer_scene(world.document, image, world.document.camera, FEW, folder=tmp_path, resume=True)
+    again = infer_scene(world.document, image, world.document.camera, FEW, Options(folder=tmp_path, resume=True))
     np.testing.assert_array_equal(again.posterior.parts[0].values, whole.posterior.parts[0].values)
 
 
 def test_map_is_one_scene_no_worse_than_the_truth():
     world, truth, image = image_of(TOWER)
-    result = infer_scene(world.document, image, world.document.camera, FEW, "map")
+    result = infer_scene(world.document, image, world.document.camera, FEW, Options("map"))
     part = result.posterior.parts[0]
     assert part.values.shape[:2] == (1, 1)
     target = world._target(image)

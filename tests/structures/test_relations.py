@@ -14,6 +14,7 @@ from derender.render.raycast.depth import render_depth
 from derender.scene.priors.terms import RestsOn, total_log_density
 from derender.scene.separation import rest_residual, separation
 from derender.structures.given import infer_scene, structures, targets
+from derender.structures.options import Options
 
 FEW = Settings(draws=250, warmup=150, chains=2)
 # An image of so much noise that it says next to nothing: the posterior is the prior, which has its terms.
@@ -57,7 +58,7 @@ def infer(text, seed=3):
     rng = np.random.default_rng(seed)
     truth = world.sample(rng)
     image = world.target(rng, truth).images.observed
-    return infer_scene(world.document, image, world.document.camera, FEW, seed=seed).posterior.best_part, truth
+    return infer_scene(world.document, image, world.document.camera, FEW, Options(seed=seed)).posterior.best_part, truth
 
 
 @pytest.mark.slow
