@@ -143,7 +143,7 @@ def answer(
     warn: Say = silent,
 ) -> Outcome:
     """Infer what was asked and write it into a folder; started : when, of the monotonic clock, where that is told."""
-    from derender.sampling.chains import interruptible
+    from derender.compilation.threads import interruptible
 
     options, began = request.options, time.monotonic() if started is None else started
     keeps = names_objects(request.document) or options.method == "mcmc"  # checkpoints

@@ -15,9 +15,8 @@ from typing import NamedTuple, Protocol
 from derender.batch.frames import Frame, Watch, find_frames
 from derender.batch.ledger import Ledger
 from derender.batch.work import Done, Order, failure, infer_frame, leave_with_parent
-from derender.compilation.threads import THREADS_VARIABLE, safe_path
+from derender.compilation.threads import THREADS_VARIABLE, interruptible, safe_path
 from derender.errors import DerenderError
-from derender.sampling.chains import interruptible
 
 LOOK = 0.2  # seconds between two looks at what is finished and at what has come
 GATHER = 2.0  # seconds between two writings of the tables while frames are in work

@@ -173,6 +173,10 @@ def status_of(work: Callable[[], Any]) -> int:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return _complain("interrupted", 130)
+    except ImportError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # so modules in C end whose loading is interrupted
+            return _complain("interrupted", 130)
+        raise
     except BrokenPipeError:
         # Whoever read our output has gone; keep Python's own flush at exit quiet too.
         sys.stdout = None  # type: ignore[assignment]

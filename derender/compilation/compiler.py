@@ -6,6 +6,7 @@ What a kernel calls by name is compiled with it, from its source; nothing but th
 import functools
 import gc
 import pickle
+import signal
 
 import numba
 from numba import typeof, types
@@ -16,10 +17,22 @@ from numba.np import arrayobj
 
 from derender.compilation import cache as kernel_cache
 from derender.compilation.entries import Code, Version
+from derender.compilation.threads import interruptible
 
 
 def compile_version(kernel, arguments, path) -> Version:
-    """Compile a kernel for arguments of these types, write the entry if there is a path, and return the version."""
+    """Compile a kernel for arguments of these types, write the entry if there is a path, and return the version.
+
+    Ctrl-C waits for its end: in one of LLVM's callbacks it would be lost.
+    """
+    with interruptible() as stop:
+        version = _compiled(kernel, arguments, path)
+    if stop.is_set():
+        signal.raise_signal(signal.SIGINT)
+    return version
+
+
+def _compiled(kernel, arguments, path) -> Version:
     if vars(config)["DISABLE_JIT"]:
         return Version(kernel.py_func, 0)
     kinds = tuple(typeof(argument) for argument in arguments)

@@ -4,8 +4,9 @@ import contextlib
 import functools
 import importlib.util
 import os
+import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -44,6 +45,26 @@ def safe_path():
             del os.environ[SAFE_PATH]
         else:
             os.environ[SAFE_PATH] = former
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[threading.Event]:
+    """Within, the first Ctrl-C sets the event that this yields; a second one is a KeyboardInterrupt."""
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+
+    def handle(number, frame):
+        if event.is_set():
+            raise KeyboardInterrupt
+        event.set()
+
+    former = signal.signal(signal.SIGINT, handle)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, former)
 
 
 def run_together(*tasks: Callable[[], object]) -> None:

@@ -15,7 +15,6 @@ import json
 import multiprocessing
 import multiprocessing.connection
 import signal
-import threading
 import time
 import traceback
 import zipfile
@@ -23,14 +22,13 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from derender.atomic import atomic_path
-from derender.compilation.threads import safe_path
+from derender.compilation.threads import interruptible, safe_path
 from derender.errors import DerenderError
 from derender.json_text import parse_json
 
@@ -262,26 +260,6 @@ def run_chains(plan: Plan, jobs: int = 1, processes: bool = True, progress: Prog
     if lost and not records:
         raise RuntimeError("every chain was lost:\n" + "\n".join(lost.values()))
     return Outcome(dict(sorted(records.items())), lost, stop.is_set())
-
-
-@contextmanager
-def interruptible() -> Iterator[threading.Event]:
-    """Within, the first Ctrl-C sets the event that this yields; a second one is a KeyboardInterrupt."""
-    event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield event
-        return
-
-    def handle(number, frame):
-        if event.is_set():
-            raise KeyboardInterrupt
-        event.set()
-
-    former = signal.signal(signal.SIGINT, handle)
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, former)
 
 
 def _run_threads(

@@ -17,6 +17,7 @@ from derender.camera.intrinsics import Camera
 from derender.cli import _end_as_ctrl_c, main
 from derender.cli.infer import command
 from derender.cli.options import Duration
+from derender.compilation.cache import njit
 from derender.detection.search import searches
 from derender.render.raycast.depth import render_depth
 from derender.report.result_folder import write_results
@@ -92,6 +93,24 @@ def test_being_told_to_end_is_as_ctrl_c(name, interrupts):
     finally:
         signal.signal(number, before)
         signal.signal(signal.SIGINT, keyboard)
+
+
+def test_ctrl_c_waits_for_a_kernel_that_is_compiled():
+    """In one of LLVM's callbacks it would be lost: here it comes while numba looks at the types."""
+
+    @njit
+    def half(x):
+        return 0.5 * x
+
+    def interrupted(kinds):
+        signal.raise_signal(signal.SIGINT)
+        return compiled(kinds)
+
+    compiled = half.dispatcher.compile
+    half.dispatcher.compile = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        half(1.0)
+    assert half.dispatcher.overloads  # it was compiled all the same
 
 
 def test_nothing_of_ctrl_c_is_left_when_a_command_leaves():

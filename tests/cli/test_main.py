@@ -39,6 +39,11 @@ def raising(error):
     return callback
 
 
+def interrupted_import():
+    """End as a module in C does whose loading Ctrl-C has interrupted."""
+    raise ImportError("initialization failed") from KeyboardInterrupt()
+
+
 @pytest.mark.parametrize(
     "outcome, status, line",
     [
@@ -52,6 +57,7 @@ def raising(error):
         (raising(click.UsageError("no")), 2, None),
         (raising(KeyboardInterrupt()), 130, None),
         (raising(click.Abort()), 130, None),
+        (interrupted_import, 130, "derender: interrupted\n"),
         (raising(PermissionError(13, "Permission denied", "out.npz")), 1, "derender: out.npz: Permission denied\n"),
         (raising(OSError(28, "No space left on device", "x")), 1, "derender: x: No space left on device\n"),
     ],
