@@ -13,25 +13,26 @@ from derender.dynamics.engine import Material
 from derender.registry import Parameter
 from derender.scene.codec.yaml_tree import Section, parse_yaml, read_yaml
 from derender.scene.distributions import Distribution
+from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.priors.objects import check_range
 from derender.scene.priors.reading import read_value
 
-# Friction of dry household things on table tops is .2-.8, restitution may be any, a bounce takes one millisecond (wood)
+# Restitution may be any, a bounce takes one millisecond (wood)
 # to ten (rubber), and densities differ by a factor of three either way.
 # Errors: of an impact, as a share of its change of velocity; of resting and sliding contacts between two frames, as a
 # share of gravity's; and by how much the poses' stated errors are to be multiplied (centres of balls by .4 on made
 # films, turns of boxes by more than one). The first two are as wide as from films that an engine made, which err
 # little, to real tosses, which err some ten times as much: a factor of e either way is one standard deviation.
-DEFAULT = """
+DEFAULT = f"""
 dynamics:
-  friction: {log-normal: [0.35, 0.8]}
-  restitution: {uniform: [0, 0.95]}
-  contact_time: {log-normal: [0.003, 0.7]}
-  mass_ratio: {log-normal: [1, 1.1]}  # over that of the volumes
-  impact_error: {log-normal: [0.06, 1]}
-  steady_error: {log-normal: [0.015, 1]}
-  tracking_error: {log-normal: [0.6, 0.7]}  # of centres
-  turning_error: {log-normal: [0.6, 0.7]}
+  friction: {{log-normal: [{MEDIAN}, {SPREAD}]}}
+  restitution: {{uniform: [0, 0.95]}}
+  contact_time: {{log-normal: [0.003, 0.7]}}
+  mass_ratio: {{log-normal: [1, 1.1]}}  # over that of the volumes
+  impact_error: {{log-normal: [0.06, 1]}}
+  steady_error: {{log-normal: [0.015, 1]}}
+  tracking_error: {{log-normal: [0.6, 0.7]}}  # of centres
+  turning_error: {{log-normal: [0.6, 0.7]}}
 """
 # Friction and mass ratio are kept within exp(+-5), restitution within what the engine bounces, and climbing off its
 # edge.

@@ -18,8 +18,6 @@ KIND_NAMES = {code: name for name, code in KINDS.items()}
 
 DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
-FRICTION = 0.8
-"""Coulomb coefficient between two bodies that say none: wood on wood and cardboard on wood lie at 0.4-0.8."""
 UPRIGHT = 0.9962
 """The level: within this cosine (5 degrees) a body stands upright."""
 MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")

@@ -5,7 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from derender.physics.bodies import FRICTION, Body
+from derender.physics.bodies import Body
+from derender.scene.friction import OF_BODIES
 
 # Of the heaviest body's mass. A lighter one is taken for so heavy: it bears what stands on it all the same, and the
 # engine's rounding does not throw it about.
@@ -27,11 +28,11 @@ def pair_frictions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the Coulomb coefficients (P,) of pairs that touch: the geometric mean of what the two (P,) say.
 
     NaN is a body of which nothing is said: it takes the other's, so that a slippery block slips on a floor of which
-    nothing is known; FRICTION where nothing is said of either.
+    nothing is known; OF_BODIES where nothing is said of either.
     """
     mean = np.sqrt(first * second)
     mean = np.where(np.isnan(first), second, np.where(np.isnan(second), first, mean))
-    return np.where(np.isnan(mean), FRICTION, mean)
+    return np.where(np.isnan(mean), OF_BODIES, mean)
 
 
 def clamped_masses(bodies: Sequence[Body]) -> np.ndarray:

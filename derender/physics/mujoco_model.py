@@ -17,9 +17,10 @@ import mujoco
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.physics.bodies import FRICTION, Body, Matter, leans
+from derender.physics.bodies import Body, Matter, leans
 from derender.physics.materials import bounce_damping, clamped_masses, pair_frictions
 from derender.physics.statics import ROLLING, plane_is_below, widest_gap
+from derender.scene.friction import OF_BODIES
 from derender.scene.pose import quaternion, rotation_x
 
 # In units of sqrt(s / g). Towers of ten blocks creep and fall over at three times this step (196 of 200 right) and not
@@ -290,7 +291,7 @@ class World:
     def _add_geom(self, spec: Any, holder: Any, body: Body, place: dict[str, Any]) -> None:
         shape = shape_of(spec, body, self.units.length, self._stands(body))
         geom = holder.add_geom(name=body.name, **shape, **place)
-        geom.friction = self._friction(FRICTION if body.friction is None else body.friction)[[0, 2, 3]]
+        geom.friction = self._friction(OF_BODIES if body.friction is None else body.friction)[[0, 2, 3]]
         geom.condim = 6 if self._rolls(body) else 3
         geom.solref = self._spring(body.elasticity)
         geom.solimp = [self._hardness, self._hardness, self._long, 0.5, 2]

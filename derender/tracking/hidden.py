@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.pose import from_rotation_vector, rotation_vector
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
 HANDS, FILMS = 2, 14  # motions of a hand, and of the engine
 CARRIED = 0.2  # probability of a hand: most of what is in the air falls
-FRICTION = (0.35, 0.6)  # median, and spread of the logarithm, of what is drawn: of dry things on table tops
 TIMESTEP = 0.002  # seconds, of the engine: a fall need not be exact
 LONGEST = 0.6  # seconds: what falls from two metres rests or goes on as it did
 
@@ -82,7 +82,7 @@ def last_seen(tracker: "Tracker", k: int) -> Hidden:
     for n in range(HANDS, len(paths)):
         off, faster = rng.multivariate_normal(np.zeros(6), spread, 2) * (n > HANDS)
         faster *= np.sqrt(2.0) / tracker.step  # a speed is the difference of two poses
-        friction = FRICTION[0] * np.exp(FRICTION[1] * rng.standard_normal())
+        friction = MEDIAN * np.exp(SPREAD * rng.standard_normal())
         try:
             paths[n] = rollout(
                 times,

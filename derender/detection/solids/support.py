@@ -1,7 +1,7 @@
 """What each solid stands on: candidates from geometry, choice by the image and by who bears the weight.
 
 The weight is borne by forces at the points where a solid touches, in equilibrium with gravity. Each contact point may
-push along its normal and, by friction, across it, up to FRICTION times as much: a pyramid of four forces. Of all forces
+push along its normal and, by friction, across it, up to RESTING times as much: a pyramid of four forces. Of all forces
 that hold the solid, the shortest vector is taken (non-negative least squares with a small ridge), as a stiff but
 slightly soft contact would share the load.
 """
@@ -15,12 +15,12 @@ from derender.detection.solids.interpenetration import clamp_direction, highest,
 from derender.detection.solids.misfit import added_misfit
 from derender.detection.solids.polish import UPRIGHT, contact_energy, size_energy
 from derender.detection.solids.state import FLOOR, NOTHING, State, held_out, in_the_way
+from derender.scene.friction import RESTING
 from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 if TYPE_CHECKING:
     from derender.detection.search.greedy import Settings
 
-FRICTION = 0.6  # wood, cardboard and plastics on each other: .3 to .8
 MOST_POINTS = 24  # of each pair
 ALONG, AROUND = 17, 48  # points along an edge of a box and around a rim of a cylinder
 RIDGE = 1e-2
@@ -100,10 +100,10 @@ def shares_of_load(
     """Return who bears how much of solid k's weight: {index or FLOOR: share}; empty where its contacts cannot hold it.
 
     rows : (N, ROW) of all solids. reach : metres between surfaces that count as touching.
-    friction : (N + 1,) coefficients of its contacts with each of the others, that with the floor last; None: FRICTION.
+    friction : (N + 1,) coefficients of its contacts with each of the others, that with the floor last; None: RESTING.
     """
     row = rows[k]
-    friction = np.full(len(rows) + 1, FRICTION) if friction is None else friction
+    friction = np.full(len(rows) + 1, RESTING) if friction is None else friction
     columns, carriers = [], []
     for other in (FLOOR, *(j for j in range(len(rows)) if j != k)):
         points = touching_points(row, None if other == FLOOR else rows[other], reach)

@@ -12,6 +12,7 @@ import numpy as np
 
 from derender.scene.codec.yaml_tree import Section
 from derender.scene.distributions import Distribution, distributions
+from derender.scene.friction import MEDIAN, SPREAD
 from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.priors.grammar import GrammarPrior
 from derender.scene.priors.reading import read_distribution, read_value
@@ -155,7 +156,7 @@ class Loose:
     faces: float = 0.003
     hanging: float = 1e-13  # probability of touching nothing
     tipping: float = 0.01  # weight of what its contacts cannot hold without friction
-    friction: Distribution = field(default_factory=lambda: distributions["log-normal"](0.35, 0.8))
+    friction: Distribution = field(default_factory=lambda: distributions["log-normal"](MEDIAN, SPREAD))
     missed: Missed = field(default_factory=Missed)  # Missed, what a search may not have found
     crowding: float = 1.0
     stranger: float = 0.05  # probability that a solid is none of the known objects, where others than those may be
