@@ -60,7 +60,7 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
     bodies, contacts, most = len(weight), len(first), len(points)
     count = number[0]
     residual = np.empty((bodies, 6))
-    product, target = np.empty(most), np.empty(most)
+    forward, target, solved = np.empty(most), np.empty(most), 0  # the first `solved` of forward are of this factor
     blocked = np.zeros(contacts, np.bool_)
     scale = math.sqrt(float((load * load).sum()))
     fresh = count > 0  # columns of an earlier call have to be fitted to this load first
@@ -135,7 +135,7 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
             count += 1
         fresh = False
         while count > 0:
-            for k in range(count):
+            for k in range(solved, count):
                 p = points[k]
                 value = 0.0
                 for side in range(2):
@@ -143,14 +143,12 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
                     if b >= 0:
                         for q in range(6):
                             value += columns[k, 6 * side + q] * load[b, q]
-                product[k] = value
-            for k in range(count):
-                value = product[k]
                 for q in range(k):
-                    value -= factor[k, q] * target[q]
-                target[k] = value / factor[k, k]
+                    value -= factor[k, q] * forward[q]
+                forward[k] = value / factor[k, k]
+            solved = count
             for k in range(count - 1, -1, -1):
-                value = target[k]
+                value = forward[k]
                 for q in range(k + 1, count):
                     value -= factor[q, k] * target[q]
                 target[k] = value / factor[k, k]
@@ -176,7 +174,7 @@ def balance(first, second, arm_1, arm_2, normal, friction, weight, load, memory,
                     gram[:count, kept] = gram[:count, k]
                 values[kept] = value
                 kept += 1
-            count = kept
+            count, solved = kept, start
             refactored(gram, factor, start, count)
     number[0] = count
     return residual

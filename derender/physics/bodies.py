@@ -18,6 +18,7 @@ KIND_NAMES = {code: name for name, code in KINDS.items()}
 
 DENSITY = 500.0
 """kg / m^3, between a carton of groceries and a block of wood. Equal densities make verdicts independent of it."""
+SHARE_OF_BOX = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}  # of the volume
 UPRIGHT = 0.9962
 """The level: within this cosine (5 degrees) a body stands upright."""
 MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "angular_velocity")
@@ -77,9 +78,8 @@ class Body(NamedTuple):
         """Return its volume in cubic metres (a mesh: of its convex parts); 0 for a plane."""
         if self.kind == "mesh":
             return sum(_hull(corners)[0] for corners in self.parts or (self.vertices,))
-        share = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4, "plane": 0.0}[self.kind]
         length, width, height = self.size
-        return share * float(length * width * height)
+        return SHARE_OF_BOX[self.kind] * float(length * width * height)
 
     def reach(self) -> float:
         """Return the radius in metres of a ball around its origin that holds it."""

@@ -199,8 +199,9 @@ def between_segments(a, b, c, d):
 
 
 @njit(cache=True, nogil=True)
-def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j):
-    """Return the unit vector (3,) from j to i along which two bodies overlap least, and the gap along it, metres."""
+def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, open_by):
+    """Return the unit vector (3,) from j to i along which two bodies overlap least, and the gap along it, metres; or
+    the first that parts them by more than `open_by`."""
     best, gap = np.zeros(3), -math.inf
     apart = pose[i, :3, 3] - pose[j, :3, 3]
     flat = kind[i] == BOX and kind[j] == BOX
@@ -233,6 +234,8 @@ def parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_
             if found - handicap > gap:
                 gap = found
                 best[0], best[1], best[2] = sx, sy, sz
+                if gap > open_by:
+                    return best, gap
     return best, gap
 
 
@@ -265,7 +268,7 @@ def touch(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j,
         )
         out[:count] = own[:count]
         return count, turned * normal, gap
-    normal, gap = parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j)
+    normal, gap = parting_direction(kind, pose, size, vertices, vertex_start, normals, normal_start, i, j, open_by)
     if gap > open_by or gap == -math.inf:
         return 0, normal, gap
     u, v = across(normal)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from derender.physics.balance import BALANCED, equilibrium, least_push
+from derender.physics.balance import BALANCED, equilibrium, greatest, least_push
 from derender.physics.bodies import KINDS, Body, Matter
 from derender.physics.contact_points import across, all_contacts
 from derender.physics.materials import clamped_masses, pair_frictions
@@ -133,7 +133,7 @@ class Equilibrium:
         place = np.full(len(bodies), -1, dtype=np.int64)
         place[self.moving] = np.arange(len(self.moving))
         centre = np.array([body.centre_of_mass() for body in bodies], dtype=float).reshape(-1, 3)
-        extent = np.array([max(*body.size, 1e-12) for body in bodies])
+        extent = np.array([body.size for body in bodies]).reshape(-1, 3).max(axis=1, initial=1e-12)
         self.weight = clamped_masses(bodies)[self.moving] * matter.strength
         first, second, point, normal, _ = self.contacts
         rough = np.array([np.nan if body.friction is None else body.friction for body in bodies], dtype=float)
@@ -146,7 +146,7 @@ class Equilibrium:
         self.load = np.zeros((len(self.moving), 6))
         self.load[:, :3] = -self.down
         self.residual, self._memory = equilibrium(self.parts, self.load)
-        self.stands = bool(np.all(np.linalg.norm(self.residual, axis=1) <= BALANCED))
+        self.stands = greatest(self.residual) <= BALANCED
 
     def unbalanced(self) -> dict[str, float]:
         """Return by name which share of a body's weight nothing holds, the greatest first."""
