@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import njit
+from derender.detection.outline import ends_of
 from derender.detection.patches import separation
 from derender.detection.search.proposals import (
+    BEYOND,
     THINNEST,
     UP,
     Hypothesis,
@@ -19,6 +21,8 @@ from derender.detection.search.proposals import (
     fit_sphere,
     lying_circle,
     smallest_rectangle,
+    snap,
+    tangent,
 )
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.polish import FREE, UPRIGHT
@@ -28,6 +32,8 @@ from derender.scene.solids import BOX, CYLINDER, SPHERE
 FEWEST = 5  # pixels of a body
 TIGHT = 0.5  # of the widest step within one body: a wider one is an edge between pieces
 SLANTED = 2.0  # widths of a pixel between neighbours of one surface that is seen at a slant
+BOARD = 0.01  # metres that a board which leans is thick at first
+FLAT = 0.12  # of how far points of one face scatter within its plane, how far off it they are at most: of two, a half
 APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
 
 
@@ -134,6 +140,7 @@ def body_hypotheses(
     turn, middle, wide, height = rotation_of(box)[:2, :2], box[10:13], box[13:15], box[15]
     if "box" in shapes or "cube" in shapes:
         yield Hypothesis(box, UPRIGHT, False)
+        yield from leaning_boards(points, origin, bottom)
     # a round solid shows its near half: as wide as it seems from the camera, and as deep
     away = middle[:2] - origin[:2]
     away = away / max(np.linalg.norm(away), 1e-9)
@@ -152,6 +159,33 @@ def body_hypotheses(
         middle, radius = fit_sphere(points)
         if 0.3 * diameter < radius < diameter:
             yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False)
+
+
+def leaning_boards(points: np.ndarray, origin: np.ndarray, bottom: float) -> Iterator[Hypothesis]:
+    """Yield the thin box of which points (N, 3) show a face that is neither level nor upright: as far as they reach,
+    and down to a height, where something hides its foot.
+
+    Seen at a grazing angle it has no patch, and of one patch boxes are guessed as deep as it is wide.
+    """
+    off = np.zeros(len(points))
+    for _ in range(2):  # the second time without those that are farthest off: pixels on its edges
+        near = points[off <= np.median(off)]
+        middle = near.mean(axis=0)
+        spread, axes = np.linalg.svd(near - middle, full_matrices=False)[1:]
+        off = np.abs((points - middle) @ axes[2])
+    normal = axes[2] if axes[2] @ (origin - middle) > 0.0 else -axes[2]
+    if np.median(off) > FLAT * spread[1] / np.sqrt(len(near)) or snap(normal)[1] != "tilted":
+        return
+    level = np.column_stack([*tangent(normal), normal])  # its second axis is the steepest way up
+    angle = smallest_rectangle(points @ level[:, :2])
+    rotation = level @ rotation_z(angle if angle < 0.25 * np.pi else angle - 0.5 * np.pi)[:3, :3]
+    low, high = ends_of(points @ rotation, BEYOND)
+    high[2] = middle @ normal
+    low[2] = high[2] - BOARD
+    further = np.array([0.0, (points[:, 2].min() - bottom) / rotation[2, 1], 0.0])
+    for begin in (low, low - further) if further[1] > BOARD else (low,):
+        row = make_row(BOX, rotation, rotation @ (0.5 * (begin + high)), np.maximum(high - begin, THINNEST))
+        yield Hypothesis(row, FREE, False)
 
 
 def lying_cylinder(points: np.ndarray, turn: np.ndarray, wide: np.ndarray) -> Hypothesis:
