@@ -28,7 +28,8 @@ ACCURATE = 0.05  # nats, and a part of each number, to which it goes on
 BEGIN = {"white": 0.05, "reach": 4.0, "reach_down": 2.0, "tail": 0.1}  # where the simplex begins, and a step
 SHARES = ("white", "tail", "outlier")
 BEFORE = 1e-3  # share of outliers where the simplex begins
-LEAST = 1e-5  # of a number whose logarithm is taken
+# Of a number whose logarithm is taken, where it begins; less growth makes no difference, and a search stays there.
+LEAST, LEAST_GROWTH = 1e-5, 3e-4
 KNOWN, DRAWS = 0.3, 20.0  # spread of the logarithm, and draws that a share's beta density is worth, in the next frames
 NORMAL_99 = 2.5758  # standard deviations that a normal number exceeds once in a hundred
 
@@ -130,7 +131,7 @@ def likeliest(
         values = numbers(free)
         return -believed(values) - sum(image.set_values(values) or 0.0 for image in images)
 
-    first = np.maximum([begin[name] for name in names], LEAST)
+    first = np.maximum([begin[name] for name in names], [LEAST_GROWTH if "growth" in name else LEAST for name in names])
     free = np.where(is_share, np.log(first / np.where(is_share, 1.0 - first, 1.0)), np.log(first))
     settings = {"maxfev": rounds, "fatol": ACCURATE, "xatol": ACCURATE, "adaptive": True}
     return numbers(minimize(loss, free, method="Nelder-Mead", options=settings).x)

@@ -14,7 +14,7 @@ from derender.render.likelihoods import likelihoods
 from derender.render.raycast.depth import render_depth
 from derender.scene.pose import rotation_x, rotation_z, translation
 from derender.scene.solids import BOX, PLANE, Solids
-from derender.structures.draws.sensor import Sensor, under_shared_noise
+from derender.structures.draws.sensor import ROUNDS, Sensor, under_shared_noise
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
 
@@ -45,6 +45,18 @@ def test_what_neighbours_share_is_found_and_what_a_file_gives_as_a_number_holds(
     held = LikelihoodPrior("correlated", {**believed().values, "reach": 7.0, "sigma": 0.002})
     found = under_shared_noise(sensor._replace(prior=held), depth, 40).values
     assert found["reach"] == 7.0 and found["sigma"] == 0.002
+
+
+def test_noise_is_that_by_which_pixels_tell_their_surface_however_far_others_drift():
+    """Pixels that go on drift from the surface: all scatter three times as much as those that tell it anew."""
+    true = {**NOISE, "sigma_growth": 0.003, "step_growth": 0.0015, "white": 0.2, "reach": 5.0, "outlier": 0.02}
+    depth = box_on_a_table()
+    observed = likelihoods["correlated"].sample(np.random.default_rng(0), depth, true)
+    sensor = Sensor(CAMERA, observed, likelihoods["robust"], {}, believed()).changed("robust", blur=0.0, outlier=0.01)
+    for rounds in (ROUNDS, 0):  # as images are looked at, and as they came
+        found = under_shared_noise(sensor, depth, rounds).values
+        noise = found["sigma"] + found["sigma_growth"] * 0.7**2
+        assert noise == pytest.approx(0.001 + 0.003 * 0.7**2, rel=0.2)
 
 
 def test_of_an_image_that_shows_shared_noise_what_a_file_says_of_its_noise_holds():

@@ -22,7 +22,8 @@ from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
 from derender.structures.draws.chart import Chart, camera_poses, place_rows
 
-ROUNDS = 60  # in which these are sought
+ROUNDS, NOISE_ROUNDS = 60, 120  # in which what neighbours share is sought, and noise and outliers
+OF_NOISE = ("sigma", "sigma_growth", "outlier")
 BLURS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)  # pixels, tried first
 # Outliers: of a first look, when edges may still be pixels away, and those that the final one may have.
 FIRST_OUTLIERS, RATES = 0.02, (1e-4, 1e-3, 1e-2, 0.05)
@@ -182,34 +183,29 @@ def shares_noise(prior: LikelihoodPrior | None) -> bool:
 
 
 def under_shared_noise(sensor: Sensor, clean: np.ndarray, rounds: int | None) -> Any:
-    """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) well.
+    """Return the Sensor of one view under `correlated`, with the numbers that explain a clean depth (H, W) best.
 
-    What its prior gives as a number holds. The noise and its growth are those by which residuals scatter; the blur, the
-    share of outliers and, by a simplex search of so many `rounds`, what neighbours share are the likeliest; with 0
-    surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is. To seek the noise with
-    these leaves it open: what tells firmly is by how much neighbours differ, and more noise that reaches farther
-    differs by as much.
+    What its prior gives as a number holds. What neighbours share is sought by a simplex search of so many `rounds`;
+    with 0 surfaces go on otherwise by as much as they are seen to, and None leaves all that as it is. Noise and
+    outliers are sought then: of pixels that go on, how far they are off the surface tells nothing of either.
     """
     given, held = sensor.prior.values, held_by(sensor.prior)
     begin = {name: value.quantile(0.5) for name, value in given.items() if name not in held}
     begin = sensor._replace(values={**begin, **sensor.values, **held}).changed("correlated").values
-    sigma, growth = noise_of(sensor.returned - blur(clean, begin["blur"]), clean)
-    begin = {**begin, "sigma": sigma, "sigma_growth": growth, **held}
     if rounds is not None:
         step, growth = noise_of(innovations(sensor.returned, begin), clean)
         begin = {**begin, "step": step, "step_growth": growth, **held}
     image = DepthEvaluator.of_depth(sensor.returned, clean, "correlated", begin)
-    believed, sought = partial(log_prior_of, sensor.prior), tuple(name for name in SHARED if name not in held)
-    best = likeliest([image], begin, sought, rounds, believed) if rounds and sought else begin
+    believed = partial(log_prior_of, sensor.prior)
+    for names, most in ((SHARED, rounds), (OF_NOISE, NOISE_ROUNDS)):
+        sought = tuple(name for name in names if name not in held)
+        begin = likeliest([image], begin, sought, most, believed) if most and sought else begin
 
-    def density(values):
-        return image.set_values(values) + believed(values)
+    def density(blurred):
+        return image.set_values({**begin, "blur": blurred}) + believed({"blur": blurred})
 
-    if "blur" not in held:
-        best = {**best, "blur": better_blur(best["blur"], lambda blurred: density({**best, "blur": blurred}))}
-    if "outlier" not in held:
-        best = max((best, *({**best, "outlier": rate} for rate in RATES if rate != best["outlier"])), key=density)
-    return sensor.changed("correlated", **best)
+    blurred = begin["blur"] if "blur" in held else better_blur(begin["blur"], density)
+    return sensor.changed("correlated", **{**begin, "blur": blurred})
 
 
 def better_blur(at: float, density: Callable[[float], float]) -> float:
