@@ -16,8 +16,8 @@ import numpy as np
 
 from derender.detection.freestanding import LARGEST, outline_shares, stand_free
 from derender.detection.outline import convex_outline, ends_of, outline_planes
-from derender.detection.patches import local_planes
-from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.patches import APART, SeenSurface
+from derender.detection.search.bodies import label_bodies
 from derender.detection.segments import segments
 
 LONG = 0.5  # metres: what is longer and cut by the image's border is no solid on a table
@@ -45,34 +45,28 @@ GROWN, BESIDE, NEXT = 0.3, 0.03, 4  # of a solid's outline that joins the backgr
 
 
 def standing_bodies(
-    points: np.ndarray,
+    surface: SeenSurface,
     above: np.ndarray,
     beyond: np.ndarray,
-    good: np.ndarray,
-    footprint: np.ndarray,
     sigma: np.ndarray,
-    origin: np.ndarray,
     held: np.ndarray,
     floating: bool = False,
     real: bool = True,
 ) -> np.ndarray:
     """Return (H, W) bool: pixels of `above` that stand on the support.
 
-    points : (H, W, 3) float64, floor frame, lengths as above. above : (H, W) bool, pixels over the support's plane.
+    surface : in the floor frame, lengths as above. above : (H, W) bool, pixels over the support's plane.
     beyond : (H, W) metres by which points lie beyond the outline of its visible part, negative over it.
-    good : (H, W) bool, pixels with a depth.
-    footprint, sigma : (H, W) metres across a pixel, and of noise.
-    origin : (3,) the camera's centre.
+    sigma : (H, W) metres of noise.
     held : (H, W) bool, pixels of what surely stands on it, such as what fills the view.
     floating : whether solids may hang in the air. real : whether a room may be behind: of what has noise that no sensor
         has only what is long goes on beyond the border.
     """
-    jump = np.ascontiguousarray(APART * footprint + 3.0 * sigma)
-    body, count = label_bodies(points, above, jump)
-    if count == 0 or not good.any():
+    points = surface.points
+    body, count = label_bodies(points, above, surface.jump)
+    if count == 0 or not surface.good.any():
         return above & (beyond < MARGIN)
-    frame = frame_seen(good)
-    normal, _, _ = local_planes(points, above, origin, jump, 2)
+    frame, normal = frame_seen(surface.good), surface.normals(above)
 
     def stands(mask):
         """Return whether the pixels of a body or of a piece of one show what stands on the support."""
@@ -86,7 +80,7 @@ def standing_bodies(
                 and not shows_top(points[mask], normal[mask])
                 and not shows_foot(points, mask, beyond)
             )
-            or (not floating and floats(points, mask, good, jump, origin))
+            or (not floating and floats(surface, mask))
         )
 
     standing = above & (beyond < MARGIN)
@@ -95,13 +89,13 @@ def standing_bodies(
         mask = body == k
         standing[mask] = stands(mask)
         if not standing[mask].any() and length(points[mask]) > LONG:  # something may stand against a wall
-            piece, pieces, _ = segments(points, mask, normal, jump, footprint)
-            shares = outline_shares(piece, pieces, points, good, jump, footprint, origin)
+            piece, pieces, _ = segments(surface, mask, normal)
+            shares = outline_shares(surface, piece, pieces)
             for number in np.flatnonzero(
                 stand_free(shares) & (np.bincount(piece[piece >= 0], minlength=pieces) >= PIECE)
             ):
                 part = piece == number
-                foot = max(FOOT, FOOT_NOISES * np.median(sigma[part])) + np.median(footprint[part])
+                foot = max(FOOT, FOOT_NOISES * np.median(sigma[part])) + np.median(surface.footprint[part])
                 on_floor = np.quantile(points[part][:, 2], ENDS) < foot
                 if on_floor and length(points[part]) < LARGEST and not at_border(part, frame) and stands(part):
                     standing[part] = True
@@ -216,26 +210,27 @@ def length(points: np.ndarray) -> float:
     return float((high - low).max())
 
 
-def floats(points: np.ndarray, mask: np.ndarray, good: np.ndarray, jump: np.ndarray, origin: np.ndarray) -> bool:
+def floats(surface: SeenSurface, mask: np.ndarray) -> bool:
     """Return whether a body hangs over the support with nothing under it.
 
     What shows below it and is nearly as high as its lowest point may bear it, with something hidden between; and seen
     from above it shows no sides, so that only what shows underneath it tells that there are none.
     """
+    points = surface.points
     lowest = np.quantile(points[mask][:, 2], ENDS)
     if lowest < FLOATS:
         return False
-    lower = mask[:-1] & ~mask[1:] & good[1:]
+    lower = mask[:-1] & ~mask[1:] & surface.good[1:]
     if not lower.any():
         return False
     apart = np.linalg.norm(points[1:] - points[:-1], axis=2)[lower]
-    far = np.linalg.norm(points - origin, axis=2)
+    far = np.linalg.norm(points - surface.origin, axis=2)
     lies_deeper = (far[1:] > far[:-1])[lower]
     edge, below = points[:-1][lower], points[1:][lower]
     inwards = points[mask][:, :2].mean(axis=0) - edge[:, :2]
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
     underneath = ((below - edge)[:, :2] * inwards).sum(axis=1)
-    nothing = np.minimum(apart, underneath) > jump[:-1][lower]
+    nothing = np.minimum(apart, underneath) > surface.jump[:-1][lower]
     bears = below[:, 2] > lowest - FLOATS
     return float(np.mean(nothing & lies_deeper)) > HANGS and bears.mean() < BORNE
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from derender.detection.freestanding import NEARER, outline_shares
 from derender.detection.outline import ends_of, vertical_axis
-from derender.detection.patches import local_planes
-from derender.detection.search.bodies import APART, TIGHT
+from derender.detection.patches import SeenSurface
+from derender.detection.search.bodies import TIGHT
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import smallest_rectangle
 from derender.detection.solids.image import rotation_of
@@ -56,22 +56,22 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
 
     masks : [(mask, gain)] of free-form things.
     """
-    masks, jump = list(masks), np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state, jump):
+    masks, surface = list(masks), seen.surface
+    while parts := held_by_another(state) or falling(state) or neck(state) or gable(seen, state):
         state, found = joined(seen, state, parts)
         masks += found
     if not masks and not len(state):
         return state, masks
-    normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
+    normal = surface.normals(surface.good)
     for k in range(len(masks)):
         if (
             (part := hangs_on(seen, state, masks[k][0])) is not None
-            or (part := below_cap(seen, state, masks[k][0], jump)) is not None
-            or (part := slope_of(seen, state, masks[k][0], normal, jump)) is not None
+            or (part := below_cap(seen, state, masks[k][0])) is not None
+            or (part := slope_of(seen, state, masks[k][0], normal)) is not None
         ):
             state, found = joined(seen, state, (part,), *masks[k])
             masks[k] = found[0]
-    while (pair := adrift(seen, state, masks, normal, jump)) is not None:
+    while (pair := adrift(seen, state, masks, normal)) is not None:
         parts = tuple(k for k in pair if k < len(state))
         pieces = [masks[k - len(state)] for k in pair if k >= len(state)]
         masks = [each for k, each in enumerate(masks, start=len(state)) if k not in pair]
@@ -82,7 +82,7 @@ def compounds(seen: Observation, state: State, masks: list[tuple[np.ndarray, flo
 
 
 def adrift(
-    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], normal: np.ndarray, jump: np.ndarray
+    seen: Observation, state: State, masks: list[tuple[np.ndarray, float]], normal: np.ndarray
 ) -> tuple[int, int] | None:
     """Return what hangs in the air and what its surface goes on into without an edge; None where nothing does.
 
@@ -101,7 +101,7 @@ def adrift(
             continue
         if not hangs(seen, state.without(k) if k < len(state) else state, mask):
             continue
-        touched, turned = meets(seen.points, piece, k, count, normal, jump)
+        touched, turned = meets(seen.surface, piece, k, count, normal)
         touched[[j for j in state.parents if j != FLOOR]] = 0.0
         outline = sum((mask & ~np.roll(mask, way, axis)).sum() for axis in (0, 1) for way in (1, -1))
         other = int(np.argmax(touched))
@@ -111,7 +111,7 @@ def adrift(
 
 
 def meets(
-    points: np.ndarray, piece: np.ndarray, k: int, count: int, normal: np.ndarray, jump: np.ndarray
+    surface: SeenSurface, piece: np.ndarray, k: int, count: int, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (N,) how many pixels of a piece's outline have each other piece NEXT to them without a jump between, and
     the sum of how the surface turns there: positive where convex, see TURN.
@@ -119,12 +119,12 @@ def meets(
     piece : (H, W) int, -1 for none. k : the piece's number; count : of all. The rest as of `goes_on`.
     """
     touched, turned = np.zeros((2, count))
-    mask = piece == k
+    mask, points = piece == k, surface.points
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         apart = np.roll(points, NEXT * way, axis) - points
         distance = np.linalg.norm(apart, axis=2)
         other = np.roll(piece, NEXT * way, axis)
-        at = mask & ~np.roll(mask, way, axis) & (distance < NEXT * jump) & (other >= 0) & (other != k)
+        at = mask & ~np.roll(mask, way, axis) & (distance < NEXT * surface.jump) & (other >= 0) & (other != k)
         turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)[at] / distance[at]
         touched += np.bincount(other[at], minlength=count)
         turned += np.bincount(other[at], turn, count)
@@ -226,41 +226,41 @@ def belongs_to(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     return part
 
 
-def below_cap(seen: Observation, state: State, mask: np.ndarray, jump: np.ndarray) -> int | None:
+def below_cap(seen: Observation, state: State, mask: np.ndarray) -> int | None:
     """Return the upright cylinder about whose axis alone a thing stands, no wider than it: a bottle's body, of which
     the thing is shoulder and neck; else None."""
     k, _ = standing(seen, state, mask)
     if k == FLOOR or k in state.parents or int(state.rows[k][0]) != CYLINDER:
         return None
     clear = clear_of_edges(seen, mask)[0]
-    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0]
-    axis, radius = vertical_axis(seen.points[clear], normal[clear]), 0.5 * state.rows[k][13]
+    axis = vertical_axis(seen.points[clear], seen.surface.normals(mask)[clear])
+    radius = 0.5 * state.rows[k][13]
     if axis is None or axis[1] > SAME_WIDTH * radius:
         return None
     return k if np.hypot(*(axis[0] - state.rows[k][10:12])) < 0.5 * COAXIAL * radius else None
 
 
-def gable(seen: Observation, state: State, jump: np.ndarray) -> tuple[int, int] | None:
+def gable(seen: Observation, state: State) -> tuple[int, int] | None:
     """Return (i, j), a tilted solid and what alone bears it, from which it goes on across a convex edge; else None."""
-    normal, label = None, held_out(seen.image, state, -1)[1]
+    surface, normal, label = seen.surface, None, held_out(seen.image, state, -1)[1]
     for i, row in enumerate(state.rows):
         for j in alone_on(state, i):
             if state.forms[i] != FREE or not tilted(row):
                 continue
             if normal is None:
-                normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
-            if goes_on(seen.points, label == i, label == j, normal, jump):
+                normal = surface.normals(surface.good)
+            if goes_on(surface, label == i, label == j, normal):
                 return i, j
     return None
 
 
-def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> int | None:
+def slope_of(seen: Observation, state: State, mask: np.ndarray, normal: np.ndarray) -> int | None:
     """Return the solid, nothing on it, over which a thing goes on across a convex edge as a carton's gable; else None.
 
     mask : (H, W) bool, the thing's pixels. normal : (H, W, 3) of the surface.
     """
     shows = (held_out(seen.image, state, -1)[1] >= 0) & (seen.image.weight > 0) & ~mask
-    if not goes_on(seen.points, mask, shows, normal, jump):
+    if not goes_on(seen.surface, mask, shows, normal):
         return None
     part = goes_on_from(seen, state, mask)
     return part if part is not None and share_over(seen.points[mask], state.rows[part]) > BENEATH else None
@@ -288,28 +288,22 @@ def hangs(seen: Observation, state: State, mask: np.ndarray) -> bool:
     """Return whether what a mask (H, W) shows is seen to end over what it could stand on, with nothing before it."""
     points = seen.points[mask]
     low, high = ends_of(points[:, 2:], ENDS)[:, 0]
-    return low - support_of(points, state)[1] >= HANGS * (high - low) and hidden_share(seen, mask) <= HIDDEN
+    beyond = outline_shares(seen.surface, np.where(mask, 0, -1).astype(np.int32), 1)[0]
+    return low - support_of(points, state)[1] >= HANGS * (high - low) and beyond[NEARER] <= HIDDEN
 
 
-def hidden_share(seen: Observation, mask: np.ndarray) -> float:
-    """Return the share of a mask's outline beyond which something nearer is seen."""
-    good, piece = seen.image.weight > 0, np.where(mask, 0, -1).astype(np.int32)
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    return outline_shares(piece, 1, seen.points, good, jump, seen.footprint, seen.image.origin)[0][NEARER]
-
-
-def goes_on(points: np.ndarray, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray, jump: np.ndarray) -> bool:
+def goes_on(surface: SeenSurface, mask: np.ndarray, shows: np.ndarray, normal: np.ndarray) -> bool:
     """Return whether a piece is a part of a solid, from which it goes on across a convex edge as a gable does.
 
     mask, shows : (H, W) bool, pixels of the piece, and those that solids explain. normal : (H, W, 3) of the surface.
     """
-    outline = convex = 0
+    outline, convex, points = 0, 0, surface.points
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mask & ~np.roll(mask, way, axis)
         apart = np.roll(points, NEXT * way, axis) - points
         turn = ((np.roll(normal, NEXT * way, axis) - normal) * apart).sum(axis=2)
         distance = np.linalg.norm(apart, axis=2)
-        sharp = (distance < NEXT * jump) & (turn > TURN * distance)
+        sharp = (distance < NEXT * surface.jump) & (turn > TURN * distance)
         outline += edge.sum()
         convex += (edge & np.roll(shows, NEXT * way, axis) & sharp).sum()
     return convex > GOES_ON * outline
@@ -318,7 +312,7 @@ def goes_on(points: np.ndarray, mask: np.ndarray, shows: np.ndarray, normal: np.
 def goes_on_from(seen: Observation, state: State, mask: np.ndarray, first: Sequence[int] = ()) -> int | None:
     """Return the solid, nothing on it, that goes on along most of a thing's outline, of some first; None: none does."""
     label = held_out(seen.image, state, -1)[1]
-    jump = TIGHT * (APART * seen.footprint + 3.0 * seen.sigma)
+    jump = TIGHT * seen.surface.jump
     outline, touched = 0, np.zeros(max(len(state), 1), int)
     for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mask & ~np.roll(mask, way, axis)

@@ -11,8 +11,9 @@ from derender.detection.floor import NoFloor, sensor_deviation
 from derender.detection.freestanding import freestanding, returns_about
 from derender.detection.leftovers import leftovers
 from derender.detection.levels import floor_below
+from derender.detection.patches import SeenSurface
 from derender.detection.pyramid import reduced_by
-from derender.detection.search.bodies import APART, body_hypotheses, find_bodies
+from derender.detection.search.bodies import body_hypotheses, find_bodies
 from derender.detection.search.greedy import Settings, settle, total_energy
 from derender.detection.search.observation import CORRELATED, Observation, Support, observe, patches_of
 from derender.detection.search.proposals import all_hypotheses, make_surface
@@ -148,8 +149,9 @@ def with_freestanding(seen: Observation, settings: Settings) -> Observation:
     What such a piece explains cannot be told without what else might be there: it counts as much as leaves it open.
     """
     good = seen.image.weight > 0
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * sensor_deviation(seen.image.depth))
-    masks = freestanding(seen.points, good, jump, seen.footprint, seen.image.origin, settings.believed.loose.things)
+    deviation = sensor_deviation(seen.image.depth)
+    surface = SeenSurface.of(seen.points, good, seen.footprint, deviation, seen.image.origin)  # type: ignore[arg-type]
+    masks = freestanding(surface, settings.believed.loose.things)
     if masks:
         seen = seen._replace(behind=good & ~np.any(masks, axis=0))
     even = settings.believed.loose.existence.even * settings.temper

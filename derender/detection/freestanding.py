@@ -13,8 +13,8 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.outline import ends_of
-from derender.detection.patches import local_planes
-from derender.detection.search.bodies import APART, SLANTED, TIGHT
+from derender.detection.patches import SeenSurface
+from derender.detection.search.bodies import SLANTED, TIGHT
 from derender.detection.segments import joined, outline_area, segments
 from derender.scene.priors.bare_image import Things
 
@@ -34,24 +34,15 @@ ENDS = 0.02  # share of a piece's points beyond the ends of its extents: flying 
 THING = 47.0  # nats of one more piece: as in `things.py`
 
 
-def freestanding(
-    points: np.ndarray, good: np.ndarray, jump: np.ndarray, footprint: np.ndarray, origin: np.ndarray, believed: Things
-) -> list[np.ndarray]:
-    """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first.
-
-    points : (H, W, 3) float64, an upright frame. good : (H, W) bool, pixels with a depth that may be a piece's.
-    jump : (H, W) metres between neighbours of one piece, at most. footprint : (H, W) metres across a pixel.
-    origin : (3,) the camera's centre.
-    believed : of their surfaces.
-    """
-    normal, _, _ = local_planes(points, good, origin, jump, 2)
-    label, count, edges = segments(points, good, normal, jump, footprint)
+def freestanding(surface: SeenSurface, believed: Things) -> list[np.ndarray]:
+    """Return [(H, W) bool] of the pieces of a surface that stand free, the largest first. believed : of surfaces."""
+    label, count, edges = segments(surface, surface.good, surface.normals(surface.good))
     if count == 0:
         return []
-    area = np.bincount(label[label >= 0], footprint[label >= 0] ** 2, count)
-    owner = joined(points, label, count, edges, THING, believed.edge / believed.patch, origin, area, believed)
+    area = np.bincount(label[label >= 0], surface.footprint[label >= 0] ** 2, count)
+    owner = joined(surface, label, edges, THING, believed.edge / believed.patch, area, believed)
     piece = np.where(label >= 0, owner[label], -1)
-    free = stand_free(outline_shares(piece, count, points, good, jump, footprint, origin))
+    free = stand_free(outline_shares(surface, piece, count))
     pixels = np.bincount(piece[piece >= 0], minlength=count)
     found = []
     for k in np.argsort(-pixels, kind="stable"):
@@ -59,7 +50,7 @@ def freestanding(
             break
         if not free[k]:
             continue
-        own = points[piece == k]
+        own = surface.points[piece == k]
         axes = np.linalg.svd(own - own.mean(axis=0), full_matrices=False)[2].T  # along which it is longest, and so on
         low, high = ends_of(own @ axes, ENDS)
         extents = np.sort(high - low)
@@ -74,19 +65,12 @@ def stand_free(shares: np.ndarray) -> np.ndarray:
     return (shares[:, FARTHER] >= np.maximum(FREE, held)) & (shares[:, BORDER] <= CUT)
 
 
-def outline_shares(
-    piece: np.ndarray,
-    count: int,
-    points: np.ndarray,
-    good: np.ndarray,
-    jump: np.ndarray,
-    footprint: np.ndarray,
-    origin: np.ndarray,
-) -> np.ndarray:
+def outline_shares(surface: SeenSurface, piece: np.ndarray, count: int) -> np.ndarray:
     """Return (N, 5) the shares of each piece's outline beyond which lies what: see JOINED and so on.
 
-    piece : (H, W) int, -1 for none; the rest as of `freestanding`.
+    piece : (H, W) int, -1 for none. count : of all pieces.
     """
+    points, good, footprint, jump, origin = surface
     found = outlines(np.ascontiguousarray(piece), count, points, good, jump, footprint, origin)
     return found / np.maximum(found.sum(axis=1, keepdims=True), 1.0)
 
@@ -155,11 +139,9 @@ def outstanding(seen: "Observation", mask: np.ndarray, below: np.ndarray) -> flo
     Clutter, such as leaves or the edge of a bin, is ragged or goes on behind what hides it, and a piece of something
     goes on there; where nothing returned beyond the outline nothing tells what it is.
     """
-    good = seen.image.weight > 0
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    piece = np.where(mask, 0, -1).astype(np.int32)
-    around, floor = (outline_shares(piece, 1, seen.points, beyond, jump, seen.footprint, seen.image.origin)[0]
-                     for beyond in (good, good & (mask | ~seen.mask | below)))  # fmt: skip
+    surface, piece = seen.surface, np.where(mask, 0, -1).astype(np.int32)
+    around, floor = (outline_shares(surface._replace(good=beyond), piece, 1)[0]
+                     for beyond in (surface.good, surface.good & (mask | ~seen.mask | below)))  # fmt: skip
     rows, columns = np.nonzero(mask)
     pixels = np.column_stack([rows, columns])
     corners = np.concatenate([pixels + [down, across] for down in (-0.5, 0.5) for across in (-0.5, 0.5)])

@@ -17,7 +17,7 @@ import numpy as np
 from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of
-from derender.detection.search.bodies import APART, body_hypotheses, box_about, bridged, label_bodies
+from derender.detection.search.bodies import body_hypotheses, box_about, bridged, label_bodies
 from derender.detection.search.greedy import Settings, complexity, sweep, total_energy, try_cubes
 from derender.detection.search.observation import Observation
 from derender.detection.search.proposals import Hypothesis
@@ -59,12 +59,11 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
     image, found = seen.image, []
     if settings.temper == 1.0 or not seen.mask.any():
         return state, found
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
-    cost = cost_of(seen, jump, settings.believed.loose.things)
+    cost = cost_of(seen, settings.believed.loose.things)
     piece, count = label_bodies(
-        *bridged(seen.points, left, jump, seen.footprint, image.weight == 0, cost.believed.patch)
+        *bridged(seen.points, left, seen.surface.jump, seen.footprint, image.weight == 0, cost.believed.patch)
     )
     shows = seen.mask & ~left & (image.floor > depth)
     for k in np.flatnonzero(np.bincount(piece[left], minlength=count) >= LEFT_PIXELS):
@@ -79,7 +78,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
             continue
         exists = existence_of(seen, mask, gain, settings, shows_below(seen, state, mask))[0] > LEAST_EXISTENCE
         part = None if exists else belongs_to(seen, state, mask)
-        if exists and goes_on(seen.points, mask, shows, cost.normal, jump):
+        if exists and goes_on(seen.surface, mask, shows, cost.normal):
             exists, part = False, goes_on_from(seen, state, mask)
             if part is not None and share_over(seen.points[mask], state.rows[part]) <= BENEATH:
                 part = None
@@ -151,8 +150,7 @@ def swaps(rng: np.random.Generator, seen: Observation, state: State, settings: S
     """Return the Swaps of the things and of the solids on which nothing stands."""
     if seen.no_floor or not settings.free_forms:
         return []
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    cost = cost_of(seen, jump, settings.believed.loose.things)
+    cost = cost_of(seen, settings.believed.loose.things)
     found = []
     for place, thing in enumerate(seen.things):
         there = seen._replace(image=without_thing(seen.image, thing))

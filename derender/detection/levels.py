@@ -10,8 +10,7 @@ import numpy as np
 
 from derender.detection.floor import LEVEL, back_project
 from derender.detection.outline import ends_of
-from derender.detection.patches import local_planes
-from derender.detection.search.bodies import APART, TIGHT, label_bodies
+from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.detection.search.observation import CORRELATED, Observation
 from derender.detection.search.proposals import smallest_rectangle
 
@@ -48,10 +47,9 @@ def levels_of(seen: Observation) -> list[Any]:
     candidate = seen.behind & good
     if seen.no_floor or seen.correlation <= CORRELATED or candidate.mean() < LEAST_SHARE:
         return []
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    normal, _, _ = local_planes(seen.points, candidate, seen.image.origin, jump, 2)
-    level = candidate & (normal[..., 2] > LEVEL)
-    label, count = label_bodies(seen.points, level, TIGHT * jump)
+    surface = seen.surface
+    level = candidate & (surface.normals(candidate)[..., 2] > LEVEL)
+    label, count = label_bodies(seen.points, level, TIGHT * surface.jump)
     found: list[Level] = []
     scale = seen.floor_scale
     pixels = np.bincount(label[label >= 0], minlength=count)

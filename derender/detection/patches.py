@@ -9,6 +9,8 @@ import numpy as np
 
 from derender.compilation.cache import njit
 
+APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
+
 
 @njit(cache=True, nogil=True)
 def separation(points, j, i, v, u):
@@ -107,6 +109,26 @@ def local_planes(points, mask, origin, jump, radius):
             offset[j, i] = a * px + b * py + c * pz + beyond
             error[j, i] = value * n / (n - 3.0)  # three numbers were fitted
     return normal, offset, error
+
+
+class SeenSurface(NamedTuple):
+    """What a camera shows of surfaces, in an upright frame."""
+
+    points: np.ndarray  # (H, W, 3) float64
+    good: np.ndarray  # (H, W) bool, pixels with a depth
+    footprint: np.ndarray  # (H, W) metres across a pixel
+    jump: np.ndarray  # (H, W) metres between the points of neighbours of one body, at most
+    origin: np.ndarray  # (3,) the camera's centre
+
+    @classmethod
+    def of(cls, points: np.ndarray, good: np.ndarray, footprint: np.ndarray, sigma: np.ndarray,
+           origin: np.ndarray) -> "SeenSurface":  # fmt: skip
+        """Return the surface seen with noise of `sigma` (H, W) metres."""
+        return cls(points, good, footprint, np.ascontiguousarray(APART * footprint + 3.0 * sigma), origin)
+
+    def normals(self, mask: np.ndarray) -> np.ndarray:
+        """Return (H, W, 3) the normals at the pixels of a mask (H, W), by these alone; zero where there is none."""
+        return local_planes(self.points, mask, self.origin, self.jump, 2)[0]
 
 
 @njit(cache=True, nogil=True)

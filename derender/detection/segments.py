@@ -9,7 +9,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.outline import convex_outline
-from derender.detection.patches import separation
+from derender.detection.patches import SeenSurface, separation
 from derender.detection.search.bodies import TIGHT, label_bodies
 from derender.scene.priors.bare_image import Things
 
@@ -100,14 +100,12 @@ def common_edges(points, label, count, jump, footprint):
     return edges
 
 
-def segments(
-    points: np.ndarray, mask: np.ndarray, normal: np.ndarray, jump: np.ndarray, footprint: np.ndarray
-) -> tuple[np.ndarray, int, np.ndarray]:
+def segments(surface: SeenSurface, mask: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     """Return (label (H, W) int32, -1 for none; count; edges (N, N) metres) of the pieces of a masked surface.
 
-    points : (H, W, 3) floor frame. normal : (H, W, 3), zero where there is none. jump : (H, W) metres between
-    neighbours of one body, at most. footprint : (H, W) metres across a pixel.
+    normal : (H, W, 3), zero where there is none.
     """
+    points, jump = surface.points, surface.jump
     edge = concave_edges(points, mask, normal, jump)
     label, count = label_bodies(points, mask & ~edge, TIGHT * jump)
     pixels = np.bincount(label[label >= 0], minlength=count)
@@ -115,27 +113,21 @@ def segments(
     number = np.append(np.where(alive, np.cumsum(alive) - 1, -1), -1).astype(np.int32)
     label, count = np.ascontiguousarray(number[label]), int(alive.sum())
     fill(points, mask, label, jump)
-    return label, count, common_edges(points, label, count, jump, footprint)
+    return label, count, common_edges(points, label, count, jump, surface.footprint)
 
 
 def joined(
-    points: np.ndarray,
-    label: np.ndarray,
-    count: int,
-    edges: np.ndarray,
-    price: float,
-    nats: float,
-    origin: np.ndarray,
-    area: np.ndarray,
+    surface: SeenSurface, label: np.ndarray, edges: np.ndarray, price: float, nats: float, area: np.ndarray,
     believed: Things,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return (N,) int: the thing that each piece belongs to, pieces joined while that costs less.
 
-    price : nats of one more thing. nats : of each metre of edge within a thing as large as usual. origin : (3,) the
-        camera's centre.
+    label, edges : see `segments`. price : nats of one more thing. nats : of each metre of edge within a thing as large
+        as usual.
     area : (N,) square metres of each piece. A handle or a cap is joined along much of its width: two pieces whose
         common edge is short beside the smaller one are two objects that touch. believed : of what is large.
     """
+    count, points, origin = len(edges), surface.points, surface.origin
     owner = np.arange(count)
     edges, area = edges.copy(), np.array(area, float)
     while count > 1:

@@ -15,8 +15,8 @@ from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
-from derender.detection.patches import local_planes, separation
-from derender.detection.search.bodies import APART, label_bodies
+from derender.detection.patches import separation
+from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation, near
 from derender.detection.search.proposals import smallest_rectangle
@@ -105,16 +105,15 @@ def take_things(
     image = seen.image
     as_seen = np.abs(image.floor - image.depth) < AS_SEEN
     seen = seen._replace(mask=seen.mask & ~as_seen)
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    body, count = label_bodies(seen.points, seen.mask, jump)
+    body, count = label_bodies(seen.points, seen.mask, seen.surface.jump)
     if count == 0:
         return state, []
-    cost = cost_of(seen, jump, settings.believed.loose.things)
+    cost = cost_of(seen, settings.believed.loose.things)
     keep = set(range(len(state)))
     for members in groups_of(image, state, body, count):
-        keep = best_subset(seen, state, keep, members, cost, jump, settings, reluctance)
+        keep = best_subset(seen, state, keep, members, cost, settings, reluctance)
     kept = subset(state, keep)
-    things, _ = pieces_of(seen, kept, cost, jump, settings)
+    things, _ = pieces_of(seen, kept, cost, settings)
     for mask, _ in things:
         image.floor[mask] = image.depth[mask] + 0.5 * AS_SEEN
     return kept, things
@@ -150,15 +149,14 @@ def low_parts(seen: Observation, mask: np.ndarray, taken: np.ndarray) -> np.ndar
     """
     low = (seen.image.weight > 0) & ~taken & ~seen.mask
     low &= seen.points[..., 2] > np.maximum(LOWEST * seen.floor_scale, LOW * seen.sigma)
-    body, _ = label_bodies(seen.points, mask | low, np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma))
+    body, _ = label_bodies(seen.points, mask | low, seen.surface.jump)
     return low & (body >= 0) & np.isin(body, body[mask])
 
 
-def cost_of(seen: Observation, jump: np.ndarray, believed: Things) -> Cost:
+def cost_of(seen: Observation, believed: Things) -> Cost:
     """Return the Cost of free-form surfaces for every pixel of an Observation."""
-    mask = seen.mask
-    normal, _, _ = local_planes(seen.points, mask, seen.image.origin, np.ascontiguousarray(jump), 2)
-    area, crease = surface_lengths(seen.points, mask, normal, jump, seen.footprint)
+    mask, normal = seen.mask, seen.surface.normals(seen.mask)
+    area, crease = surface_lengths(seen.points, mask, normal, seen.surface.jump, seen.footprint)
     smooth = smooth_surface(seen.image.depth, mask)
     misfit = np.minimum((seen.image.depth - smooth) ** 2 * seen.image.weight, LIMIT)
     return Cost(area, crease, misfit, normal, believed)
@@ -217,21 +215,13 @@ def groups_of(image: Image, state: State, body: np.ndarray, count: int) -> list[
     return groups
 
 
-def best_subset(
-    seen: Observation,
-    state: State,
-    keep: set[int],
-    members: list[int],
-    cost: Cost,
-    jump: np.ndarray,
-    settings: Settings,
-    reluctance: float,
-) -> set[int]:
+def best_subset(seen: Observation, state: State, keep: set[int], members: list[int], cost: Cost, settings: Settings,
+                reluctance: float) -> set[int]:  # fmt: skip
     """Return which solids stay: `keep` without those of `members` that a free-form surface explains better."""
 
     def value(chosen):
         trial = subset(state, chosen)
-        return total_energy(seen.image, trial, settings) - pieces_of(seen, trial, cost, jump, settings)[1]
+        return total_energy(seen.image, trial, settings) - pieces_of(seen, trial, cost, settings)[1]
 
     best, least = keep, value(keep) - settings.temper * reluctance
     none = keep - set(members)
@@ -248,19 +238,19 @@ def best_subset(
 
 
 def pieces_of(
-    seen: Observation, state: State, cost: Cost, jump: np.ndarray, settings: Settings
+    seen: Observation, state: State, cost: Cost, settings: Settings
 ) -> tuple[list[tuple[np.ndarray, float]], float]:
     """Return ([(mask, gain)], the sum of the gains) of the free-form things that pay beside the solids of a state."""
     image = seen.image
     depth, _, misfit, _ = held_out(image, state, -1)
     left = seen.mask & (misfit > BAD) & (image.depth < depth)
-    label, count, edges = segments(seen.points, left, cost.normal, jump, seen.footprint)
+    label, count, edges = segments(seen.surface, left, cost.normal)
     if count == 0:
         return [], 0.0
     price = complexity(BOX, UPRIGHT, False, settings)
     nats = settings.temper * cost.believed.edge / (cost.believed.patch * seen.scale)  # nearer things have smaller edges
     area = np.bincount(label[label >= 0], seen.footprint[label >= 0] ** 2, count)
-    owner = joined(seen.points, label, count, edges, price, nats, image.origin, area, cost.believed)
+    owner = joined(seen.surface, label, edges, price, nats, area, cost.believed)
     thing = np.append(owner, -1)[label]  # of each pixel
     within = 0.5 * np.array([edges[np.ix_(owner == k, owner == k)].sum() for k in range(count)])
     inside = thing >= 0
@@ -297,8 +287,7 @@ def without_background(seen: Observation, state: State, masks: list[Any]) -> tup
         return seen, state, masks
     frame = frame_seen(good)
     label, misfit = held_out(image, state, -1)[1:3]
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    normal, _, _ = local_planes(seen.points, good, image.origin, jump, 2)
+    normal = seen.surface.normals(good)
     behind, gone = seen.behind, np.zeros(good.shape, bool)
     points, beyond = seen.points / seen.floor_scale, seen.beyond / seen.floor_scale
     fills = seen.floor.inliers.sum() < HIDDEN_FLOOR * good.sum()
@@ -402,8 +391,7 @@ def made_thing(seen: Any, state: State, mask: np.ndarray, existence: Any) -> Thi
     points = seen.points[clear]
     parent, bottom = standing(seen, state, mask)
     rim = reach * float(np.median(seen.footprint[mask]))  # where an edge ends some pixel shows it, at its middle
-    jump = np.ascontiguousarray(APART * seen.footprint + 3.0 * seen.sigma)
-    normal = local_planes(seen.points, mask, seen.image.origin, jump, 2)[0][clear]
+    normal = seen.surface.normals(mask)[clear]
     axis = vertical_axis(points, normal)
     outline, yaw = np.vstack([points[:, :2], sloping_foot(points, normal, bottom)]), None
     if axis is not None:

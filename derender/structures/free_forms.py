@@ -7,7 +7,6 @@ import numpy as np
 
 from derender.detection.leftovers import swaps
 from derender.detection.outline import convex_outline
-from derender.detection.search.bodies import APART
 from derender.detection.solids.graph import FLOOR_NAME, best_contact, names_of, scene_graph, vertex_of
 from derender.detection.solids.image import CENTRE, SIZE, Image, rotation_of
 from derender.detection.solids.state import FLOOR, State, subset
@@ -122,7 +121,7 @@ class Made(NamedTuple):
         """Return what a Thing of an Observation is made to."""
         guessed = thing.guessed / MEDIAN  # that is the median of all that is behind what is seen
         hidden = np.where(guessed > 0.0, guessed, believed.hidden * thing.row[SIZE:] * np.abs(thing.away))
-        surface = surface_of(seen.image, thing.mask, thing.row, APART * seen.footprint + 3.0 * seen.sigma)
+        surface = surface_of(seen.image, thing.mask, thing.row, seen.surface.jump)
         noise = float(np.median(np.hypot(seen.sigma, believed.silhouette * seen.footprint)))
         return cls(name, thing, *surface, hidden, noise)
 

@@ -12,8 +12,7 @@ from derender.detection.estimate import point_estimate
 from derender.detection.freestanding import outstanding
 from derender.detection.leftovers import interior, swaps
 from derender.detection.outline import foot_radius, vertical_axis
-from derender.detection.patches import local_planes
-from derender.detection.search.bodies import APART
+from derender.detection.patches import APART, SeenSurface
 from derender.detection.search.greedy import Settings
 from derender.detection.search.observation import observe
 from derender.detection.segments import joined, one_rim
@@ -30,6 +29,12 @@ from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
 from derender.structures.free_forms import closed_surface, surface_of, visible_surface
 from derender.structures.infer import infer_structure
 from derender.structures.options import Options
+
+
+def surface_through(points):
+    """Return the surface through points (H, W, 3), a pixel of which is some two millimetres wide."""
+    even = np.full(points.shape[:2], 0.01)
+    return SeenSurface(points, even > 0.0, 0.2 * even, even, np.zeros(3))
 
 
 def bowl(radius=0.07, height=0.06):
@@ -143,10 +148,8 @@ def test_pieces_are_joined_where_their_edge_is_short():
     points[:, 2:, 2] = 0.5  # far apart in height: not the two sides of one rim
     for metres, things in ((0.04, 1), (0.2, 2)):
         edges = np.array([[0.0, metres], [metres, 0.0]])
-        assert (
-            len(np.unique(joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.full(2, 0.01), Things())))
-            == things
-        )
+        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.full(2, 0.01), Things())
+        assert len(np.unique(owner)) == things
 
 
 def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
@@ -156,7 +159,7 @@ def test_a_body_many_times_as_large_costs_as_much_and_is_joined_as_readily():
     prices = []
     for times in (1.0, 5.0):
         edges, area = 0.05 * times * np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, 0.5 * (believed.wide * times) ** 2)
-        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), area, believed)
+        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, area, believed)
         assert len(np.unique(owner)) == 1
         prices.append(
             Cost(even * (believed.wide * times) ** 2, even * 0.3 * times, even, points, believed).numbers(mask)
@@ -173,12 +176,11 @@ def test_what_hangs_in_the_air_goes_on_into_what_holds_it_and_what_stands_on_it_
     for whole, expected in ((column, (0, 1)), (trimesh.util.concatenate([narrow, wide]), None)):
         mesh = whole.vertices, np.ascontiguousarray(whole.faces, np.int32)
         seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, tuple(whole.extents), mesh)]), CAMERA)
-        jump = np.ascontiguousarray(APART * seen.footprint)
-        normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
+        normal = seen.surface.normals(seen.surface.good)
         over = seen.points[..., 2] > tall + 0.002
         masks = [(seen.mask & over, 0.0), (seen.mask & ~over, 0.0)]
         assert min(mask.sum() for mask, _ in masks) > 50
-        assert adrift(seen, State(), masks, normal, jump) == expected
+        assert adrift(seen, State(), masks, normal) == expected
 
 
 def test_a_box_is_likelier_than_a_free_form_and_a_bowl_is_none():
@@ -200,7 +202,7 @@ def test_pieces_that_meet_in_a_neck_are_two_things_unless_one_is_small():
     points[:, 2:, 2] = 0.5
     edges = np.array([[0.0, 0.012], [0.012, 0.0]])
     for area, things in (([0.007, 0.006], 2), ([0.007, 0.0006], 1)):
-        owner = joined(points, label, 2, edges, 47.0, 23.0 / 0.03, np.zeros(3), np.array(area), Things())
+        owner = joined(surface_through(points), label, edges, 47.0, 23.0 / 0.03, np.array(area), Things())
         assert len(np.unique(owner)) == things
 
 
@@ -281,10 +283,10 @@ def test_a_gable_is_the_slope_of_its_carton_and_what_stands_on_one_is_not():
         seen = observe(seen_on_the_table([(MESH, 0.0, 0.0, (wide, wide, tall + high), mesh)]), CAMERA)
         place = np.linalg.inv(seen.floor.pose) @ TABLE
         row = make_row(BOX, place[:3, :3], place[:3] @ [0.0, 0.0, 0.5 * tall, 1.0], np.array([wide, wide, tall]))
-        state, jump = State().add(row, UPRIGHT, False, FLOOR, 0.0), np.ascontiguousarray(APART * seen.footprint)
+        state = State().add(row, UPRIGHT, False, FLOOR, 0.0)
         over = seen.mask & (seen.points[..., 2] > tall + 0.003)
-        normal, _, _ = local_planes(seen.points, seen.image.weight > 0, seen.image.origin, jump, 2)
-        assert over.sum() > 50 and slope_of(seen, state, over, normal, jump) == expected
+        normal = seen.surface.normals(seen.surface.good)
+        assert over.sum() > 50 and slope_of(seen, state, over, normal) == expected
 
 
 def test_the_more_a_thing_explains_the_surer_it_is_an_object_but_never_sure():
@@ -324,7 +326,7 @@ def test_a_piece_that_goes_on_across_a_convex_edge_is_no_object_and_one_in_a_cor
         points = np.dstack([flat, height])
         slope = np.where(mask, -steep, steep)
         normal = np.dstack([np.zeros((40, 40)), -slope, np.ones((40, 40))]) / np.hypot(1.0, steep)
-        assert goes_on(points, mask, ~mask, normal, np.full((40, 40), 0.01)) == expected
+        assert goes_on(surface_through(points), mask, ~mask, normal) == expected
     assert interior(mask).sum() == 18 * 40
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.compilation.cache import njit
 from derender.detection.outline import ends_of
-from derender.detection.patches import separation
+from derender.detection.patches import APART, separation
 from derender.detection.search.proposals import (
     BEYOND,
     THINNEST,
@@ -34,7 +34,6 @@ TIGHT = 0.5  # of the widest step within one body: a wider one is an edge betwee
 SLANTED = 2.0  # widths of a pixel between neighbours of one surface that is seen at a slant
 BOARD = 0.01  # metres that a board which leans is thick at first
 FLAT = 0.12  # of how far points of one face scatter within its plane, how far off it they are at most: of two, a half
-APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
 
 
 @njit(cache=True, nogil=True)

@@ -40,7 +40,7 @@ from derender.detection.floors import (
     prior_of,
     tolerance_of,
 )
-from derender.detection.patches import Patches, find_patches
+from derender.detection.patches import Patches, SeenSurface, find_patches
 from derender.detection.pyramid import blurred_jumps, estimate_blur, reduce, reduced_by, sampled, single_pixels, unmixed
 from derender.detection.solids.beliefs import bare_image
 from derender.detection.solids.image import FAR, Image, make_image
@@ -108,6 +108,11 @@ class Observation(NamedTuple):
         """How large things are that are looked at from here, against those that are seen from USUAL; at most 1."""
         good = self.image.weight > 0
         return min(1.0, float(np.median(self.image.depth[good])) / USUAL) if good.any() else 1.0
+
+    @property
+    def surface(self) -> SeenSurface:
+        """What the image shows, in the floor frame."""
+        return SeenSurface.of(self.points, self.image.weight > 0, self.footprint, self.sigma, self.image.origin)
 
     @property
     def floor_scale(self) -> float:
@@ -321,18 +326,8 @@ def tell_apart(depth: np.ndarray, camera: dict[str, float], factor: int, floor: 
         inside |= held
     mask = above & inside & ~beyond
     if floor.inliers.any():
-        mask = standing_bodies(
-            there,
-            above & ~beyond,
-            beyond_edge / scale,
-            good,
-            wide,
-            rough,
-            eye,
-            held,
-            floating,
-            correlation > CORRELATED,
-        )
+        surface, real = SeenSurface.of(there, good, wide, rough, eye), correlation > CORRELATED
+        mask = standing_bodies(surface, above & ~beyond, beyond_edge / scale, rough, held, floating, real)
     # What lies beyond the table's edge is background: explained as it is, so that a solid before it would be wrong.
     background = good & (((points[..., 2] < -5 * sigma) & (image.depth > image.floor)) | ~inside | above) & ~mask
     background = (background & ~wall) | beyond
