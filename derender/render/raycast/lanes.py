@@ -7,6 +7,8 @@ and the full evaluation agree to the last bit. Arrays are C-contiguous float32; 
 may be read. The blur is of sixteen columns side by side, its taps unrolled: along a row, and down a window of rows.
 """
 
+from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 from llvmlite import binding, ir
@@ -46,6 +48,19 @@ def _check(array: Any) -> Any:
     return isinstance(array, types.Array) and array.ndim == 2 and array.dtype == types.float32 and array.layout == "C"
 
 
+def _emitted(*kinds: Any, gives: Any = float_lanes) -> Callable:
+    """Make an intrinsic of values of these types from what emits it: emit(builder, *values)."""
+
+    def intrinsic_of(emit):
+        @wraps(emit)
+        def typed(typing, *_):
+            return gives(*kinds), lambda context, builder, signature, values: emit(builder, *values)
+
+        return intrinsic(typed)
+
+    return intrinsic_of
+
+
 @intrinsic
 def load(typing: Any, array: Any, row: Any, column: Any) -> Any:
     """Sixteen elements of a 2-D float32 array from (row, column) on. No bounds are checked."""
@@ -71,121 +86,92 @@ def store(typing: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     return types.void(array, types.int64, types.int64, float_lanes), generate
 
 
-@intrinsic
-def splat(typing: Any, value: Any) -> Any:
+@_emitted(types.float32)
+def splat(builder, value):
     """Sixteen copies of a number."""
-
-    def generate(context, builder, signature, arguments):
-        return code.splat(builder, arguments[0])
-
-    return float_lanes(types.float32), generate
+    return code.splat(builder, value)
 
 
-@intrinsic
-def steps_from(typing: Any, start: Any) -> Any:
+@_emitted(types.int64)
+def steps_from(builder, start):
     """start, start + 1, ..., start + 15 (exact up to 2^24)."""
-
-    def generate(context, builder, signature, arguments):
-        ramp = ir.Constant(code.FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
-        return builder.fadd(code.splat(builder, builder.sitofp(arguments[0], ir.FloatType())), ramp)
-
-    return float_lanes(types.int64), generate
+    ramp = ir.Constant(code.FLOATS, [ir.Constant(ir.FloatType(), float(k)) for k in range(LANES)])
+    return builder.fadd(code.splat(builder, builder.sitofp(start, ir.FloatType())), ramp)
 
 
-def _binary(name: Any, emit: Any, doc: Any) -> Any:
-    """Make an intrinsic of two lanes."""
-
-    def typed(typing, a, b):
-        def generate(context, builder, signature, arguments):
-            return emit(builder, *arguments)
-
-        return float_lanes(float_lanes, float_lanes), generate
-
-    typed.__name__, typed.__doc__ = name, doc
-    return intrinsic(typed)
+@_emitted(float_lanes, float_lanes)
+def add(builder, a, b):
+    """a + b."""
+    return builder.fadd(a, b)
 
 
-def greater_of(builder: Any, a: Any, b: Any) -> Any:
+@_emitted(float_lanes, float_lanes)
+def subtract(builder, a, b):
+    """a - b."""
+    return builder.fsub(a, b)
+
+
+@_emitted(float_lanes, float_lanes)
+def multiply(builder, a, b):
+    """a b."""
+    return builder.fmul(a, b)
+
+
+@_emitted(float_lanes, float_lanes)
+def divide(builder, a, b):
+    """a / b."""
+    return builder.fdiv(a, b)
+
+
+@_emitted(float_lanes, float_lanes)
+def maximum(builder, a, b):
+    """The greater of a and b; b where a is NaN."""
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-def less_of(builder: Any, a: Any, b: Any) -> Any:
+@_emitted(float_lanes, float_lanes)
+def minimum(builder, a, b):
+    """The lesser of a and b; b where a is NaN."""
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
-add = _binary("add", lambda builder, a, b: builder.fadd(a, b), "a + b")
-subtract = _binary("subtract", lambda builder, a, b: builder.fsub(a, b), "a - b")
-multiply = _binary("multiply", lambda builder, a, b: builder.fmul(a, b), "a b")
-divide = _binary("divide", lambda builder, a, b: builder.fdiv(a, b), "a / b")
-maximum = _binary("maximum", greater_of, "The greater of a and b; b where a is NaN.")
-minimum = _binary("minimum", less_of, "The lesser of a and b; b where a is NaN.")
+multiply_add = _emitted(float_lanes, float_lanes, float_lanes)(code.multiply_add)
 
 
-@intrinsic
-def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """a b + c, rounded once where the machine can."""
-
-    def generate(context, builder, signature, arguments):
-        return code.multiply_add(builder, *arguments)
-
-    return float_lanes(float_lanes, float_lanes, float_lanes), generate
-
-
-@intrinsic
-def where_at_least(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
+@_emitted(float_lanes, float_lanes, float_lanes, float_lanes)
+def where_at_least(builder, a, b, yes, no):
     """`yes` where a >= b, else `no` (also where a or b is NaN)."""
-
-    def generate(context, builder, signature, arguments):
-        a, b, yes, no = arguments
-        return builder.select(builder.fcmp_ordered(">=", a, b), yes, no)
-
-    return float_lanes(float_lanes, float_lanes, float_lanes, float_lanes), generate
+    return builder.select(builder.fcmp_ordered(">=", a, b), yes, no)
 
 
-@intrinsic
-def all_at_least(typing: Any, a: Any, b: Any) -> Any:
+@_emitted(float_lanes, float_lanes, gives=types.boolean)
+def all_at_least(builder, a, b):
     """Whether all sixteen a >= b."""
-
-    def generate(context, builder, signature, arguments):
-        yes = builder.bitcast(builder.fcmp_ordered(">=", *arguments), ir.IntType(LANES))
-        return builder.icmp_unsigned("==", yes, ir.Constant(ir.IntType(LANES), -1))
-
-    return types.boolean(float_lanes, float_lanes), generate
+    yes = builder.bitcast(builder.fcmp_ordered(">=", a, b), ir.IntType(LANES))
+    return builder.icmp_unsigned("==", yes, ir.Constant(ir.IntType(LANES), -1))
 
 
-@intrinsic
-def zero_sum(typing: Any) -> Any:
+@_emitted(gives=double_lanes)
+def zero_sum(builder):
     """Sixteen float64 zeros: the start of a sum."""
-
-    def generate(context, builder, signature, arguments):
-        return ir.Constant(code.DOUBLES, None)
-
-    return double_lanes(), generate
+    return ir.Constant(code.DOUBLES, None)
 
 
-@intrinsic
-def accumulate(typing: Any, total: Any, value: Any) -> Any:
+@_emitted(double_lanes, float_lanes, gives=double_lanes)
+def accumulate(builder, total, value):
     """Sixteen float64 running sums plus sixteen float32."""
-
-    def generate(context, builder, signature, arguments):
-        return builder.fadd(arguments[0], builder.fpext(arguments[1], code.DOUBLES))
-
-    return double_lanes(double_lanes, float_lanes), generate
+    return builder.fadd(total, builder.fpext(value, code.DOUBLES))
 
 
-@intrinsic
-def sum_lanes(typing: Any, total: Any) -> Any:
+@_emitted(double_lanes, gives=types.float64)
+def sum_lanes(builder, total):
     """The sum of sixteen float64, in a fixed order."""
-
-    def generate(context, builder, signature, arguments):
-        index = ir.IntType(32)
-        terms = [builder.extract_element(arguments[0], ir.Constant(index, k)) for k in range(LANES)]
-        while len(terms) > 1:
-            half = len(terms) // 2
-            terms = [builder.fadd(terms[k], terms[k + half]) for k in range(half)]
-        return terms[0]
-
-    return types.float64(double_lanes), generate
+    index = ir.IntType(32)
+    terms = [builder.extract_element(total, ir.Constant(index, k)) for k in range(LANES)]
+    while len(terms) > 1:
+        half = len(terms) // 2
+        terms = [builder.fadd(terms[k], terms[k + half]) for k in range(half)]
+    return terms[0]
 
 
 @intrinsic
@@ -201,118 +187,87 @@ def load_table(typing: Any, array: Any, first: Any) -> Any:
     return small_table(array, types.int64), generate
 
 
-@intrinsic
-def look_up(typing: Any, table: Any, place: Any) -> Any:
+@_emitted(small_table, float_lanes)
+def look_up(builder, table, place):
     """The entries of a table at sixteen places, each 0, 1, ..., or 7."""
-
-    def generate(context, builder, signature, arguments):
-        table, places = arguments[0], builder.fptosi(arguments[1], code.INTEGERS)
-        if not machine_has("avx2"):
-            value = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
-            for k in range(1, 8):
-                entry = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
-                value = builder.select(builder.icmp_signed("==", places, code.integer(k)), entry, value)
-            return value
-        index = ir.VectorType(ir.IntType(32), 8)
-        permute = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(code.TABLE, [code.TABLE, index]), "llvm.x86.avx2.permps"
-        )
-        halves = [
-            builder.call(permute, [table, builder.shuffle_vector(places, places, ir.Constant(index, list(part)))])
-            for part in (range(8), range(8, LANES))
-        ]
-        return builder.shuffle_vector(*halves, ir.Constant(code.INTEGERS, list(range(LANES))))
-
-    return float_lanes(small_table, float_lanes), generate
+    places = builder.fptosi(place, code.INTEGERS)
+    if not machine_has("avx2"):
+        value = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), 0)))
+        for k in range(1, 8):
+            entry = code.splat(builder, builder.extract_element(table, ir.Constant(ir.IntType(32), k)))
+            value = builder.select(builder.icmp_signed("==", places, code.integer(k)), entry, value)
+        return value
+    index = ir.VectorType(ir.IntType(32), 8)
+    permute = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(code.TABLE, [code.TABLE, index]), "llvm.x86.avx2.permps"
+    )
+    halves = [
+        builder.call(permute, [table, builder.shuffle_vector(places, places, ir.Constant(index, list(part)))])
+        for part in (range(8), range(8, LANES))
+    ]
+    return builder.shuffle_vector(*halves, ir.Constant(code.INTEGERS, list(range(LANES))))
 
 
-@intrinsic
-def reciprocal(typing, a):
+@_emitted(float_lanes)
+def reciprocal(builder, a):
     """1 / a to the last bit or the last but one; an estimate and a Newton step where that is faster than dividing."""
-
-    def generate(context, builder, signature, arguments):
-        one, value = code.constant(1.0), arguments[0]
-        if not machine_has("avx512f"):  # which has reciprocals of 14 bits
-            return builder.fdiv(one, value)
-        mask = ir.IntType(16)
-        kind = ir.FunctionType(code.FLOATS, [code.FLOATS, code.FLOATS, mask])
-        estimate = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx512.rcp14.ps.512")
-        first = builder.call(estimate, [value, one, ir.Constant(mask, -1)])
-        error = code.multiply_add(builder, builder.fneg(value), first, one)
-        return code.multiply_add(builder, first, error, first)
-
-    return float_lanes(float_lanes), generate
+    one = code.constant(1.0)
+    if not machine_has("avx512f"):  # which has reciprocals of 14 bits
+        return builder.fdiv(one, a)
+    mask = ir.IntType(16)
+    kind = ir.FunctionType(code.FLOATS, [code.FLOATS, code.FLOATS, mask])
+    estimate = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx512.rcp14.ps.512")
+    first = builder.call(estimate, [a, one, ir.Constant(mask, -1)])
+    error = code.multiply_add(builder, builder.fneg(a), first, one)
+    return code.multiply_add(builder, first, error, first)
 
 
-@intrinsic
-def square_root(typing, a):
+@_emitted(float_lanes)
+def square_root(builder, a):
     """The square root; NaN of a negative number."""
-
-    def generate(context, builder, signature, arguments):
-        return code.call(builder, "sqrt", arguments[0])
-
-    return float_lanes(float_lanes), generate
+    return code.call(builder, "sqrt", a)
 
 
-@intrinsic
-def absolute(typing, a):
+@_emitted(float_lanes)
+def absolute(builder, a):
     """The absolute value."""
-
-    def generate(context, builder, signature, arguments):
-        return code.call(builder, "fabs", arguments[0])
-
-    return float_lanes(float_lanes), generate
+    return code.call(builder, "fabs", a)
 
 
-@intrinsic
-def exponential(typing, x):
+@_emitted(float_lanes)
+def exponential(builder, x):
     """e^x for x <= 0, relative error 1e-7; e^-87 below -87."""
-
-    def generate(context, builder, signature, arguments):
-        x = greater_of(builder, arguments[0], code.constant(-87.0))
-        n = code.call(builder, "rint", builder.fmul(x, code.constant(1.4426950408889634)))
-        r = code.multiply_add(builder, n, code.constant(-0.693359375), x)
-        r = code.multiply_add(builder, n, code.constant(2.12194440e-4), r)
-        p = code.constant(1.9875691500e-4)  # Cephes' expf
-        for term in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
-            p = code.multiply_add(builder, p, r, code.constant(term))
-        p = code.multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, code.constant(1.0)))
-        power = builder.shl(builder.add(builder.fptosi(n, code.INTEGERS), code.integer(127)), code.integer(23))
-        return builder.fmul(p, builder.bitcast(power, code.FLOATS))
-
-    return float_lanes(float_lanes), generate
+    least = code.constant(-87.0)
+    x = builder.select(builder.fcmp_ordered(">", x, least), x, least)
+    n = code.call(builder, "rint", builder.fmul(x, code.constant(1.4426950408889634)))
+    r = code.multiply_add(builder, n, code.constant(-0.693359375), x)
+    r = code.multiply_add(builder, n, code.constant(2.12194440e-4), r)
+    p = code.constant(1.9875691500e-4)  # Cephes' expf
+    for term in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
+        p = code.multiply_add(builder, p, r, code.constant(term))
+    p = code.multiply_add(builder, p, builder.fmul(r, r), builder.fadd(r, code.constant(1.0)))
+    power = builder.shl(builder.add(builder.fptosi(n, code.INTEGERS), code.integer(127)), code.integer(23))
+    return builder.fmul(p, builder.bitcast(power, code.FLOATS))
 
 
-@intrinsic
-def logarithm(typing, x):
+@_emitted(float_lanes)
+def logarithm(builder, x):
     """The natural logarithm of a normal positive number, relative error 1e-7."""
-
-    def generate(context, builder, signature, arguments):
-        bits = builder.bitcast(arguments[0], code.INTEGERS)
-        # split at sqrt(1/2) so that the mantissa minus one is small on both sides
-        shifted = builder.sub(bits, code.integer(0x3F3504F3))
-        exponent = builder.sitofp(builder.ashr(shifted, code.integer(23)), code.FLOATS)
-        mantissa = builder.add(builder.and_(shifted, code.integer(0x007FFFFF)), code.integer(0x3F3504F3))
-        m = builder.fsub(builder.bitcast(mantissa, code.FLOATS), code.constant(1.0))
-        square = builder.fmul(m, m)
-        p = code.constant(7.0376836292e-2)  # Cephes' logf
-        for term in (
-            -1.1514610310e-1,
-            1.1676998740e-1,
-            -1.2420140846e-1,
-            1.4249322787e-1,
-            -1.6668057665e-1,
-            2.0000714765e-1,
-            -2.4999993993e-1,
-            3.3333331174e-1,
-        ):
-            p = code.multiply_add(builder, p, m, code.constant(term))
-        y = builder.fmul(builder.fmul(p, m), square)
-        y = code.multiply_add(builder, exponent, code.constant(-2.12194440e-4), y)
-        y = code.multiply_add(builder, square, code.constant(-0.5), y)
-        return code.multiply_add(builder, exponent, code.constant(0.693359375), builder.fadd(y, m))
-
-    return float_lanes(float_lanes), generate
+    bits = builder.bitcast(x, code.INTEGERS)
+    # split at sqrt(1/2) so that the mantissa minus one is small on both sides
+    shifted = builder.sub(bits, code.integer(0x3F3504F3))
+    exponent = builder.sitofp(builder.ashr(shifted, code.integer(23)), code.FLOATS)
+    mantissa = builder.add(builder.and_(shifted, code.integer(0x007FFFFF)), code.integer(0x3F3504F3))
+    m = builder.fsub(builder.bitcast(mantissa, code.FLOATS), code.constant(1.0))
+    square = builder.fmul(m, m)
+    p = code.constant(7.0376836292e-2)  # Cephes' logf
+    for term in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1,
+                 -1.6668057665e-1, 2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):  # fmt: skip
+        p = code.multiply_add(builder, p, m, code.constant(term))
+    y = builder.fmul(builder.fmul(p, m), square)
+    y = code.multiply_add(builder, exponent, code.constant(-2.12194440e-4), y)
+    y = code.multiply_add(builder, square, code.constant(-0.5), y)
+    return code.multiply_add(builder, exponent, code.constant(0.693359375), builder.fadd(y, m))
 
 
 class _WindowType(types.Type):
