@@ -101,8 +101,8 @@ MUTATIONS = [
          "values[NOW, PRIOR]", COMPILED),
         ("compiled: area element of contacts", "posterior/compiled/evaluate.py",
          "log_jacobian -= math.log(area_element(", "log_jacobian -= 0.5 * math.log(area_element(", COMPILED),
-        ("compiled: rests-on x .25", "posterior/compiled/prior.py", "total -= 0.5 * (away / row[SCALE]) ** 2",
-         "total -= 0.125 * (away / row[SCALE]) ** 2", (*COMPILED, *RELATIONS)),
+        ("compiled: rests-on x .25", "posterior/compiled/prior.py", "total -= 0.5 * (away / row[SOFTNESS]) ** 2",
+         "total -= 0.125 * (away / row[SOFTNESS]) ** 2", (*COMPILED, *RELATIONS)),
         ("pilots: exchange the wrong way", "posterior/smc.py", "(logs[r + 1, 1] - logs[r, 1])",
          "(logs[r, 1] - logs[r + 1, 1])", ("tests/posterior/test_pilots.py",)),
         # terms of priors

@@ -18,8 +18,8 @@ import numpy as np
 from derender.compilation.cache import njit
 from derender.errors import DerenderError
 from derender.posterior.compiled.evaluate import place as place_vertex
-from derender.posterior.compiled.layout import NEXT, SHAPES, SIZES, SOLID
 from derender.posterior.compiled.model import NotCompiled, numbers_of, vertices_of
+from derender.posterior.compiled.prior import NEXT, SHAPES, SIZES, SOLID
 from derender.registry import suggest
 from derender.render.raycast.normal_equations import MOTION, Misfit, cost, normal_equations
 from derender.scene.graph import SceneGraph

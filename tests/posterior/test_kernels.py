@@ -12,7 +12,7 @@ from toy_worlds import WORLDS
 
 from derender.errors import DerenderError
 from derender.posterior.compiled.backend import InterpretedBackend
-from derender.posterior.compiled.layout import NEXT, NOW, OFFSET, PERIOD
+from derender.posterior.compiled.prior import NEXT, NOW, OFFSET, PERIOD
 from derender.posterior.kernels.base import Tuning, kernels, mixture
 from derender.posterior.space import turn as turned
 from derender.posterior.space import turn_between, wrap

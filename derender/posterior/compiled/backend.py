@@ -13,7 +13,6 @@ import numpy as np
 
 from derender.compilation.cache import Kernel, interpreted
 from derender.posterior.compiled.evaluate import load, sweep
-from derender.posterior.compiled.layout import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.compiled.model import (
     Calls,
     NotCompiled,
@@ -28,6 +27,7 @@ from derender.posterior.compiled.model import (
     rescaled,
     taken_elsewhere,
 )
+from derender.posterior.compiled.prior import DENSITY, NEXT, NOW, PRIOR, STEPS, Chain, Kernels, Model, Stretch
 from derender.posterior.kernels.base import PLACING, Part, Target, Tuning, kernels
 from derender.posterior.kernels.relocate import mixture_of
 from derender.posterior.space import Block

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from derender.compilation.cache import call_for_nothing, call_for_number, call_for_two_numbers, njit
-from derender.posterior.compiled.layout import (
+from derender.posterior.compiled.prior import (
     CHILD_FACE,
     CONTACT,
     CONTACT_CODE,
@@ -53,8 +53,10 @@ from derender.posterior.compiled.layout import (
     VERTEX,
     Chain,
     Model,
+    log_prior,
+    log_terms,
+    wrap,
 )
-from derender.posterior.compiled.prior import log_prior, log_terms, wrap
 from derender.posterior.kernels.base import PLACING
 from derender.render.raycast.engine import load_state, log_likelihood_of, propose_in, settle_in
 from derender.render.raycast.state import CANDIDATE, CURRENT, SIGMA, EngineState

@@ -15,7 +15,7 @@ from derender.posterior.compiled.evaluate import (
     reattach,
     stand_all,
 )
-from derender.posterior.compiled.layout import (
+from derender.posterior.compiled.prior import (
     CONTACT,
     HELD,
     INVERSE_AT,
@@ -29,8 +29,10 @@ from derender.posterior.compiled.layout import (
     Chain,
     Kernels,
     Model,
+    density_and_draw,
+    sum_of_terms,
+    table_of,
 )
-from derender.posterior.compiled.prior import density_and_draw, sum_of_terms, table_of
 from derender.posterior.kernels import kernels
 from derender.posterior.kernels.base import PLACING, Part, Tuning
 from derender.posterior.kernels.relocate import mixture_of

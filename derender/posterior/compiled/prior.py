@@ -6,28 +6,98 @@ and only compiled for models with constraints.
 
 import functools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.compilation.cache import Kernel, call_for_number, njit
 from derender.posterior import space
-from derender.posterior.compiled.layout import (
-    CODE,
-    DENSITY_AT,
-    DIRECTION,
-    DRAW_AT,
-    KIND,
-    NEXT,
-    OFFSET,
-    PERIOD,
-    ROTATION,
-    SIZES,
-)
 from derender.scene.distributions import Distribution, distributions
 from derender.scene.graph import SceneGraph
 from derender.scene.priors.terms import AtMost, DoesNotTouch, NoFloating, NoOverlap, RestsOn
 from derender.scene.separation import penetration_of, rest_residual, separation_of
+
+ROTATION = 1  # code of the uniform distribution over rotations; that of others is 0
+CONTACT, SHAPE, ROOT, LIKELIHOOD, HELD = range(5)  # tables that a value can go into; HELD: none, the caller sets it
+CODE, OFFSET, DIRECTION, DENSITY_AT, DRAW_AT = range(5)  # rows of Model.unknowns
+PERIOD, FOLD_CENTRE, FOLD_PERIOD = 4, 5, 6  # columns of Model.laws, after the distribution's row
+TABLE, VERTEX, SLOT, OWNER = range(4)  # rows of Model.places
+PARENT, CONTACT_CODE, KIND, PARENT_FACE, CHILD_FACE, SOLID, POSE_AT, INVERSE_AT = range(8)  # rows of Model.vertices
+FORM, FIRST, FACTOR_FIRST, KEEP, PROPOSE_AT, KEEP_AT, PLACE_AT = range(7)  # rows of Kernels.table
+CUMULATIVE, SCALE = range(2)  # columns of Kernels.numbers
+NOW, NEXT = np.int64(0), np.int64(1)  # halves of the chain's arrays; no literals: each would be compiled for itself
+PRIOR, DENSITY = -2, -1  # the last columns of Chain.values
+SIZES, SHAPES = 7, 10  # columns of Chain.numbers where the extents and the shape's numbers begin, after the contact's
+DIRTY, KEPT, MOVED = range(3)  # rows of Chain.marks
+PENDING, STEPS, CYCLE = range(3)  # entries of Chain.flags
+
+
+class Model(NamedTuple):
+    """The prior and where each value goes. U unknowns, P values, D directions, N vertices.
+
+    unknowns : (5, U + 1) int64: whether it is a rotation, first value, first direction (the last column ends these
+        two), and the addresses of the prior's kernels (prior.py).
+    laws : (U, 7) float64: the row of the prior's numbers, the period (0 on a line), and how a theta is folded.
+    places : (4, P) int64, where a value goes: which table, which vertex, which slot; and the unknown that it is of.
+    vertices : (8, N + 1) int64: parent (the root is N), contact, kind, faces as in contacts.compiled, the place among
+        the solids or -1, and the addresses of the contact's kernels (relative_pose, invert). The last column is the
+        root's; its contact code says how its numbers give its pose (evaluate.py).
+    extents : (N, 4, 3) float64: extents of a shape whose numbers are 0, and what each of three numbers adds.
+    """
+
+    unknowns: np.ndarray
+    laws: np.ndarray
+    places: np.ndarray
+    vertices: np.ndarray
+    extents: np.ndarray
+    terms: np.ndarray  # (T, 9) float64, the constraints, see prior.py
+    terms_at: int  # address of `sum_of_terms`; 0 where T is 0
+
+
+class Kernels(NamedTuple):
+    """The mixture. K kernels; the unknowns and factors of kernel k are slices of flat arrays.
+
+    table : (7, K + 1) int64: form, begin of its unknowns, begin of its factor (the last column ends these two), the
+        vertex whose children it keeps where they are in the world, or -1, and the addresses of what proposes, of what
+        keeps them and of what puts objects down.
+    members : flat int64, unknowns; of what puts objects down: the vertex and the face below all of them, their
+        vertices, and the unknowns that turn them.
+    factors : flat float64, each (D_k, D_k), lower triangle in full rows; of what puts objects down: see
+        PlaceMixture.flat.
+    """
+
+    table: np.ndarray
+    numbers: np.ndarray  # (K, 2) float64: running sum of the weights, step scale
+    members: np.ndarray
+    factors: np.ndarray
+
+
+class Chain(NamedTuple):
+    """The state of one chain and its scratch space. Where the first axis is 2: NOW, NEXT (proposed).
+
+    numbers : (2, N + 1, 13) float64: seven of the contact, three extents, three of the shape; the root's come last.
+    marks : (3, N + 1) int64: vertices that move; vertices that only get other numbers; solids handed to the engine.
+    moved_pose : (S, 4, 4), moved_size : (S, 3) float64: theirs.
+    """
+
+    values: np.ndarray  # (2, P + 2) float64: the values, then the log prior and the log likelihood
+    numbers: np.ndarray
+    pose: np.ndarray  # (2, N + 1, 4, 4) float64, object to camera; the root's comes last
+    marks: np.ndarray
+    moved_pose: np.ndarray
+    moved_size: np.ndarray
+    tangents: np.ndarray  # (2, D) float64, scratch
+    relative: np.ndarray  # (4, 4), scratch
+    flags: np.ndarray  # (3,) int64: a proposal is pending in the engine; steps taken; kernels take turns
+
+
+class Stretch(NamedTuple):
+    """Steps of a mixture."""
+
+    values: np.ndarray  # (n, P)
+    densities: np.ndarray  # (n, 2), log prior and log likelihood
+    counts: np.ndarray  # (K, 2), steps and accepted ones of each kernel
+
 
 wrap = njit(cache=True, nogil=True)(space.wrap)
 turn = njit(cache=True, nogil=True)(space.turn)
@@ -112,7 +182,7 @@ def shaped(rng, factor, size, normal, tangent):
 
 
 OVERLAP, APART, RESTS = range(3)  # codes of terms
-TERM, FIRST, SECOND, LENGTH, SCALE, PARENT, AXIS = range(7)  # columns of a term; an axis is the last three
+TERM, ONE, OTHER, LENGTH, SOFTNESS, BEARER, AXIS = range(7)  # columns of a term; an axis is the last three
 COLUMNS = AXIS + 3
 
 
@@ -157,23 +227,23 @@ def sum_of_terms(terms, vertices, numbers, pose):
     total = 0.0
     for t in range(terms.shape[0]):
         row = terms[t]
-        a, b = int(row[FIRST]), int(row[SECOND])
+        a, b = int(row[ONE]), int(row[OTHER])
         kind_a, pose_a, size_a = vertices[KIND, a], pose[NEXT, a], numbers[NEXT, a, SIZES : SIZES + 3]
         kind_b, pose_b, size_b = vertices[KIND, b], pose[NEXT, b], numbers[NEXT, b, SIZES : SIZES + 3]
         if row[TERM] == OVERLAP:
             excess = penetration_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b) - row[LENGTH]
             if excess > 0.0:
-                if row[SCALE] == 0.0:
+                if row[SOFTNESS] == 0.0:
                     return -math.inf
-                total -= 0.5 * (excess / row[SCALE]) ** 2
+                total -= 0.5 * (excess / row[SOFTNESS]) ** 2
         elif row[TERM] == APART:
             if separation_of(kind_a, pose_a, size_a, kind_b, pose_b, size_b) <= row[LENGTH]:
                 return -math.inf
         else:
-            p = pose[NEXT, int(row[PARENT])]
+            p = pose[NEXT, int(row[BEARER])]
             x = p[0, 0] * row[AXIS] + p[0, 1] * row[AXIS + 1] + p[0, 2] * row[AXIS + 2]
             y = p[1, 0] * row[AXIS] + p[1, 1] * row[AXIS + 1] + p[1, 2] * row[AXIS + 2]
             z = p[2, 0] * row[AXIS] + p[2, 1] * row[AXIS + 1] + p[2, 2] * row[AXIS + 2]
             away = rest_residual(kind_a, pose_a, size_a, kind_b, pose_b, size_b, x, y, z)
-            total -= 0.5 * (away / row[SCALE]) ** 2
+            total -= 0.5 * (away / row[SOFTNESS]) ** 2
     return total

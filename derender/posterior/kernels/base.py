@@ -20,8 +20,18 @@ import numpy as np
 
 from derender.compilation.cache import Kernel, njit
 from derender.errors import DerenderError, at_fault
-from derender.posterior.compiled.layout import NEXT, NOW, OFFSET, PERIOD
-from derender.posterior.compiled.prior import directions, log_prior, move, resample, shaped, wrap
+from derender.posterior.compiled.prior import (
+    NEXT,
+    NOW,
+    OFFSET,
+    PERIOD,
+    directions,
+    log_prior,
+    move,
+    resample,
+    shaped,
+    wrap,
+)
 from derender.posterior.space import Block, Space
 from derender.registry import Registry
 from derender.sampling.metropolis import adapted_scale

@@ -29,8 +29,7 @@ from derender.render.raycast.canvas import (
     sort_solids,
     whole_pixel,
 )
-from derender.render.raycast.convex import DISCRIMINANT, FACES, discriminant, inverse_depth
-from derender.render.raycast.outline import LINES
+from derender.render.raycast.convex import DISCRIMINANT, FACES, LINES, discriminant, inverse_depth
 from derender.scene.solids import BOX, PLANE
 
 STEEP = 0.04  # share by which inverse depth may vary over a piece that its centroid stands for

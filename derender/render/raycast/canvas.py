@@ -12,8 +12,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.render.raycast.convex import FACES, PREPARED, QUADRIC_B, discriminant, prepare_solid
-from derender.render.raycast.outline import LINE, LINES, draw_outline
+from derender.render.raycast.convex import (
+    FACES,
+    LINE,
+    LINES,
+    PREPARED,
+    QUADRIC_B,
+    discriminant,
+    draw_outline,
+    prepare_solid,
+)
 from derender.scene.solids import PLANE
 
 if TYPE_CHECKING:

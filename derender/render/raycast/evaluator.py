@@ -9,7 +9,7 @@ from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 from derender.render.likelihoods import likelihoods
 from derender.render.raycast.engine import for_steps, load_state, new_engine, rescore_state, with_blur
-from derender.render.raycast.score import pixel_log_densities
+from derender.render.raycast.region import pixel_log_densities
 from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
 from derender.scene.solids import Solids
 

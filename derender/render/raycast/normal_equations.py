@@ -36,8 +36,7 @@ from derender.render.raycast.canvas import (
     curved_inverse_depth,
     new_canvas,
 )
-from derender.render.raycast.convex import FACES
-from derender.render.raycast.outline import DEPTH, LINES, NORMAL
+from derender.render.raycast.convex import DEPTH, FACES, LINES, NORMAL
 from derender.scene.solids import CYLINDER
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.scene.distributions.base import Distribution, bisected, distributions
+from derender.scene.distributions.discrete import Distribution, bisected, distributions
 
 HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 

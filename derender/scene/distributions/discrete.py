@@ -1,14 +1,110 @@
 """Distributions over finitely many names or whole numbers: categorical ones; uniform, Poisson and geometric counts."""
 
 import math
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from derender.errors import DerenderError
-from derender.scene.distributions.base import Distribution, distributions
+from derender.registry import Registry
+
+ROW = 4  # floats in a row
+
+distributions: Registry[Any] = Registry("distribution", "derender.distributions", make=lambda family: family)
+
+
+def bisected(cdf: Callable[[float], float], probability: float, low: float, high: float) -> float:
+    """Return where between low and high a distribution function reaches a probability: slow, sure to the last bit."""
+    middle = 0.5 * (low + high)
+    while low < middle < high:
+        low, high = (middle, high) if cdf(middle) < probability else (low, middle)
+        middle = 0.5 * (low + high)
+    return middle
+
+
+class Distribution:
+    """A distribution over one number (or one rotation): a registered family, such as "normal", with its parameters.
+
+    Immutable. A family is a subclass, registered as `@distributions.register("normal")`.
+
+    parameters : tuple of float. row : (4,) float, what `density` and `draw` read.
+
+    Raises DerenderError : parameters that the family cannot have.
+    """
+
+    name: str = ""
+    names: tuple[str, ...] = ()  # of the parameters, in the order in which YAML lists them
+    defaults: tuple[float, ...] = ()  # values of the last parameters, which may then be left out
+    dimensionless: tuple[str, ...] = ()  # parameters without a unit; all others have that of the number itself
+    positive: tuple[str, ...] = ()  # parameters that have to be above 0
+    lowest: float = -math.inf  # the least value, where support is from there upwards
+    compiled: bool = False  # whether density and draw can be compiled
+    size: int = 1  # how many numbers a value has (1; a rotation's quaternion: 4)
+    discrete: bool = False  # the density is with respect to the counting measure
+
+    density: Callable[[Any, Sequence[float]], float]  # log density of x under a row
+    draw: Callable[[np.random.Generator, Sequence[float]], Any]  # one draw under a row
+
+    def __init__(self, *parameters: float) -> None:
+        missing = len(self.names) - len(parameters)
+        remedy = f"it takes [{', '.join(self.names)}]" if self.names else "it takes nothing"
+        if missing < 0 or missing > len(self.defaults):
+            raise DerenderError(f"{self.name} got {len(parameters)} parameters", remedy=remedy)
+        values = (*parameters, *self.defaults[len(self.defaults) - missing :])
+        self.parameters = tuple(float(value) for value in values)
+        for name, value in zip(self.names, self.parameters, strict=True):
+            if not math.isfinite(value):
+                raise DerenderError(f"{self.name}: {name} is {value}", remedy="give a finite number")
+            if name in self.positive and value <= 0:
+                raise DerenderError(f"{self.name}: {name} {value:g} is not positive", remedy=remedy)
+        fault = self.fault()
+        if fault:
+            raise DerenderError(f"{self.name}: {fault}", remedy=remedy)
+        self.row = self._row()
+
+    def fault(self) -> str | None:
+        """Say what is wrong with the parameters, or None."""
+        return None
+
+    def _row(self) -> tuple[float, ...]:
+        """Return the row of four floats that `density` and `draw` read: here the parameters, padded with zeros."""
+        return self.parameters + (0.0,) * (ROW - len(self.parameters))
+
+    def sample(self, rng: np.random.Generator) -> Any:
+        """Return one draw: a float (int where discrete; (4,) floats for a rotation)."""
+        return self.draw(rng, self.row)
+
+    def log_density(self, x: Any) -> float:
+        """Return the log density at x; -inf outside the support."""
+        return self.density(x, self.row)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The least and the greatest value (possibly infinite)."""
+        return self.lowest, math.inf
+
+    def cdf(self, x: float) -> float:
+        """Return the probability of a value of at most x."""
+        raise NotImplementedError
+
+    def quantile(self, probability: float) -> float:
+        """Return the x at which the cdf reaches `probability`."""
+        raise NotImplementedError
+
+    def mean(self) -> float:
+        """Return the mean (on a circle: the mean direction): of many families the first parameter."""
+        return self.parameters[0]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Distribution) and (self.name, self.parameters) == (other.name, other.parameters)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.parameters))
+
+    def __repr__(self) -> str:
+        return f"{{{self.name}: [{', '.join(map(repr, self.parameters))}]}}"
 
 
 @distributions.register("categorical")

@@ -18,11 +18,10 @@ from derender.detection.solids.image import ROW
 from derender.detection.solids.interpenetration import gap_between, lowest
 from derender.detection.solids.state import FLOOR
 from derender.render.blur import blur
-from derender.render.raycast.engine import propose_in, settle_in
+from derender.render.raycast.engine import Views, engine_of_view, propose_in, settle_in
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
 from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH, EngineState
-from derender.render.raycast.views import Views, engine_of_view
 from derender.structures.draws.chart import FLOOR_WAYS, HELD, PARENT, SIZE, TURN, Chart, camera_poses, place_rows
 from derender.structures.draws.steps import touched_by_each
 

@@ -24,9 +24,17 @@ from derender.compilation.cache import njit
 from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import log_prior_of
 from derender.detection.solids.image import ROW
-from derender.render.raycast.engine import new_engine, rescore_state, with_blur
+from derender.render.raycast.engine import (
+    Views,
+    engine_of_view,
+    make_views,
+    new_engine,
+    propose_views,
+    rescore_state,
+    settle_views,
+    with_blur,
+)
 from derender.render.raycast.state import CANDIDATE, CURRENT
-from derender.render.raycast.views import Views, engine_of_view, make_views, propose_views, settle_views
 from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
