@@ -85,18 +85,15 @@ def of_one_solid(
 
     shapes : names of those that it may be instead, where that hardly shows.
     """
-    floor, steps = floor_pose_of(best), quick_steps(int(pixels_of(best)[i]))
+    steps = quick_steps(int(pixels_of(best)[i]))
 
     def likely(states: list[State]) -> list[Refined]:
         found: list[Refined] = []
         for state in states:
-            if not still_bears(best, state, i):
-                continue
-            trial = at_mode(rng, state, floor, best.sensor, rules, steps, [i])
-            if height(trial) > height(best) - PROMISING:
-                trial = with_own_sensor(rng, trial, [i], WORTHWHILE)
-            if height(trial) > height(best) - PRUNE_THRESHOLD and all_seen(trial):
-                found.append(trial)
+            if still_bears(best, state, i):
+                trial = tried(rng, best, state, [i], rules, steps)
+                if trial is not None and all_seen(trial):
+                    found.append(trial)
         return found
 
     found = likely([*changes(best, i), *other_shapes(best, i, shapes), *reached_down(best, i)])
@@ -108,12 +105,10 @@ def of_one_solid(
     several = []
     for state in [*propped, *([] if upright is None else [upright]), *as_two(best, i, shapes)]:
         places = [i, *on_it, *range(len(best.state), len(state))]
-        trial = at_mode(rng, state, floor, best.sensor, rules, QUICK, places)
-        if height(trial) > height(best) - max(PROMISING, least):
-            trial = with_own_sensor(rng, trial, places, WORTHWHILE)
-        if height(trial) > height(best) - least and all_seen(trial):
+        trial = tried(rng, best, state, places, rules, least=least)
+        if trial is not None and all_seen(trial):
             several.append(trial)
-    removed = without(best, i, floor, rules)
+    removed = without(best, i, rules)
     others: list[Weighed] = []
     if height(removed) > height(best) - PROMISING:
         # what stands about it may have given way to what is not there: then it goes back once that is gone
@@ -128,6 +123,17 @@ def of_one_solid(
     others += [of_block(rng, trial, [i, *on_it, *range(len(best.state), len(trial.state))], own)
                for trial in likeliest_of_each(several)]  # fmt: skip
     return others
+
+
+def tried(rng: np.random.Generator, best: Refined, state: State, places: list[int], rules: Rules, steps: int = QUICK,
+          least: float = PRUNE_THRESHOLD) -> Refined | None:  # fmt: skip
+    """Return the Refined of a state in which some solids, at `places`, are climbed, the others as in the best, under
+    the sensor that it suggests itself where it is promising; None where it is more than `least` nats below the best.
+    """
+    trial = at_mode(rng, state, floor_pose_of(best), best.sensor, rules, steps, places)
+    if height(trial) > height(best) - max(PROMISING, least):
+        trial = with_own_sensor(rng, trial, places, WORTHWHILE)
+    return trial if height(trial) > height(best) - least else None
 
 
 def as_boxes(best: Refined, trials: list[Refined], i: int) -> list[State]:
@@ -191,10 +197,10 @@ def all_seen(trial: Refined) -> bool:
     return len(without_unseen(trial.state, trial)) == len(trial.state)
 
 
-def without(best: Refined, i: int, floor: np.ndarray, rules: Rules) -> Refined:
+def without(best: Refined, i: int, rules: Rules) -> Refined:
     """Return the Refined of the best state with solid `i` taken away, the rest as it is."""
     state = best.state.without(i)
-    chart, values = make_chart(state, floor, rules)
+    chart, values = make_chart(state, floor_pose_of(best), rules)
     engine = engine_of(chart, best.sensor)
     return refined_at(state, chart, values, best.sensor, *load(engine, chart, values))
 

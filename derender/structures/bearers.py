@@ -9,11 +9,10 @@ from collections import Counter
 
 import numpy as np
 
-from derender.detection.solids.image import ROW
 from derender.detection.solids.state import State
 from derender.detection.solids.support import TOUCHING, bearers, shares_of_load
 from derender.scene.distributions import Distribution
-from derender.structures.draws.chart import Chart, place_rows
+from derender.structures.draws.chart import Chart, rows_at
 
 DRAWN = 100  # scenes, and frictions of each contact, in which who bears most is looked at
 SMALLEST_SHARE = 1e-3  # of a parent that is kept
@@ -39,12 +38,10 @@ def parents_of(
     rng: np.random.Generator, chart: Chart, drawn: np.ndarray, k: int, friction: Distribution
 ) -> dict[int, float]:
     """Return how probably each of its supports bears most of solid k; empty where it is held in no draw."""
-    count, rows = len(chart.flags), np.empty((len(chart.flags), ROW))
     most: Counter[int] = Counter()
     for values in drawn[rng.integers(len(drawn), size=DRAWN)]:
-        place_rows(chart, values, rows)
-        rough = np.array([friction.quantile(p) for p in rng.random(count + 1)])
-        shares = shares_of_load(rows, k, TOUCHING, rough)
+        rough = np.array([friction.quantile(p) for p in rng.random(len(chart.flags) + 1)])
+        shares = shares_of_load(rows_at(chart, values), k, TOUCHING, rough)
         if shares:
             most[max(shares, key=lambda j: shares[j])] += 1
     return {j: number / most.total() for j, number in most.items() if number > SMALLEST_SHARE * most.total()}

@@ -18,12 +18,12 @@ from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
 from derender.scene.solids import BOX, SPHERE
-from derender.structures.alternatives import PROMISING, PRUNE_THRESHOLD, QUICK, WORTHWHILE, climbed, weighed_whole
+from derender.structures.alternatives import QUICK, climbed, tried, weighed_whole
 from derender.structures.changes import LEAST_TALL, changed
 from derender.structures.draws.chart import Chart, make_chart
-from derender.structures.draws.refined import Refined, at_mode, floor_pose_of, height
+from derender.structures.draws.refined import Refined, floor_pose_of
 from derender.structures.draws.sensor import model_depth
-from derender.structures.weighing import Block, Weighed, of_block, with_own_sensor
+from derender.structures.weighing import Block, Weighed, of_block
 
 NEIGHBOURS = 0.004  # metres between boxes that may be one
 BESIDE = 0.02  # metres between a low box and what stands behind it that may stand on it
@@ -35,7 +35,7 @@ FLUSH_ENOUGH = 150.0  # nats by which the image of a pair of boxes may change wh
 
 def merged_row(row: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the row of the upright box about two upright boxes, along the axes of the first."""
-    rotation = row[1:10].reshape(3, 3)
+    rotation = rotation_of(row)
     along = np.concatenate([corners_of(row), corners_of(other)]) @ rotation
     low, high = along.min(axis=0), along.max(axis=0)
     new = row.copy()
@@ -54,9 +54,7 @@ def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
                 continue
             if FREE in (state.forms[i], state.forms[j]) or np.prod(state.rows[i][13:]) < np.prod(state.rows[j][13:]):
                 continue
-            grown = state.rows[i].copy()
-            grown[13:16] += 2.0 * NEIGHBOURS
-            if penetration(grown, state.rows[j]) > 0.0:
+            if penetration(grown(state.rows[i], NEIGHBOURS), state.rows[j]) > 0.0:
                 tasks.append(partial(merged, best=best, i=i, j=j, rules=rules))
     return [found for found in in_threads(rng, tasks) if found is not None]
 
@@ -70,12 +68,8 @@ def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules
     new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
     new = new.without(j)
     place = i - (j < i)
-    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [place])
-    if height(trial) > height(best) - PROMISING:
-        trial = with_own_sensor(rng, trial, [place], WORTHWHILE)
-    if height(trial) <= height(best) - PRUNE_THRESHOLD:
-        return None
-    return of_block(rng, trial, [place], Block(best, [i, j]))
+    trial = tried(rng, best, new, [place], rules)
+    return None if trial is None else of_block(rng, trial, [place], Block(best, [i, j]))
 
 
 def recuts(rng, best, rules):
@@ -143,12 +137,8 @@ def put_one_on(rng: np.random.Generator, best: Refined, i: int, j: int, rules: R
     under[13:16] = high - low
     new = changed(changed(state, j, under, False), i, with_bottom(state.rows[i], top), False)
     new.parents[i], new.bottoms[i] = j, top
-    trial = at_mode(rng, new, floor_pose_of(best), best.sensor, rules, QUICK, [i, j])
-    if height(trial) > height(best) - PROMISING:
-        trial = with_own_sensor(rng, trial, [i, j], WORTHWHILE)
-    if height(trial) <= height(best) - PRUNE_THRESHOLD:
-        return None
-    return of_block(rng, trial, [i, j], Block(best, [i, j]))
+    trial = tried(rng, best, new, [i, j], rules)
+    return None if trial is None else of_block(rng, trial, [i, j], Block(best, [i, j]))
 
 
 def change_of_image(best: Refined, chart: Chart, values: np.ndarray) -> float:

@@ -19,10 +19,10 @@ import numpy as np
 
 from derender.compilation.threads import in_threads
 from derender.detection.solids.beliefs import Rules
-from derender.detection.solids.image import ROW, rotation_of
+from derender.detection.solids.image import rotation_of
 from derender.detection.solids.state import State
 from derender.sampling.evidence import Evidence
-from derender.structures.draws.chart import make_chart, place_rows
+from derender.structures.draws.chart import make_chart, rows_at
 from derender.structures.draws.metropolis import engine_of, load, log_evidence, sample
 from derender.structures.draws.refined import (
     Refined,
@@ -243,9 +243,7 @@ def odds_at(
     """
     trial, (places, own_places) = weighed.trial, weighed.places
     here = best._replace(values=values.copy())
-    rows = np.empty((len(best.state), ROW))
-    place_rows(best.chart, values, rows)
-    state = trial.state.copy()
+    rows, state = rows_at(best.chart, values), trial.state.copy()
     shared = [k for k in range(len(best.state)) if k not in own_places]
     for k, row in zip([k for k in range(len(state)) if k not in places], shared, strict=True):
         state.rows[k] = rows[row]

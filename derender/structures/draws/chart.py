@@ -229,6 +229,21 @@ def camera_poses(chart, values, rows, poses, sizes):
         pose[3, 3] = 1.0
 
 
+def rows_at(chart: Chart, values: np.ndarray) -> np.ndarray:
+    """Return the rows (N, ROW) of the solids at coordinates (D,)."""
+    rows = np.empty((len(chart.flags), ROW))
+    place_rows(chart, values, rows)
+    return rows
+
+
+def placed(chart: Chart, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return `rows_at` coordinates (D,), and what `camera_poses` writes of them."""
+    rows = rows_at(chart, values)
+    poses, sizes = np.empty((len(rows) + 1, 4, 4)), np.empty((len(rows) + 1, 3))
+    camera_poses(chart, values, rows, poses, sizes)
+    return rows, poses, sizes
+
+
 @njit(cache=True, nogil=True, borrows=True)
 def touching_area(row, on):
     """Return the area in which an upright solid's centre may lie so that it touches the top of `on`, square metres.

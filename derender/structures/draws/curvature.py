@@ -22,7 +22,17 @@ from derender.render.raycast.engine import Views, engine_of_view, propose_in, se
 from derender.render.raycast.lane_names import LANES
 from derender.render.raycast.region import DRAWN, SCORED
 from derender.render.raycast.state import BLUR, CANDIDATE, CURRENT, DEPTH, HEIGHT, PAD, REGIONS, WIDTH, EngineState
-from derender.structures.draws.chart import FLOOR_WAYS, HELD, PARENT, SIZE, TURN, Chart, camera_poses, place_rows
+from derender.structures.draws.chart import (
+    FLOOR_WAYS,
+    HELD,
+    PARENT,
+    SIZE,
+    TURN,
+    Chart,
+    camera_poses,
+    place_rows,
+    rows_at,
+)
 from derender.structures.draws.steps import touched_by_each
 
 if TYPE_CHECKING:
@@ -199,10 +209,9 @@ def contact_precision(chart: Chart, values: np.ndarray, members: list[int]) -> n
     total = np.zeros((len(members), len(members)))
     if chart.floating or chart.flags[:, HELD].all():
         return total
-    rows = np.empty((len(chart.flags), ROW))
 
     def gap_at(k, parent, values):
-        place_rows(chart, values, rows)
+        rows = rows_at(chart, values)
         return lowest(rows[k]) if parent == FLOOR else gap_between(rows[k], rows[parent])
 
     for k in np.flatnonzero(chart.flags[:, HELD] == 0):

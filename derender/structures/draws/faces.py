@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from derender.detection.solids.image import CENTRE, ROW
+from derender.detection.solids.image import CENTRE
 from derender.detection.solids.image import SIZE as EXTENT
 from derender.detection.solids.state import FLOOR
 from derender.scene.solids import BOX, CYLINDER, SPHERE
@@ -31,7 +31,7 @@ from derender.structures.draws.chart import (
     Chart,
     X,
     Z,
-    place_rows,
+    rows_at,
 )
 from derender.structures.draws.sensor import model_image
 
@@ -105,8 +105,7 @@ def at_median_unseen(refined: "Refined", best: np.ndarray, drawn: np.ndarray) ->
     best : (D,). drawn : (n, D). A median that is nearer than the best's changes nothing: that would be seen.
     """
     chart, found = refined.chart, best.copy()
-    rows = np.empty((len(chart.flags), ROW))
-    place_rows(chart, best, rows)
+    rows = rows_at(chart, best)
     boxes = (chart.flags[:, KIND] == BOX) & (chart.flags[:, EQUAL] == 0) & (chart.flags[:, VERTICAL] == 1)
     for k in np.flatnonzero(boxes):
         slot, turn = chart.slots[k], rows[k, 1:10].reshape(3, 3)

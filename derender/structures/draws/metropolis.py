@@ -39,7 +39,15 @@ from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
 from derender.sampling.metropolis import compiled_adapted_scale, compiled_log_threshold
 from derender.scene.solids import PLANE, Solids
-from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, log_prior, log_prior_about, place_rows
+from derender.structures.draws.chart import (
+    FLOOR_WAYS,
+    Chart,
+    camera_poses,
+    log_prior,
+    log_prior_about,
+    place_rows,
+    placed,
+)
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.sensor import Sensor, blurs_about, model_depth
 from derender.structures.draws.steps import (
@@ -208,11 +216,8 @@ def evaluate(views, chart, batch, touched, densities):
 
 def load(views: Views, chart: Chart, values: np.ndarray) -> tuple[float, float]:
     """Bring Views to a chart's coordinates; return log prior and log likelihood there."""
-    count = len(chart.flags)
-    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
-    place_rows(chart, values, rows)
-    camera_poses(chart, values, rows, poses, sizes)
-    likelihood = propose_views(views, count + 1, np.arange(count + 1), poses, sizes)
+    rows, poses, sizes = placed(chart, values)
+    likelihood = propose_views(views, len(poses), np.arange(len(poses)), poses, sizes)
     settle_views(views, CANDIDATE)
     return float(log_prior(chart, rows)), float(likelihood)
 

@@ -19,7 +19,7 @@ from derender.scene.graph import ROOT, SceneGraph
 from derender.scene.pose import inverse
 from derender.scene.shapes import shapes
 from derender.scene.solids import BOX, CYLINDER, PLANE, SPHERE
-from derender.structures.draws.chart import KIND, Chart, camera_poses, log_prior, make_chart, place_rows
+from derender.structures.draws.chart import KIND, Chart, camera_poses, log_prior, make_chart, place_rows, rows_at
 
 # How much of a full extent each shape's numbers are, and of which axis.
 EXTENTS = {"cube": ((0, 1.0),), "box": ((0, 1.0), (1, 1.0), (2, 1.0)), "sphere": ((0, 0.5),),
@@ -128,9 +128,7 @@ def scene_log_prior(graph: SceneGraph, rules: Rules | None = None) -> float:
     """
     state, floor_pose = state_of(graph)
     chart, values = make_chart(state, floor_pose, Rules(bare_image().loose.slack) if rules is None else rules)
-    rows = np.empty((len(state), ROW))
-    place_rows(chart, values, rows)
-    return float(log_prior(chart, rows))
+    return float(log_prior(chart, rows_at(chart, values)))
 
 
 def state_of(graph: SceneGraph) -> tuple[State, np.ndarray]:

@@ -14,12 +14,11 @@ from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.observation import CORRELATED
 from derender.detection.solids.beliefs import Rules, bare_image, log_prior_of, sensor_beliefs
 from derender.detection.solids.graph import scene_graph
-from derender.detection.solids.image import ROW
 from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import Evidence, draw_t, fit, log_t
-from derender.structures.draws.chart import FLOOR_WAYS, Chart, camera_poses, make_chart, place_rows
+from derender.structures.draws.chart import FLOOR_WAYS, Chart, make_chart, placed, rows_at
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
 from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample, under_blur
@@ -108,10 +107,8 @@ def refined_at(
     state: State, chart: Chart, values: np.ndarray, sensor: Sensor, log_prior: float, log_likelihood: float
 ) -> Refined:
     """Return the Refined whose state's rows are those of the coordinates."""
-    rows = np.empty((len(state), ROW))
-    place_rows(chart, values, rows)
     state = state.copy()
-    state.rows = rows
+    state.rows = rows_at(chart, values)
     return Refined(state, chart, values.copy(), sensor, float(log_prior), float(log_likelihood))
 
 
@@ -281,11 +278,7 @@ def chains_of(
 
 def floor_pose_of(refined: Refined) -> np.ndarray:
     """Return the (4, 4) pose, floor frame to camera, of a Refined."""
-    count = len(refined.state)
-    rows, poses, sizes = np.empty((count, ROW)), np.empty((count + 1, 4, 4)), np.empty((count + 1, 3))
-    place_rows(refined.chart, refined.values, rows)
-    camera_poses(refined.chart, refined.values, rows, poses, sizes)
-    return poses[0].copy()
+    return placed(refined.chart, refined.values)[1][0]
 
 
 def structure_posterior(

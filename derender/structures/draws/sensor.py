@@ -11,7 +11,6 @@ from derender.camera.intrinsics import Camera
 from derender.detection.calibration import likeliest
 from derender.detection.pyramid import LEAST_SIGMA, MOST_SIGMA, noise_of
 from derender.detection.solids.beliefs import SHARED, log_prior_of
-from derender.detection.solids.image import ROW
 from derender.document import LikelihoodPrior
 from derender.render.blur import blur
 from derender.render.likelihoods import likelihoods
@@ -20,7 +19,7 @@ from derender.render.raycast.depth import render_depth
 from derender.render.raycast.evaluator import DepthEvaluator
 from derender.scene.distributions import Distribution
 from derender.scene.solids import PLANE, Solids
-from derender.structures.draws.chart import Chart, camera_poses, place_rows
+from derender.structures.draws.chart import Chart, placed
 
 ROUNDS, NOISE_ROUNDS = 60, 120  # in which what neighbours share is sought, and noise and outliers
 OF_NOISE = ("sigma", "sigma_growth", "outlier")
@@ -110,10 +109,7 @@ def model_image(
 
     into : (4, 4), the scene's axes to this camera's; None: they are the same.
     """
-    rows = np.empty((len(chart.flags), ROW))
-    poses, sizes = np.empty((len(rows) + 1, 4, 4)), np.empty((len(rows) + 1, 3))
-    place_rows(chart, values, rows)
-    camera_poses(chart, values, rows, poses, sizes)
+    _, poses, sizes = placed(chart, values)
     kinds = np.array([PLANE, *chart.flags[:, 0]], np.int32)
     poses = poses if into is None else into @ poses
     solids = Solids(kinds, poses, sizes, np.full(len(kinds), -1, np.int32), ())
