@@ -99,10 +99,10 @@ def test_a_thing_has_the_low_parts_that_it_goes_on_into():
     height[13:20, 26:30] = 0.006  # too low
     column, row = np.meshgrid(np.arange(40.0), np.arange(30.0))
     points = np.stack([0.005 * column, 0.005 * row, height], axis=-1)
-    seen = SimpleNamespace(
-        points=points, image=SimpleNamespace(weight=np.ones(height.shape)), floor_scale=1.0, mask=height > 0.016,
-        sigma=np.full(height.shape, 0.004), footprint=np.full(height.shape, 0.005),
-    )  # fmt: skip
+    weight, sigma = np.ones(height.shape), np.full(height.shape, 0.004)
+    surface = SeenSurface.of(points, weight > 0, np.full(height.shape, 0.005), sigma, np.array([0.0, 0.0, 1.0]))
+    seen = SimpleNamespace(points=points, image=SimpleNamespace(weight=weight), floor_scale=1.0, mask=height > 0.016,
+                           sigma=sigma, surface=surface)  # fmt: skip
     ridge, flank = height == 0.03, np.zeros(height.shape, bool)
     flank[13:20, 10:26] = True
     assert np.array_equal(low_parts(seen, ridge, ridge), flank)
@@ -455,10 +455,10 @@ def test_the_edges_of_what_a_blurred_image_shows_are_not_its_surface():
 def test_what_shows_its_front_alone_is_as_deep_as_such_things_usually_are():
     across, up = np.meshgrid(np.linspace(-0.05, 0.05, 30), np.linspace(0.1, 0.0, 30))
     points = np.dstack([across, np.full((30, 30), 0.5), up])
-    seen = SimpleNamespace(points=points, footprint=np.full((30, 30), 0.003), sigma=np.full((30, 30), 0.001),
-                           image=SimpleNamespace(origin=np.array([0.0, -0.4, 0.5]), taps=np.ones(1)),
-                           no_floor=False)  # fmt: skip
-    mask = np.ones((30, 30), bool)
+    mask, origin = np.ones((30, 30), bool), np.array([0.0, -0.4, 0.5])
+    surface = SeenSurface.of(points, mask, np.full((30, 30), 0.003), np.full((30, 30), 0.001), origin)
+    seen = SimpleNamespace(points=points, footprint=surface.footprint, sigma=0.001 * mask, surface=surface,
+                           image=SimpleNamespace(origin=origin, taps=np.ones(1)), no_floor=False)  # fmt: skip
     thing = made_thing(seen, State(), mask, 50.0)
     row = thing.row
     turn, size = np.abs(row[1:10].reshape(3, 3)), row[13:16]
