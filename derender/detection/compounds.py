@@ -19,7 +19,7 @@ from derender.detection.solids.image import rotation_of
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import AS_SEEN, LIMIT
 from derender.detection.solids.polish import FREE
-from derender.detection.solids.state import FLOOR, State, held_out, subset
+from derender.detection.solids.state import FLOOR, State, held_out
 from derender.detection.solids.support import flat_top, share_over, shares_of_load
 from derender.detection.things import BENEATH, ENDS, FEWEST, LEAST_HEIGHT, clear_of_edges, standing, support_of
 from derender.scene.pose import rotation_z
@@ -141,7 +141,7 @@ def joined(seen: Observation, state: State, parts: Any, piece: np.ndarray | None
     mask = np.isin(label, parts) & (image.weight > 0) & (misfit < LIMIT)
     if piece is not None:
         mask = mask & ~piece
-    state = subset(state, set(range(len(state))) - set(parts))
+    state = state.without(*parts)
     gain += float((held_out(image, state, -1)[2] - misfit)[mask].sum())
     whole = mask if piece is None else mask | piece
     if whole.sum() < FEWEST:

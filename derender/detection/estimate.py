@@ -39,7 +39,6 @@ def point_estimate(
     depth: np.ndarray,
     camera: Camera | dict[str, float],
     settings: Settings | None = None,
-    widest: int = WIDEST,
     pool: list[tuple[State, float]] | None = None,
     plane: Any = None,
 ) -> tuple[State, Observation]:
@@ -47,18 +46,17 @@ def point_estimate(
 
     A floor on which nothing stands may be the top of what does: that is another explanation, on the floor below.
 
-    widest : columns of the image that is searched, more where things are small. pool : takes the states that searches
-    end with, with their energies. plane : the floor as it is given, see detection.floor.read_floor, or a Support;
-    None: find it.
+    pool : takes the states that searches end with, with their energies. plane : the floor as it is given, see
+    detection.floor.read_floor, or a Support; None: find it.
     """
     settings, pool = Settings() if settings is None else settings, [] if pool is None else pool
-    state, seen = on_one_floor(rng, depth, camera, settings, widest, pool, plane)
+    state, seen = on_one_floor(rng, depth, camera, settings, pool, plane)
     below = floor_below(seen) if plane is None and not (len(state) or seen.things or seen.interrupted) else None
     if below is None:
         return state, seen
     others: list[tuple[State, float]] = []
     try:
-        higher, other = on_one_floor(rng, depth, camera, settings, widest, others, below, seen.correlation)
+        higher, other = on_one_floor(rng, depth, camera, settings, others, below, seen.correlation)
     except DerenderError:  # next to nothing shows of it
         return state, seen
     if len(higher) == 0 or explained(other, higher) <= explained(seen, state):
@@ -79,7 +77,6 @@ def on_one_floor(
     depth: np.ndarray,
     camera: Camera | dict[str, float],
     settings: Settings,
-    widest: int,
     pool: list[tuple[State, float]],
     plane: Any,
     correlation: float | None = None,
@@ -91,13 +88,13 @@ def on_one_floor(
     """
     fills = correlation is not None
     floor = settings.believed.loose.floor
-    seen = observe(depth, camera, widest, plane, settings.may_float, fills, floor)
+    seen = observe(depth, camera, WIDEST, plane, settings.may_float, fills, floor)
     if seen.no_floor and settings.free_forms:
         if returns_about(seen) < SPECKLED:
-            coarser = observe(depth, camera, widest // 2, plane, settings.may_float, believed=floor)
+            coarser = observe(depth, camera, WIDEST // 2, plane, settings.may_float, believed=floor)
             seen = coarser if coarser.no_floor else seen
         return State(), with_freestanding(seen, settings)
-    wanted = width_wanted(seen, widest)
+    wanted = width_wanted(seen)
     if reduced_by(depth, wanted) != seen.factor:
         same = Support.over(seen.floor) if seen.rivals else plane  # the choice among floors is made once
         with contextlib.suppress(NoFloor):  # it is one in this resolution
@@ -184,7 +181,7 @@ def settings_for(settings: Settings, seen: Observation) -> Settings:
     return settings
 
 
-def width_wanted(seen: Observation, widest: int) -> int:
+def width_wanted(seen: Observation) -> int:
     """Return how many columns an image should have in which what stands on the floor has as many pixels as it takes.
 
     Where it fills the image, half as many tell as much; where it is small, more columns tell what it is. A sensor's
@@ -192,6 +189,6 @@ def width_wanted(seen: Observation, widest: int) -> int:
     """
     pixels = int(seen.mask.sum())
     if seen.mask.mean() > FILLED:
-        return widest // 2
+        return WIDEST // 2
     enough = ENOUGH if seen.correlation > CORRELATED else FEW
-    return int(widest * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))
+    return int(WIDEST * np.clip(np.sqrt(enough / max(pixels, 1)), 1.0, FINEST))

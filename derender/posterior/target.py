@@ -85,7 +85,8 @@ def base_of(graph: SceneGraph, name: str, unknown: set[str]) -> tuple[str, str]:
         tilted = any(
             contact.values.get(key, 0.0) != 0.0 or f"{base}.contact.{key}" in unknown for key in ("tilt_x", "tilt_y")
         )
-        if contact.type != "face-to-face" or tilted or not _opposite(contact.faces[1], face):
+        opposite = ("-" if face[0] == "+" else "+") + face[1:]
+        if contact.type != "face-to-face" or tilted or contact.faces[1] != opposite:
             return base, face
         base, face = below.parent, contact.faces[0]
 
@@ -94,10 +95,6 @@ def bases_of(graph: SceneGraph, relocations: Sequence[str], unknown: set[str]) -
     """Return the base of each object that may be put down anew, by its name."""
     names = [contact.removesuffix(".contact") for contact in relocations]
     return {name: base_of(graph, name, unknown) for name in names}
-
-
-def _opposite(face: str, other: str) -> bool:
-    return face[1:] == other[1:] and face[0] != other[0]
 
 
 def fold(angle: float, centre: float, period: float) -> float:

@@ -305,11 +305,11 @@ def odds_apart(changes: Changes) -> float:
 
 def combined(rng: np.random.Generator, best: Refined, changes: Changes, rules: Rules) -> Weighed | None:
     """Return the Weighed of a structure with all these changes of single solids; None: it is far below the best."""
-    state = best.state.copy()
+    state = best.state
     for k, each in changes:
-        changed = each.trial.state
-        state.rows[k], state.forms[k], state.cubes[k] = changed.rows[k], changed.forms[k], changed.cubes[k]
-        state.parents[k], state.bottoms[k] = changed.parents[k], changed.bottoms[k]
+        own = each.trial.state
+        state = state.changed(k, row=own.rows[k], form=own.forms[k], cube=own.cubes[k], parent=own.parents[k],
+                              bottom=own.bottoms[k])  # fmt: skip
     solids = sorted(k for k, _ in changes)
     trial = at_mode(rng, state, floor_pose_of(best), best.sensor, rules, QUICK, solids)
     trial = with_own_sensor(rng, trial, solids, WORTHWHILE)

@@ -30,7 +30,7 @@ def by_bearer(
         if len(bearers(state.rows, k)) > 1:
             parents = parents_of(rng, chart, drawn, k, friction)
             if parents:
-                found = [(with_parent(each, k, j), share * p) for each, share in found for j, p in parents.items()]
+                found = [(each.changed(k, parent=j), share * p) for each, share in found for j, p in parents.items()]
     return found
 
 
@@ -45,10 +45,3 @@ def parents_of(
         if shares:
             most[max(shares, key=lambda j: shares[j])] += 1
     return {j: number / most.total() for j, number in most.items() if number > SMALLEST_SHARE * most.total()}
-
-
-def with_parent(state: State, k: int, parent: int) -> State:
-    """Return a state in which another is the parent of solid k."""
-    state = state.copy()
-    state.parents[k] = parent
-    return state

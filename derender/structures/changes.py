@@ -47,18 +47,16 @@ def changes(best: Refined, i: int) -> list[State]:
     row, form = state.rows[i], state.forms[i]
     found = []
     if int(row[0]) == BOX and state.cubes[i]:
-        found += [changed(state, i, each, cube=False) for each in (row, *longer(row, best.chart.floor))]
+        found += [state.changed(i, row=each, cube=False) for each in (row, *longer(row, best.chart.floor))]
     elif int(row[0]) == BOX:
         origin = -best.chart.floor[:3, :3].T @ best.chart.floor[:3, 3]
         for side in spaced([*row[13:16], row[13:16].mean()], 0.002):
             if np.median(np.abs(row[13:16] - side)) < 0.6 * side:
-                found.append(changed(state, i, cube_of(row, side, origin, form), cube=True))
+                found.append(state.changed(i, row=cube_of(row, side, origin, form), cube=True))
     if int(row[0]) != SPHERE and form != FREE and not np.isnan(state.bottoms[i]) and not state.cubes[i]:
         for parent in supports_within(state, i):
             height = 0.0 if parent == FLOOR else highest(state.rows[parent])
-            new = changed(state, i, with_bottom(row, height), state.cubes[i])
-            new.parents[i], new.bottoms[i] = parent, height
-            found.append(new)
+            found.append(state.changed(i, row=with_bottom(row, height), parent=parent, bottom=height))
     return found
 
 
@@ -75,13 +73,6 @@ def longer(row: np.ndarray, floor: np.ndarray) -> np.ndarray:
         new[13 + axis] += more
         new[10:13] -= 0.5 * more * np.sign(along @ (eye - row[10:13])) * along
     return rows
-
-
-def changed(state: State, i: int, row: np.ndarray, cube: bool) -> State:
-    """Return a state with another solid `i`."""
-    new = state.copy()
-    new.rows[i], new.cubes[i] = row, cube
-    return new
 
 
 def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
@@ -112,10 +103,9 @@ def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
     states = []
     for other, form, extents, yaw, cube in found:
         rotation = turned @ rotation_z(yaw)[:3, :3]
-        new = changed(state, i, make_row(other, rotation, row[10:13], extents), cube)
-        new.rows[i, 12] += lowest(row) - lowest(new.rows[i])
-        new.forms[i] = form
-        states.append(new)
+        new = make_row(other, rotation, row[10:13], extents)
+        new[12] += lowest(row) - lowest(new)
+        states.append(state.changed(i, row=new, form=form, cube=cube))
     return states + stood_up(state, i, shapes)
 
 
@@ -135,9 +125,8 @@ def stood_up(state: State, i: int, shapes: tuple[str, ...]) -> list[State]:
             if ("cube" if cube else "box") in shapes:
                 extents = [tall] * 3 if cube else [wide, wide, tall]
                 centre = [row[10], row[11], bottom + 0.5 * tall]
-                new = changed(state, i, make_row(BOX, rotation_z(yaw)[:3, :3], centre, extents), cube)
-                new.forms[i], new.bottoms[i] = UPRIGHT, bottom
-                states.append(new)
+                standing = make_row(BOX, rotation_z(yaw)[:3, :3], centre, extents)
+                states.append(state.changed(i, row=standing, form=UPRIGHT, cube=cube, bottom=bottom))
     return states
 
 
@@ -157,8 +146,7 @@ def uprighted(state: State, i: int) -> State | None:
     bottom = 0.0 if state.parents[i] == FLOOR else highest(state.rows[state.parents[i]])
     centre = [row[10], row[11], bottom + 0.5 * row[13 + axis]]
     upright = make_row(int(row[0]), levelled(rotation[:, order]), centre, row[13:16][order])
-    new = changed(state, i, upright, state.cubes[i])
-    new.forms[i], new.bottoms[i] = UPRIGHT, bottom
+    new = state.changed(i, row=upright, form=UPRIGHT, bottom=bottom)
     for k in carried_upright(new, i):
         new.bottoms[k] = highest(new.rows[i])
         new.rows[k, 12] += new.bottoms[k] - lowest(new.rows[k])
@@ -186,8 +174,7 @@ def as_two(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
             make_row(BOX, rotation_of(row), [*(row[10:12] + side * aside), bottom + (1.0 + 0.5 * side) * half], size)
             for side, size in zip((-1.0, 1.0), sizes, strict=True)
         )
-        new = changed(whole, i, lower, cubes[0]).add(upper, UPRIGHT, cubes[1], i, bottom + half)
-        states.append(new)
+        states.append(whole.changed(i, row=lower, cube=cubes[0]).add(upper, UPRIGHT, cubes[1], i, bottom + half))
     return states
 
 
@@ -218,9 +205,7 @@ def propped_up(best: Refined, i: int, shapes: tuple[str, ...]) -> list[State]:
                 under = make_row(
                     BOX, rotation_of(row) if int(row[0]) == BOX else np.eye(3), [*place, 0.5 * gap], extents
                 )
-                new = state.add(under, UPRIGHT, cube, FLOOR, 0.0)
-                new.parents[i], new.bottoms[i] = len(state), gap
-                states.append(new)
+                states.append(state.add(under, UPRIGHT, cube, FLOOR, 0.0).changed(i, parent=len(state), bottom=gap))
     return states
 
 
@@ -236,9 +221,7 @@ def reached_down(best: Refined, i: int) -> list[State]:
     more = lowest(row) / abs(up[axis])
     new[13 + axis] += more
     new[10:13] -= 0.5 * more * np.sign(up[axis]) * rotation_of(row)[:, axis]
-    longer = changed(state, i, new, cube=False)
-    longer.parents[i], longer.bottoms[i] = FLOOR, np.nan
-    return [longer]
+    return [state.changed(i, row=new, cube=False, parent=FLOOR, bottom=np.nan)]
 
 
 def is_held(state: State, i: int) -> bool:

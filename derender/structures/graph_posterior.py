@@ -140,6 +140,10 @@ class DrawsOfOne:
             self.made = refined, chains_of(rng, refined, self.chains, self.count, self.until)
         return self.made[1]
 
+    def coordinates(self, rng: np.random.Generator, refined: Refined) -> np.ndarray:
+        """Return (n, D) those of all chains."""
+        return np.concatenate([drawn.values for drawn in self.of(rng, refined)])
+
 
 def weighed_structures(rng, first, energy, pool, settings, made=None):
     """Return (Refined, log odds, names, error) of the structures that the search met and of those near the best.
@@ -167,7 +171,7 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
         if made is not None and best is former:
             others = surest_of_each(others)
             others = [*others, *combinations(rng, best, others, rules)]
-            found = made_sure(rng, best, others, partial(draws_of, made=made, refined=best), rules)
+            found = made_sure(rng, best, others, partial(made.coordinates, refined=best), rules)
             best, others = leading(best, found)
         if best is former:
             break
@@ -188,11 +192,6 @@ def weighed_structures(rng, first, energy, pool, settings, made=None):
                 for trial, odds, own, error in found.values()]  # fmt: skip
     most = max(odds for _, odds, _, _ in standing)
     return sorted(((trial, odds - most, own, error) for trial, odds, own, error in standing), key=lambda each: -each[1])
-
-
-def draws_of(rng: np.random.Generator, made: DrawsOfOne, refined: Refined) -> np.ndarray:
-    """Return (n, D) draws of the coordinates of a Refined."""
-    return np.concatenate([drawn.values for drawn in made.of(rng, refined)])
 
 
 def one_solid_each(

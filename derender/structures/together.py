@@ -122,14 +122,9 @@ class Look(NamedTuple):
 
     state: State  # State over the floor of this image
     seen: Observation  # its Observation
-    into: np.ndarray  # (4, 4), the first camera's axes to this one's
-    over: np.ndarray  # (4, 4), this floor's frame to the first one's: a turn and a shift along the floor
+    into: np.ndarray = np.eye(4)  # (4, 4), the first camera's axes to this one's
+    over: np.ndarray = np.eye(4)  # (4, 4), this floor's frame to the first one's: a turn and a shift along the floor
     found: bool = False  # whether that was found, not given
-
-
-def first_look(state: State, seen: Observation) -> Look:
-    """Return the Look at the first image."""
-    return Look(state, seen, np.eye(4), np.eye(4))
 
 
 def look_from(first: Look, state: State, seen: Observation, frame: Frame, settings: Settings) -> Look:
@@ -200,10 +195,8 @@ def as_others_have_it(state: State, states: list[State], looks: Any, settings: S
             for j, name in enumerate(names):
                 if name not in own:
                     continue
-                k, trial = own.index(name), state.copy()
-                trial.rows[k], trial.forms[k], trial.cubes[k] = other.rows[j], other.forms[j], other.cubes[j]
-                trial.bottoms[k] = other.bottoms[j]
-                trial = on_supports(trial)
+                trial = on_supports(state.changed(own.index(name), row=other.rows[j], form=other.forms[j],
+                                                  cube=other.cubes[j], bottom=other.bottoms[j]))  # fmt: skip
                 value = energy_of(looks, trial, settings)
                 if value < energy:
                     state, energy = trial, value

@@ -19,7 +19,7 @@ from derender.detection.solids.state import FLOOR, State
 from derender.detection.solids.support import final_parents, with_bottom
 from derender.scene.solids import BOX, SPHERE
 from derender.structures.alternatives import QUICK, climbed, tried, weighed_whole
-from derender.structures.changes import LEAST_TALL, changed
+from derender.structures.changes import LEAST_TALL
 from derender.structures.draws.chart import Chart, make_chart
 from derender.structures.draws.refined import Refined, floor_pose_of
 from derender.structures.draws.sensor import model_depth
@@ -62,9 +62,9 @@ def merges(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Any]:
 def merged(rng: np.random.Generator, best: Refined, i: int, j: int, rules: Rules) -> Weighed | None:
     """Return the Weighed of solid `j` being part of `i`; None where that is pruned."""
     state = best.state
-    new = changed(state, i, merged_row(state.rows[i], state.rows[j]), False)
     lower = i if lowest(state.rows[i]) <= lowest(state.rows[j]) else j
-    new.parents[i], new.bottoms[i] = state.parents[lower], state.bottoms[lower]
+    new = state.changed(i, row=merged_row(state.rows[i], state.rows[j]), cube=False, parent=state.parents[lower],
+                        bottom=state.bottoms[lower])  # fmt: skip
     new.parents = [i if p == j and k != i else p for k, p in enumerate(new.parents)]
     new = new.without(j)
     place = i - (j < i)
@@ -94,14 +94,13 @@ def recuts(rng, best, rules):
 def grown_into(state: State, cut: tuple[int, ...], j: int) -> State | None:
     """Return the state with box j grown into others, which are cut back (moves.cut_anew), held to nothing yet; None:
     nothing of one is left."""
-    new = state.copy()
     for i in cut:
-        pieces = cut_anew(new.rows[i], new.rows[j])
+        pieces = cut_anew(state.rows[i], state.rows[j])
         if pieces is None:
             return None
-        (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
-        new.bottoms[i] = new.bottoms[j] = np.nan
-    return new
+        for k, piece in zip((i, j), pieces, strict=True):
+            state = state.changed(k, row=piece, cube=False, bottom=np.nan)
+    return state
 
 
 def put_on(rng: np.random.Generator, best: Refined, rules: Rules) -> list[Weighed]:
@@ -135,8 +134,8 @@ def put_one_on(rng: np.random.Generator, best: Refined, i: int, j: int, rules: R
     low[2], high[2] = -0.5 * under[15], 0.5 * under[15]
     under[10:13] += rotation_of(under) @ (0.5 * (low + high))
     under[13:16] = high - low
-    new = changed(changed(state, j, under, False), i, with_bottom(state.rows[i], top), False)
-    new.parents[i], new.bottoms[i] = j, top
+    higher = with_bottom(state.rows[i], top)
+    new = state.changed(j, row=under, cube=False).changed(i, row=higher, cube=False, parent=j, bottom=top)
     trial = tried(rng, best, new, [i, j], rules)
     return None if trial is None else of_block(rng, trial, [i, j], Block(best, [i, j]))
 

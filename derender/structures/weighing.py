@@ -84,12 +84,7 @@ def evidence_and_draws(rng: np.random.Generator, refined: Refined,
     found = integrated()
     if found[0].standard_error < FAILED or sensor.worth < 1.0:
         return found
-    return min(found, integrated(), key=error_of)
-
-
-def error_of(integral: tuple[Evidence, np.ndarray]) -> float:
-    """Return the standard error of what `evidence_and_draws` returns."""
-    return integral[0].standard_error
+    return min(found, integrated(), key=lambda each: each[0].standard_error)
 
 
 class Block:

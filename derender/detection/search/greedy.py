@@ -4,6 +4,7 @@ Whole searches are put together from these in searches.py.
 """
 
 from functools import partial
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -106,6 +107,7 @@ class Settings(NamedTuple):
                              temper=self.temper * many)  # fmt: skip
 
 
+energy_of = itemgetter(1)  # of what `run_polish` returns
 Changed = tuple[State, set[int]]  # what a move makes of a state: another one, and the indices of what it changed
 
 
@@ -151,11 +153,6 @@ def greedy(
         state = state.add(row, h.form, h.cube)
         alive = [a for a, gain in zip(alive, gains, strict=True) if gain > -HOPEFUL]
     return state
-
-
-def energy_of(tried: tuple[np.ndarray, float, float]) -> float:
-    """Return the energy of what `run_polish` returns."""
-    return tried[1]
 
 
 def promising(gains: np.ndarray, kinds: list[int], tried: int) -> list[int]:

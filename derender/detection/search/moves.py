@@ -41,9 +41,7 @@ def explain_anew(rng: np.random.Generator, task: Task, state: State, places: Pla
         out |= as_high(state, seed)
     else:
         out |= {j for j in range(len(state)) if shared[seed, j] > 0 and rng.random() < 0.5}
-    new = state.copy()
-    for k in sorted(out, reverse=True):
-        new = new.without(k)
+    new = state.without(*out)
     kept = len(new)
     depth, _, misfit, _ = held_out(image, new, -1)
     for one in (out, out - {seed}):
@@ -93,10 +91,7 @@ def split(rng: np.random.Generator, task: Task, state: State, places: Places) ->
         piece[13 + axis] = max(high - low, 0.006)
         piece[10:13] += 0.5 * (low + high) * rotation_of(row)[:, axis]
         pieces.append(piece)
-    new = state.copy()
-    new.cubes[i] = False
-    new.rows[i] = pieces[0]
-    new = new.add(pieces[1], state.forms[i], False)
+    new = state.changed(i, row=pieces[0], cube=False).add(pieces[1], state.forms[i], False)
     last = len(new) - 1
     for k in (i, last) if rng.random() < 0.5 else (last, i):
         polish_solid(rng, task.image, new, k, task.settings)
@@ -165,9 +160,7 @@ def merge_pair(
     whole = row.copy()
     whole[10:13] += rotation_of(row) @ ((low + high) / 2)
     whole[13:16] = np.maximum(high - low, 0.006)
-    new = state.copy()
-    new.rows[i], new.cubes[i] = whole, False
-    new = new.without(j)
+    new = state.changed(i, row=whole, cube=False).without(j)
     i -= j < i
     polish_solid(rng, task.image, new, i, task.settings)
     return new, {i}
@@ -198,8 +191,7 @@ def recut_pair(rng: np.random.Generator, task: Task, state: State, i: int, j: in
     pieces = cut_anew(state.rows[i], state.rows[j], share)
     if pieces is None:
         return None
-    new = state.copy()
-    (new.rows[i], new.rows[j]), new.cubes[i], new.cubes[j] = pieces, False, False
+    new = state.changed(i, row=pieces[0], cube=False).changed(j, row=pieces[1], cube=False)
     for k in (i, j) if rng.random() < 0.5 else (j, i):
         polish_solid(rng, task.image, new, k, task.settings)
     return new, {i, j}
@@ -268,10 +260,8 @@ def put_under(rng: np.random.Generator, task: Task, state: State, places: Places
         j for j in range(len(state))
         if j != i and places.pairs[i, j] > 0 and highest(state.rows[j]) < ceiling + LEAST_GAP and rng.random() < 0.4
     ]  # fmt: skip
-    new = state
-    for j in sorted(out, reverse=True):
-        new = new.without(j)
-        i -= j < i
+    new = state.without(*out)
+    i -= sum(j < i for j in out)
     below = [0.0] + [highest(r) for r in new.rows if highest(r) < ceiling - LEAST_GAP]
     new = with_box_under(rng, task, new, i, below[int(rng.integers(len(below)))])
     return new, {i, len(new) - 1}
@@ -326,9 +316,8 @@ def lift(rng: np.random.Generator, task: Task, state: State, places: Places) -> 
         return None
     i = standing[pick(rng, places.blame[standing])]
     old = state.bottoms[i]
-    new = state.copy()
-    new.cubes[i], new.bottoms[i] = False, np.nan
-    new.rows[i] = with_bottom(state.rows[i], old + rng.uniform(0.1, 0.7) * state.rows[i][15])
+    shorter = with_bottom(state.rows[i], old + rng.uniform(0.1, 0.7) * state.rows[i][15])
+    new = state.changed(i, row=shorter, cube=False, bottom=np.nan)
     polish_solid(rng, task.image, new, i, task.settings)
     if lowest(new.rows[i]) < old + LEAST_GAP:
         return None
@@ -388,8 +377,7 @@ def stretch(rng: np.random.Generator, task: Task, state: State, places: Places) 
 def polished(rng: np.random.Generator, task: Task, state: State, i: int, row: np.ndarray, form: int, cube: bool,
              step: float = 0.003, heat: float = 2.0) -> Changed:  # fmt: skip
     """Return (state with another solid i, polished on its own, {i})."""
-    new = state.copy()
-    new.rows[i], new.forms[i], new.cubes[i] = row, form, cube
+    new = state.changed(i, row=row, form=form, cube=cube)
     bottom = state.bottoms[i] if form == state.forms[i] else np.nan
     polish_solid(rng, task.image, new, i, task.settings, bottom, step=step, heat=heat)
     return new, {i}

@@ -29,7 +29,7 @@ from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
 from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, UPRIGHT
-from derender.detection.solids.state import FLOOR, State, held_out, run_polish, subset
+from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
 
@@ -153,7 +153,7 @@ def crossed(rng: np.random.Generator, image: Image, state: State, other: State, 
     while untried := [part for part in parts(image, state, other) if part[1] and part[1] not in tried]:
         mine, theirs = untried[0]
         tried.add(theirs)
-        trial = subset(state, set(range(len(state))) - set(mine))
+        trial = state.without(*mine)
         count = len(trial)
         for k in theirs:
             trial = trial.add(other.rows[k], other.forms[k], other.cubes[k])
@@ -363,9 +363,7 @@ def unite_few(rng: np.random.Generator, task: Task, state: State) -> State:
         for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
             points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
             bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
-            fewer = state
-            for k in reversed(out):
-                fewer = fewer.without(k)
+            fewer = state.without(*out)
             view, tries = held_out(image, fewer, -1), []
             for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
                 row = box_about(points, yaw, bottom)

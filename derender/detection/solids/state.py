@@ -1,7 +1,7 @@
 """The state of the search over structures: which solids there are and what each one stands on."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,19 +40,26 @@ class State:
             [*self.parents, parent], [*self.bottoms, bottom],
         )  # fmt: skip
 
-    def without(self, index: int) -> "State":
-        """Return the state without one solid; what stood on it stands on what it stood on."""
-        keep = [k for k in range(len(self)) if k != index]
-        heir = self.parents[index]
+    def changed(self, index: int, **numbers: Any) -> "State":
+        """Return the state with another `row`, `form`, `cube`, `parent` or `bottom` of one solid."""
+        new = self.copy()
+        for name, value in numbers.items():
+            getattr(new, f"{name}s")[index] = value
+        return new
 
-        def moved(parent):
-            parent = heir if parent == index else parent
-            return parent - 1 if parent > index else parent
+    def chosen(self, solids: list[int], parents: list[int]) -> "State":
+        """Return the state of some solids, in this order, on these parents."""
+        return State(self.rows[solids], [self.forms[k] for k in solids], [self.cubes[k] for k in solids], parents,
+                     [self.bottoms[k] for k in solids])  # fmt: skip
 
-        return State(
-            self.rows[keep], [self.forms[k] for k in keep], [self.cubes[k] for k in keep],
-            [moved(self.parents[k]) for k in keep], [self.bottoms[k] for k in keep],
-        )  # fmt: skip
+    def without(self, *indices: int) -> "State":
+        """Return the state without some solids; what stood on one stands on what that stood on."""
+        state = self
+        for index in sorted(set(indices), reverse=True):
+            heir, keep = state.parents[index], [k for k in range(len(state)) if k != index]
+            parents = (heir if state.parents[k] == index else state.parents[k] for k in keep)
+            state = state.chosen(keep, [parent - (parent > index) for parent in parents])
+        return state
 
     def in_order(self) -> list[int]:
         """Return the solids as people count them: those on the floor from left to right, then what stands on them.
@@ -70,18 +77,12 @@ class State:
         """Return the state with its solids `in_order`."""
         order = self.in_order()
         place = {FLOOR: FLOOR, **{k: new for new, k in enumerate(order)}}
-        return State(
-            self.rows[order], [self.forms[k] for k in order], [self.cubes[k] for k in order],
-            [place[self.parents[k]] for k in order], [self.bottoms[k] for k in order],
-        )  # fmt: skip
+        return self.chosen(order, [place[self.parents[k]] for k in order])
 
 
 def subset(state: State, keep: set[int]) -> State:
     """Return the State of these solids alone."""
-    for k in reversed(range(len(state))):
-        if k not in keep:
-            state = state.without(k)
-    return state
+    return state.without(*(set(range(len(state))) - keep))
 
 
 def carried_by(state: State, index: int) -> np.ndarray:

@@ -104,8 +104,8 @@ def vertices_of(
         if code is None:
             raise NotCompiled(f"the contact type {contact.type}")
         faces = FEATURE_CODES[contact.parent_face], FEATURE_CODES[contact.child_face]
-        solid = solids.get(vertex.name, -1)
-        vertices[:6, n] = names.get(vertex.parent, count), code, _kind(vertex.shape), *faces, solid
+        kind, solid = shapes[vertex.shape].solid_kind, solids.get(vertex.name, -1)
+        vertices[:6, n] = names.get(vertex.parent, count), code, FRAME if kind is None else kind, *faces, solid
         check_faces(graph, vertex)
         extents[n] = extents_of(vertex)
     vertices[:6, count] = count, root, FRAME, -1, -1, -1
@@ -143,11 +143,6 @@ def laws_of(space: Space, folds: Mapping[str, tuple[float, float]], address: Add
             calls.append((address(density, 0.0, row), address(draw, np.random.default_rng(), row)))
     unknowns = [[*codes, 0], space.offsets, space.directions, *zip(*calls, (0, 0), strict=True)]
     return np.array(unknowns, np.int64), np.array(laws, float).reshape(-1, 7)
-
-
-def _kind(shape: str) -> int:
-    kind = shapes[shape].solid_kind
-    return FRAME if kind is None else int(kind)
 
 
 def extents_of(vertex: Vertex) -> np.ndarray:

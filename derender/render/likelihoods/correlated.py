@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from derender.compilation.cache import njit
-from derender.errors import DerenderError
 from derender.registry import Parameter
 from derender.render.likelihoods.pixelwise import (
     BACKGROUND,
@@ -86,15 +85,8 @@ class Correlated(Likelihood):
         Parameter("far", "m", 0.0, 1000.0, 10.0),
     )
     code = 2
+    scored = ("sigma_growth", "outlier", "near", "far", "shared", "clump")
     of_image = ("step", "step_growth", "white", "reach", "reach_down", "tail")
-
-    def check(self, values: Mapping[str, float]) -> None:
-        if not values["near"] < values["far"]:
-            raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
-
-    def row(self, values: Mapping[str, float]) -> np.ndarray:
-        numbers = [values[name] for name in ("sigma_growth", "outlier", "near", "far", "shared", "clump")]
-        return np.array([values["sigma"], values["background"], 0.0, *numbers])
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """Return (H, W) the density of each pixel that goes on; 0 where neither neighbour returned."""

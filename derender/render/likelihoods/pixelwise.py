@@ -31,6 +31,7 @@ class Likelihood:
     name: str  # registered name
     parameters: tuple[Parameter, ...]  # the numbers that a file can give, or distributions over them
     code: int  # which compiled score the engine uses (raycast.state.GAUSSIAN, ROBUST or CORRELATED)
+    scored: tuple[str, ...] = ()  # names of the type's own numbers that the engine's score reads, in its order
     of_image: tuple[str, ...] = ()  # names of the numbers on which `beside` depends
 
     def complete(self, values: Numbers) -> dict[str, float]:
@@ -55,10 +56,12 @@ class Likelihood:
 
     def check(self, values: Mapping[str, float]) -> None:
         """Raise a DerenderError where complete values do not fit together."""
+        if values.get("near", 0.0) >= values.get("far", math.inf):
+            raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
 
     def row(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the engine's numbers: sigma, background, a place to fill, then the type's own."""
-        raise NotImplementedError
+        """Return the engine's numbers: sigma, background, a place to fill, then those of `scored`."""
+        return np.array([values["sigma"], values["background"], 0.0, *(values[name] for name in self.scored)])
 
     def beside(self, observed: np.ndarray, values: Mapping[str, float]) -> np.ndarray | None:
         """Return what of an image (H, W) the engine's score needs that no scene changes; None: nothing."""
@@ -87,11 +90,6 @@ def blurred_depth(depth: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
     return blur(with_wall(depth, values["background"]), values["blur"])
 
 
-def has_return(observed: np.ndarray) -> np.ndarray:
-    """Return where a pixel holds a depth: positive and finite."""
-    return np.isfinite(observed) & (observed > 0)
-
-
 @likelihoods.register("gaussian")
 class Gaussian(Likelihood):
     """Norm(observed; b(d), sigma) in every pixel with a return; a pixel without one is evidence of nothing."""
@@ -99,12 +97,9 @@ class Gaussian(Likelihood):
     parameters = (SIGMA, BLUR, BACKGROUND)
     code = 0
 
-    def row(self, values: Mapping[str, float]) -> np.ndarray:
-        return np.array([values["sigma"], values["background"], 0.0])
-
     def per_pixel(self, observed: np.ndarray, depth: np.ndarray, values: Numbers = None) -> np.ndarray:
         values = self.complete(values)
-        seen = has_return(observed)
+        seen = np.isfinite(observed) & (observed > 0)
         spread = values["sigma"]
         residual = np.where(seen, observed, 0.0) - blurred_depth(depth, values)
         density = -0.5 * (residual / spread) ** 2 - math.log(spread) - 0.5 * math.log(2.0 * math.pi)
@@ -161,14 +156,7 @@ class Robust(Likelihood):
         Parameter("edge_step", "m", 1e-4, 100.0, 0.02),
     )
     code = 1
-
-    def check(self, values: Mapping[str, float]) -> None:
-        if not values["near"] < values["far"]:
-            raise DerenderError("outliers range from far to near", "likelihood.far", "give a far beyond near")
-
-    def row(self, values: Mapping[str, float]) -> np.ndarray:
-        names = ("sigma_growth", "outlier", "near", "far", "missing", "missing_edge", "edge_step")
-        return np.array([values["sigma"], values["background"], 0.0, *(values[name] for name in names)])
+    scored = ("sigma_growth", "outlier", "near", "far", "missing", "missing_edge", "edge_step")
 
     def missing_rate(self, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
         """Return the probability of no return, (H, W)."""

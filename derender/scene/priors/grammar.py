@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from derender.registry import suggest
 from derender.scene.distributions import Categorical, Distribution, distributions
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, fault, top_face
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
 from derender.scene.priors.tree import ROOT, Prior, RootPrior, TreeObject, TreePrior, seat, vertex_addresses
+from derender.scene.shapes import shapes
 
 MOST_OBJECTS = 10_000
 
@@ -48,8 +50,6 @@ class GrammarPrior(Prior):
         object.__setattr__(self, "_kinds", {})
         for name in self.offspring:
             if name not in self.shapes and name != ROOT and name not in self.tree.by_name:
-                from derender.registry import suggest
-
                 choices = [*self.shapes, *self.tree.by_name, ROOT]
                 raise fault(None, f"offspring names {name!r}, which is no object and no shape", suggest(name, choices))
         states, matrix = self.mean_matrix()
@@ -96,7 +96,7 @@ class GrammarPrior(Prior):
         """Return the faces that a kind can turn up when it grows on the root or on a base object."""
         tops: set[str | None] = set()
         seats = [("frame", None)] + [
-            (item.shape.type, face) for item in self.base for face in (None, *_flat(item.shape.type))
+            (item.shape.type, face) for item in self.base for face in (None, *shapes[item.shape.type].face_names)
         ]
         for shape, top in seats:
             found = self.contacts.choices(shape, self.shapes[kind].type, top)
@@ -197,12 +197,6 @@ class GrammarPrior(Prior):
         base = self.tree.by_name
         counts = Counter(vertex.parent for vertex in graph.vertices if vertex.name not in base)
         return math.fsum(math.lgamma(count + 1) for count in counts.values())
-
-
-def _flat(shape: str) -> tuple[str, ...]:
-    from derender.scene.shapes import shapes
-
-    return tuple(shapes[shape].face_names)
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,6 @@ def _interval(parameter: Parameter, strict: bool) -> str:
 
 def default_value(parameter: Parameter) -> Value | None:
     """Return the uniform distribution over a parameter's range or period; None where that is unbounded."""
-    from derender.scene.distributions import distributions
-
     if parameter.period is not None:
         lower = parameter.lower if math.isfinite(parameter.lower) else 0.0
         return distributions["uniform"](lower, lower + parameter.period)  # type: ignore[return-value]

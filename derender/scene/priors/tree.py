@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from derender.registry import suggest
 from derender.scene.codec.yaml_tree import Node
+from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, quaternion, rotation_x, rotation_z, translation
@@ -29,6 +31,7 @@ from derender.scene.priors.objects import (
     top_face,
 )
 from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
+from derender.scene.shapes import shapes
 
 PLACE = ("root.x", "root.y", "root.z")
 ROTATED = f"root.{QUATERNION}"
@@ -218,8 +221,6 @@ def in_order(objects: tuple[TreeObject, ...]) -> tuple[TreeObject, ...]:
 
     Raises DerenderError : a parent that is missing, or a cycle.
     """
-    from derender.registry import suggest
-
     by_name = {item.name: item for item in objects}
     for item in objects:
         for parent in (*item.parents, *item.supports):
@@ -367,9 +368,6 @@ def vertex_addresses(
 
 def _remedy(parent: str, parent_shape: str, shape: str) -> str:
     """Name the contacts that there are between two shape types."""
-    from derender.scene.contacts import contacts
-    from derender.scene.shapes import shapes
-
     possible = [name for name in contacts if list(contacts[name].choices(shapes[parent_shape], shapes[shape]))]
     return (
         f"on {parent} it can have {', '.join(possible)}"

@@ -65,11 +65,6 @@ class Chart(NamedTuple):
     structural: float  # log prior of the structure itself: how many solids stand where, of which kinds, upright or not
 
 
-def upright_within(row: np.ndarray, angle: float) -> bool:
-    """Return whether a solid's own z axis is the floor's up or down to an angle in radians."""
-    return abs(row[9]) >= np.cos(angle)
-
-
 def levelled(rotation: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) nearest to one, to first order, whose z axis is exactly up or down."""
     up = np.array([0.0, 0.0, np.copysign(1.0, rotation[2, 2])])
@@ -96,7 +91,7 @@ def make_chart(state: State, floor_pose: np.ndarray, rules: Rules) -> tuple[Char
     for k in range(count):
         row, kind = state.rows[k], int(state.rows[k][0])
         support = support_of(state, k, parents[k])
-        vertical = state.forms[k] != FREE and kind != SPHERE and upright_within(rows[k], MOST_TILT)
+        vertical = state.forms[k] != FREE and kind != SPHERE and abs(rows[k, 9]) >= np.cos(MOST_TILT)
         held = support is not None and (vertical or kind == SPHERE)
         on = parents[k] if support is None else support
         alone = vertical and held and on != FLOOR and not borne_besides(state.rows, k, on)

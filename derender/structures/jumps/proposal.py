@@ -11,7 +11,7 @@ from derender.scene.contacts import contacts
 from derender.scene.distributions import Distribution
 from derender.scene.graph import ROOT, Contact, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, from_rotation_vector, inverse, quaternion, rotation_angle
-from derender.scene.priors.objects import QUATERNION, ROTATION
+from derender.scene.priors.objects import QUATERNION, ROTATION, draw_vertex
 from derender.scene.shapes import Body, shapes
 from derender.structures.jumps.base import Vocabulary
 
@@ -33,11 +33,8 @@ class PriorProposal:
             return None
         parent = bearers[int(rng.random() * len(bearers))]
         kind = words.kinds(graph, parent).sample(rng)
-        entry = words.shapes[kind]
-        parameters = entry.sample(rng)
-        shape, top = words.seat(graph, parent)
-        contact = words.prior.contacts.sample(rng, shape, entry.type, top)
-        return Vertex(words.fresh_name(graph.names, kind), entry.type, parameters, parent, contact, dict(entry.options))
+        name, contacts = words.fresh_name(graph.names, kind), words.prior.contacts
+        return draw_vertex(rng, name, words.shapes[kind], contacts, parent, *words.seat(graph, parent))
 
     def log_density(self, words: Any, graph: SceneGraph, vertex: Vertex) -> float:
         """Return the log density of drawing this vertex, whatever its name, for a graph that lacks it."""

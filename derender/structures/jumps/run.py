@@ -73,13 +73,6 @@ def _looked_at(floor_pose: np.ndarray) -> dict[str, float]:
     }
 
 
-def base_graph(words: Vocabulary, root_pose: np.ndarray, rng: np.random.Generator) -> SceneGraph:
-    """Return the scene of the objects that are always there, those of open numbers as the prior draws them."""
-    tree = getattr(words.prior, "tree", None)
-    vertices = tuple(tree.sample_vertices(rng).values()) if tree is not None else ()
-    return SceneGraph(root_pose=root_pose, vertices=vertices)
-
-
 def hypotheses_of(words: Vocabulary, graph: SceneGraph, length: float = 0.003, angle: float = 0.03) -> list[Hypothesis]:
     """Return the solids of a scene as hypotheses, each as every kind of a prior, with each naming of upright axes."""
     up, poses, found = -graph.down(), graph.poses(), []
@@ -181,7 +174,7 @@ def infer_by_jumps(
 ) -> Posterior:
     """Infer what there is under a document's prior of open structure, by jumps from the fast search's scene.
 
-    document : None for the default prior, as `bare_document` has it.
+    document : None for the default prior, its floor where it was seen.
     options : Options: shapes, max_objects, may_overlap, may_float, floor,
         chains, draws, warmup (steps of a chain before its first draw), seed; jobs, folder of checkpoints, resume.
 
@@ -197,18 +190,19 @@ def infer_by_jumps(
     if document is None and isinstance(plane, str):
         remedy = "give a plane, leave --floor out, or take --method auto"
         raise DerenderError(f"the prior {DEFAULT_PRIOR} has a floor", "--floor", remedy)
-    prior: Any = (document or read_prior_document(DEFAULT_PRIOR)).prior
+    said = document or replace(read_prior_document(DEFAULT_PRIOR), likelihood=None)
+    prior: Any = said.prior
     settings = settings_of(replace(options, prior=prior))._replace(free_forms=False)
     depth = np.where(np.isfinite(image) & (image > 0), image, np.nan)
     state, seen = point_estimate(rng, depth, camera, settings, plane=plane)
-    if document is None:
-        document = bare_document(np.asarray(seen.floor.pose, float))
-        prior = document.prior
+    if document is None:  # the floor is where it is seen
+        prior = replace(prior, root=FixedRoot(root_seen(seen.floor.pose)))
     graph = scene_graph(state, seen.floor.pose, floating=settings.may_float)
     words = Vocabulary(prior)
-    base = base_graph(words, root_pose_near(prior.root, np.asarray(seen.floor.pose, float)), rng)
-    start = start_graph(words, base, graph)
-    likelihood, values = _likelihood_of(document, seen, depth)
+    tree = getattr(prior, "tree", None)  # of what is always there
+    always = () if tree is None else tuple(tree.sample_vertices(rng).values())
+    start = start_graph(words, SceneGraph(root_pose_near(prior.root, seen.floor.pose), always), graph)
+    likelihood, values = _likelihood_of(said, seen, depth)
     draws, chains = options.draws or DRAWS, options.chains or CHAINS
     hypotheses = hypotheses_of(words, graph)
     sampler = JumpSampler(prior, start, camera, depth, likelihood, values, hypotheses, THIN, SEGMENT)
@@ -244,13 +238,6 @@ def infer_by_jumps(
         "lost_chains": outcome.lost,
     }
     return replace(posterior, explanation=explanation, meta=meta)
-
-
-def bare_document(floor_pose: np.ndarray) -> Document:
-    """Return the default prior for a bare image: the floor at the pose (4, 4) seen, no likelihood of its own."""
-    document = read_prior_document(DEFAULT_PRIOR)
-    prior: Any = document.prior
-    return replace(document, prior=replace(prior, root=FixedRoot(root_seen(floor_pose))), likelihood=None)
 
 
 def _likelihood_of(document: Document, seen: "Observation", depth: np.ndarray) -> tuple[str, dict[str, float]]:

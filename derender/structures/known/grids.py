@@ -46,17 +46,17 @@ class Layout(NamedTuple):
         return self.known.size[list(self.axes)]
 
 
-def space_of(row: np.ndarray, base: float = np.nan, inexact: np.ndarray | None = None) -> Space | None:
+def space_of(row: np.ndarray, base: float = np.nan) -> Space | None:
     """Return the Space that a solid's row (ROW,) fills; None where it is no upright box.
 
-    base : height of what it stands on; NaN: of its own lower end. inexact : as a Space has it; None: INEXACT.
+    base : height of what it stands on; NaN: of its own lower end.
     """
     rotation = rotation_of(row)
     if int(row[0]) != BOX or abs(rotation[2, 2]) < LEVEL:
         return None
     bottom = float(row[12] - 0.5 * row[15]) if np.isnan(base) else base
     yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    return Space(row[10:12], bottom, yaw, row[13:16], np.full(3, INEXACT) if inexact is None else inexact)
+    return Space(row[10:12], bottom, yaw, row[13:16], np.full(3, INEXACT))
 
 
 def layouts_of(space: Space, known: Known) -> list[Layout]:
