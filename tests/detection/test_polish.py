@@ -46,7 +46,8 @@ def test_a_quick_search_ends_where_nothing_is_left_and_a_whole_one_goes_on(monke
 
     def rounds(tries):
         asked.clear()
-        searches.repair(np.random.default_rng(0), Task(None, Settings(tries=tries, quiet=10)), [], [])
+        task = Task(None, Settings(tries=tries, quiet=10))
+        searches.repair(searches.Climb(np.random.default_rng(0), task, []))
         return len(asked)
 
     explained = True

@@ -13,7 +13,7 @@ from derender.detection.pyramid import reduce
 from derender.detection.search.greedy import Settings, Task, total_energy
 from derender.detection.search.observation import observe, patches_of
 from derender.detection.search.proposals import Hypothesis
-from derender.detection.search.searches import crossed, explain_otherwise, explain_rest, parts
+from derender.detection.search.searches import Climb, crossed, explain_otherwise, explain_rest, parts
 from derender.detection.solids.image import FAR, draw, make_image, make_row, render_floor_scene
 from derender.detection.solids.interpenetration import gap_between, highest, lowest, penetration
 from derender.detection.solids.misfit import added_misfit, misfit_map
@@ -297,12 +297,15 @@ def test_what_one_kind_of_solid_explains_badly_is_explained_by_the_other(rng, sh
         row[10:12] += 0.01
         row[13:16] *= 1.1
         rough.append(Hypothesis(row, UPRIGHT, False))
-    pool = []
-    assert explain_otherwise(rng, Task(image, Settings(), rough[len(right) :]), state, pool) is state
-    new = explain_otherwise(rng, Task(image, Settings(), rough), state, pool)
+    climb = Climb(rng, Task(image, Settings(), rough[len(right) :]), state)
+    explain_otherwise(climb)
+    assert climb.state is state
+    climb.task = Task(image, Settings(), rough)
+    explain_otherwise(climb)
+    new = climb.state
     assert [int(row[0]) for row in new.rows] == [int(row[0]) for row in right]
     np.testing.assert_allclose(sorted(highest(row) for row in new.rows), [highest(row) for row in right], atol=0.006)
-    assert [len(each) for each, _ in pool] == [0, len(right)]
+    assert [len(each) for each, _ in climb.pool] == [0, len(right)]
 
 
 THREE = np.array([upright(0.4 * k, [0.2 * k - 0.2, 0, 0.05], [0.1, 0.1, 0.1]) for k in range(3)])
@@ -318,10 +321,13 @@ def standing(rows):
 
 def test_each_body_of_pixels_that_nothing_explains_gets_a_proposal(rng):
     image = view_of(rng, THREE)[0]
-    new = explain_rest(rng, Task(image, Settings()), standing(THREE[:1]), [])
+    climb = Climb(rng, Task(image, Settings()), standing(THREE[:1]))
+    explain_rest(climb)
+    new = climb.state
     centres = sorted(new.rows[:, 10])
     np.testing.assert_allclose(centres, THREE[:, 10], atol=0.005)
-    assert explain_rest(rng, Task(image, Settings()), new, []) is new  # where all is explained nothing is tried
+    explain_rest(climb)
+    assert climb.state is new  # where all is explained nothing is tried
 
 
 def test_of_two_searches_each_part_is_taken_from_the_one_that_explains_it(rng):

@@ -5,6 +5,7 @@ a pixel more blur is worth several standard deviations of the noise, and with th
 the silhouettes with thin solids.
 """
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -12,7 +13,17 @@ import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
 from derender.detection.search.bodies import FEWEST, box_about
-from derender.detection.search.greedy import Changed, Settings, Task, greedy, prune, settle, sweep, total_energy
+from derender.detection.search.greedy import (
+    Changed,
+    Settings,
+    Task,
+    energy_of,
+    greedy,
+    prune,
+    settle,
+    sweep,
+    total_energy,
+)
 from derender.detection.search.moves import (
     LOWER,
     aligned_pairs,
@@ -23,12 +34,12 @@ from derender.detection.search.moves import (
     raise_support,
     stand,
 )
-from derender.detection.search.places import find_places
+from derender.detection.search.places import Places, find_places
 from derender.detection.search.proposals import Hypothesis
 from derender.detection.solids.image import Image, blank, draw, taps_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.misfit import LIMIT, misfit_map
-from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, UPRIGHT
+from derender.detection.solids.polish import FINEST, GUESSED, SETTLED, TRIED, UPRIGHT
 from derender.detection.solids.state import FLOOR, State, held_out, run_polish
 from derender.detection.solids.support import share_over
 from derender.scene.solids import BOX
@@ -149,18 +160,16 @@ def crossed(rng: np.random.Generator, image: Image, state: State, other: State, 
 
     Searches end in optima that are better here in one and there in the other.
     """
-    best, tried = total_energy(image, state, settings), set[tuple[int, ...]]()
-    while untried := [part for part in parts(image, state, other) if part[1] and part[1] not in tried]:
+    climb, tried = Climb(rng, Task(image, settings), state), set[tuple[int, ...]]()
+    while untried := [part for part in parts(image, climb.state, other) if part[1] and part[1] not in tried]:
         mine, theirs = untried[0]
         tried.add(theirs)
-        trial = state.without(*mine)
+        trial = climb.state.without(*mine)
         count = len(trial)
         for k in theirs:
             trial = trial.add(other.rows[k], other.forms[k], other.cubes[k])
-        trial = settle(rng, image, trial, settings, only=set(range(count, len(trial))))
-        if (value := total_energy(image, trial, settings)) < best:
-            state, best = trial, value
-    return state
+        climb.takes((trial, set(range(count, len(trial)))))
+    return climb.state
 
 
 def parts(image: Image, state: State, other: State) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
@@ -220,7 +229,6 @@ def one_search(
     early : list to which it appends the Found of what was settled before the moves.
     state : to begin with instead of a greedy search. shake : of that search, see `greedy`.
     """
-    pool: list = []
     state = None if state is None else state.copy()  # the other search goes on from the same
     if state is None:
         state = greedy(rng, image, hypotheses, settings, shake=shake)
@@ -230,118 +238,107 @@ def one_search(
             image, _ = refocused(image, state.rows, settings.price)
         state = settle(rng, image, state, settings)
         image, _ = refocused(image, state.rows, settings.price)
-    early.append(Found(state.copy(), total_energy(image, state, settings), image, []))
-    task = Task(image, settings, hypotheses)
+    climb = Climb(rng, Task(image, settings, hypotheses), state)
+    early.append(Found(state.copy(), climb.energy, image, []))
     for stage in (explain_rest, repair, explain_rest, explain_otherwise):
-        state = stage(rng, task, state, pool)
-    for last in (support_all, merge_all, unite_few):
-        state = last(rng, task, state)
-    again = settle(rng, image, state, settings, SETTLED)
-    if total_energy(image, again, settings) < total_energy(image, state, settings):
-        state = again
+        stage(climb)
+    last = Climb(rng, climb.task, climb.state)  # what it tries none looks at again
+    for stage in (support_all, merge_all, unite_few):
+        stage(last)
+    last.takes((last.state, None), SETTLED)
+    state = last.state
     sweep(rng, image, state, settings, SETTLED, FINEST, 0.0)
     state = prune(image, state, settings)
-    return Found(state, total_energy(image, state, settings), image, pool)
+    return Found(state, total_energy(image, state, settings), image, climb.pool)
 
 
-def settled(
-    rng: np.random.Generator, task: Task, tried: Changed, pool: list[tuple[State, float]]
-) -> tuple[State, float]:
-    """Return (State, energy) of what a move has made, settled; `pool` takes both."""
-    new, changed = tried
-    new = settle(rng, task.image, new, task.settings, only=changed)
-    pool.append((new, total_energy(task.image, new, task.settings)))
-    return pool[-1]
+class Climb:
+    """A search that goes on from a State: the best so far, its energy, and `pool`, (State, energy) of all it tried."""
+
+    def __init__(self, rng: np.random.Generator, task: Task, state: State) -> None:
+        self.rng, self.task, self.state = rng, task, state
+        self.energy = total_energy(task.image, state, task.settings)
+        self.pool: list[tuple[State, float]] = []
+
+    def places(self) -> Places:
+        """Return where the image is badly explained."""
+        return find_places(self.task.image, self.state)
+
+    def takes(self, tried: tuple[State, set[int] | None], rounds: int = TRIED, may_cost: float | None = None) -> bool:
+        """Settle what a move has made, and go on from it if that lowers the energy; return whether it does.
+
+        may_cost : nats that it may cost before it is settled, None: any.
+        """
+        (new, changed), (image, settings, _) = tried, self.task
+        if may_cost is not None and total_energy(image, new, settings) > self.energy + settings.temper * may_cost:
+            return False
+        new = settle(self.rng, image, new, settings, rounds, changed)
+        self.pool.append((new, total_energy(image, new, settings)))
+        better = self.pool[-1][1] < self.energy
+        if better:
+            self.state, self.energy = self.pool[-1]
+        return better
 
 
-def repair(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
-    """Try moves between structures where the image is badly explained, and keep what lowers the energy.
+def repair(climb: Climb) -> None:
+    """Try moves between structures where the image is badly explained.
 
     Ends after settings.repairs rounds, or after settings.quiet rounds without success (three for each solid besides)
     when hardly any misfit is left that noise would not leave, or, but on a real sensor's images, after IN_VAIN times as
-    many (a quick search: as many) whatever is left. (state, energy) of all that were tried are appended to `pool`.
+    many (a quick search: as many) whatever is left.
     """
-    image, settings, _ = task
-    best = total_energy(image, state, settings)
-    places = find_places(image, state)
-    quiet = 0
+    settings, places, quiet = climb.task.settings, climb.places(), 0
+    in_vain: float = 1 if settings.tries == 1 else IN_VAIN
+    in_vain = in_vain if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
     for _ in range(settings.repairs):
-        enough = settings.quiet + 3 * len(state)
-        in_vain: float = 1 if settings.tries == 1 else IN_VAIN
-        in_vain = in_vain if settings.temper == 1.0 else np.inf  # what a real sensor bends may yet be a solid
+        enough = settings.quiet + 3 * len(climb.state)
         if places.none_left(settings):
             if quiet >= enough or settings.tries == 1:  # a quick search does not look for what is better still
                 break
         elif quiet >= in_vain * enough:
             break
         quiet += 1
-        proposed = propose(rng, task, state, places)
-        if proposed is None:
-            continue
-        new, value = settled(rng, task, proposed, pool)
-        if value < best:
-            quiet = quiet if value > best - settings.worthwhile else 0
-            state, best = new, value
-            places = find_places(image, state)
-    return state
+        before, proposed = climb.energy, propose(climb.rng, climb.task, climb.state, places)
+        if proposed is not None and climb.takes(proposed):
+            quiet = quiet if climb.energy > before - settings.worthwhile else 0
+            places = climb.places()
 
 
-def explain_rest(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
-    """Try a new solid for each body of pixels that nothing explains, and keep what lowers the energy.
-
-    Bodies whose pixels could not pay for a solid are left out. (state, energy) of all that were tried are appended to
-    `pool`.
-    """
-    image, settings, _ = task
-    best = total_energy(image, state, settings)
-    for body in sorted(find_places(image, state).bodies, key=len, reverse=True):
-        if len(body) * LIMIT < settings.price or len(state) >= settings.max_objects:
+def explain_rest(climb: Climb) -> None:
+    """Try a new solid for each body of pixels that nothing explains, but for those that could not pay for a solid."""
+    settings = climb.task.settings
+    for body in sorted(climb.places().bodies, key=len, reverse=True):
+        if len(body) * LIMIT < settings.price or len(climb.state) >= settings.max_objects:
             break
-        below = {0.0, *(highest(row) for row in state.rows if share_over(body, row) > 0.0)}
+        below = {0.0, *(highest(row) for row in climb.state.rows if share_over(body, row) > 0.0)}
         for bottom in sorted(height for height in below if height < body[:, 2].max() - LOWER):
-            new, value = settled(rng, task, appear_on(rng, task, state, body, bottom), pool)
-            if value < best:
-                state, best = new, value
-    return state
+            climb.takes(appear_on(climb.rng, climb.task, climb.state, body, bottom))
 
 
-def explain_otherwise(rng: np.random.Generator, task: Task, state: State, pool: list[tuple[State, float]]) -> State:
-    """Try to explain by boxes what each badly explained round solid shows, and the other way round, and keep what
-    lowers the energy.
+def explain_otherwise(climb: Climb) -> None:
+    """Try to explain by boxes what each badly explained round solid shows, and the other way round.
 
     A greedy search takes what explains most at once, as one can does of two stacked cubes. The cubes explain more
-    together but either less alone, so as long as cans are among the hypotheses one is taken again. (state, energy) of
-    all that were tried are appended to `pool`.
+    together but either less alone, so as long as cans are among the hypotheses one is taken again.
     """
-    image, settings, hypotheses = task
-    best = total_energy(image, state, settings)
-    for k in reversed(np.flatnonzero(find_places(image, state).blame[:-1] >= FEWEST)):
-        if k >= len(state):  # a solid was pruned
+    image, settings, hypotheses = climb.task
+    for k in reversed(np.flatnonzero(climb.places().blame[:-1] >= FEWEST)):
+        if k >= len(climb.state):  # a solid was pruned
             continue
-        was_box, fewer = int(state.rows[k][0]) == BOX, state.without(int(k))
+        was_box, fewer = int(climb.state.rows[k][0]) == BOX, climb.state.without(int(k))
         others = [each for each in hypotheses if (int(each.row[0]) == BOX) != was_box]
-        new = greedy(rng, image, others, settings, fewer)
-        new, value = settled(rng, task, (new, set(range(len(fewer), len(new)))), pool)
-        if value < best:
-            state, best = new, value
-    return state
+        new = greedy(climb.rng, image, others, settings, fewer)
+        climb.takes((new, set(range(len(fewer), len(new)))))
 
 
-def support_all(rng: np.random.Generator, task: Task, state: State) -> State:
-    """Try to put something under each solid that floats, or to raise what is below it, while that lowers the energy."""
-    best = total_energy(task.image, state, task.settings)
-    places, tries = find_places(task.image, state), 0
-    while floats(state) and tries < min(SUPPORTING * len(state), task.settings.repairs):
-        move = (raise_support, put_under, stand)[tries % 3]
+def support_all(climb: Climb) -> None:
+    """Try to put something under each solid that floats, or to raise what is below it, as long as that helps."""
+    places, tries = climb.places(), 0
+    while floats(climb.state) and tries < min(SUPPORTING * len(climb.state), climb.task.settings.repairs):
+        proposed = (raise_support, put_under, stand)[tries % 3](climb.rng, climb.task, climb.state, places)
         tries += 1
-        proposed = move(rng, task, state, places)
-        if proposed is None:
-            continue
-        new, value = settled(rng, task, proposed, [])
-        if value < best:
-            state, best, tries = new, value, 0
-            places = find_places(task.image, state)
-    return state
+        if proposed is not None and climb.takes(proposed):
+            places, tries = climb.places(), 0
 
 
 def floats(state: State) -> bool:
@@ -349,35 +346,29 @@ def floats(state: State) -> bool:
     return any(np.isnan(bottom) and parent < 0 for bottom, parent in zip(state.bottoms, state.parents, strict=True))
 
 
-def unite_few(rng: np.random.Generator, task: Task, state: State) -> State:
+def unite_few(climb: Climb) -> None:
     """Try to explain by one box what several neighbouring solids explain that show in few pixels each, as long as that
-    lowers the energy: pieces of what shows on both sides of another. Each is well explained, so no move looks at them;
-    and so few points do not tell which way the box is turned."""
-    image, settings, _ = task
-    best = total_energy(image, state, settings)
-    united = "box" in settings.shapes
-    while united:
-        united = False
-        places = find_places(image, state)
-        shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
-        for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
-            points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
-            bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
-            fewer = state.without(*out)
-            view, tries = held_out(image, fewer, -1), []
-            for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
-                row = box_about(points, yaw, bottom)
-                tries.append(run_polish(rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings,
-                                        step=GUESSED, heat=4.0))  # fmt: skip
-            row, _, _ = min(tries, key=lambda tried: tried[1])
-            new = fewer.add(row, UPRIGHT, False, FLOOR, bottom)
-            if total_energy(image, new, settings) > best + settings.temper * UNSETTLED:
-                continue
-            new, value = settled(rng, task, (new, {len(fewer)}), [])
-            if value < best:
-                state, best, united = new, value, True
-                break
-    return state
+    helps: pieces of what shows on both sides of another. Each is well explained, so no move looks at them; and so few
+    points do not tell which way the box is turned."""
+    while "box" in climb.task.settings.shapes and any(climb.takes(t, may_cost=UNSETTLED) for t in united(climb)):
+        pass
+
+
+def united(climb: Climb) -> Iterator[Changed]:
+    """Yield the state with each of such groups as one box."""
+    (image, settings, _), state, places = climb.task, climb.state, climb.places()
+    shown = np.bincount(places.shown[places.shown >= 0], minlength=len(state))
+    for out in groups(np.flatnonzero((shown > 0) & (shown < FEW)), places.beside):
+        points = places.seen[np.isin(places.shown, out) & (image.depth > 0)]
+        bottom = max(min(lowest(state.rows[k]) for k in out), 0.0)
+        fewer = state.without(*out)
+        view, tries = held_out(image, fewer, -1), []
+        for yaw in np.arange(YAWS) * 0.5 * np.pi / YAWS:
+            row = box_about(points, yaw, bottom)
+            tries.append(run_polish(climb.rng, image, fewer, -1, row, UPRIGHT, False, view, bottom, settings,
+                                    step=GUESSED, heat=4.0))  # fmt: skip
+        row, _, _ = min(tries, key=energy_of)
+        yield fewer.add(row, UPRIGHT, False, FLOOR, bottom), {len(fewer)}
 
 
 def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
@@ -397,22 +388,14 @@ def groups(members: np.ndarray, beside: np.ndarray) -> list[list[int]]:
     return [group for group in found if len(group) > 1] + pairs
 
 
-def merge_all(rng: np.random.Generator, task: Task, state: State) -> State:
-    """Try to make one solid of each two that may be pieces of it, as long as that lowers the energy."""
-    image, settings, _ = task
-    best = total_energy(image, state, settings)
-    merged = True
-    while merged:
-        merged = False
-        for i, j in aligned_pairs(state):
-            for spread in ((False, False, False), (True, True, True)):
-                new, changed = merge_pair(rng, task, state, i, j, spread)
-                if total_energy(image, new, settings) > best + settings.temper * UNSETTLED:
-                    continue
-                new, value = settled(rng, task, (new, changed), [])
-                if value < best:
-                    state, best, merged = new, value, True
-                    break
-            if merged:
-                break
-    return state
+def merge_all(climb: Climb) -> None:
+    """Try to make one solid of each two that may be pieces of it, as long as that helps."""
+    while any(climb.takes(t, may_cost=UNSETTLED) for t in merged(climb)):
+        pass
+
+
+def merged(climb: Climb) -> Iterator[Changed]:
+    """Yield the state with each two such as one, grown where they differ most or along all their axes."""
+    for i, j in aligned_pairs(climb.state):
+        for spread in ((False, False, False), (True, True, True)):
+            yield merge_pair(climb.rng, climb.task, climb.state, i, j, spread)
