@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from derender.detection.search.greedy import cube_of, spaced
+from derender.detection.search.greedy import cube_of
+from derender.detection.search.proposals import spaced
 from derender.detection.solids.image import make_row, rotation_of
 from derender.detection.solids.interpenetration import highest, lowest
 from derender.detection.solids.polish import FREE, UPRIGHT

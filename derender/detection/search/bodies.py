@@ -18,7 +18,7 @@ from derender.detection.search.proposals import (
     UP,
     Hypothesis,
     cross,
-    fit_sphere,
+    fit_round,
     lying_circle,
     smallest_rectangle,
     snap,
@@ -155,7 +155,7 @@ def body_hypotheses(
     if "sphere" in shapes:
         radius = 0.5 * diameter
         yield Hypothesis(make_row(SPHERE, np.eye(3), [*centre, bottom + radius], [diameter] * 3), FREE, False)
-        middle, radius = fit_sphere(points)
+        middle, radius = fit_round(points)
         if 0.3 * diameter < radius < diameter:
             yield Hypothesis(make_row(SPHERE, np.eye(3), middle, [2.0 * radius] * 3), FREE, False)
 

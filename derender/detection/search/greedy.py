@@ -11,7 +11,7 @@ import numpy as np
 
 from derender.compilation.threads import THREADS
 from derender.detection.search.observation import CORRELATED
-from derender.detection.search.proposals import Hypothesis
+from derender.detection.search.proposals import Hypothesis, spaced
 from derender.detection.solids.beliefs import Beliefs, Rules, bare_image
 from derender.detection.solids.image import Image
 from derender.detection.solids.interpenetration import highest
@@ -204,15 +204,6 @@ def try_cubes(
         if best[1] < most:
             state.rows[i], state.cubes[i] = best[0], True
     return state
-
-
-def spaced(values: list[float], least: float) -> list[float]:
-    """Return the values without those nearer than `least` to an earlier one."""
-    kept = []
-    for value in values:
-        if all(abs(value - other) > least for other in kept):
-            kept.append(float(value))
-    return kept
 
 
 def cube_of(row: np.ndarray, side: float, origin: np.ndarray, form: int) -> np.ndarray:

@@ -228,7 +228,7 @@ def boxes_along(surface: Surface, group: Any, rotation: np.ndarray, form: int) -
             continue
         options = [(min(e[0][axis] for e in seen_by), max(e[1][axis] for e in seen_by))]
         options += [(e[0][axis], e[1][axis]) for e in seen_by]
-        intervals.append(distinct(
+        intervals.append(spaced(
             [with_planes(o, fixed_low[axis], fixed_high[axis], axis == 2 and form == UPRIGHT, surface)
              for o in options],
             1.5 * surface.footprint,
@@ -253,12 +253,12 @@ def with_planes(
     return start, max(end, start + THINNEST)
 
 
-def distinct(intervals: list[tuple[float, float]], tolerance: float) -> list[tuple[float, float]]:
-    """Return the intervals without those whose ends are both within the tolerance of an earlier one's."""
-    kept = []
-    for interval in intervals:
-        if all(max(abs(interval[0] - k[0]), abs(interval[1] - k[1])) > tolerance for k in kept):
-            kept.append(interval)
+def spaced(values: list[Any], least: float) -> list[Any]:
+    """Return numbers, or intervals, without those that differ from an earlier one (at both ends) by `least` at most."""
+    kept: list[Any] = []
+    for value in values:
+        if all(np.abs(np.subtract(value, other)).max() > least for other in kept):
+            kept.append(value)
     return kept
 
 
@@ -275,11 +275,12 @@ def hidden_intervals(low: float, high: float, ends: np.ndarray, axis: int, form:
 MOST_CORNERS = 16  # of an outline, three of which a circle goes through
 
 
-def fit_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return (centre, radius) of the least-squares sphere through points (N, 3)."""
+def fit_round(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return (centre, radius) of the least-squares circle through points (N, 2), or sphere through points (N, 3)."""
     a = np.column_stack([2 * points, np.ones(len(points))])
-    solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
-    return solution[:3], np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-8))
+    (*centre, rest), *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
+    middle = np.array(centre)
+    return middle, np.sqrt(max(rest + middle @ middle, 1e-8))
 
 
 def spheres(surface: Surface, group: Any) -> Iterator[Any]:
@@ -287,7 +288,7 @@ def spheres(surface: Surface, group: Any) -> Iterator[Any]:
     points = np.concatenate([surface.points[k] for k in group])
     if len(points) < 12:
         return
-    centre, radius = fit_sphere(points)
+    centre, radius = fit_round(points)
     residual = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
     if 0.008 < radius < 0.3 and np.median(residual) < 3 * surface.sigma + 0.02 * radius:
         if abs(centre[2] - radius) < 0.25 * radius:
@@ -342,7 +343,7 @@ def cylinders(surface: Surface, group: Any) -> Iterator[Any]:
         if side:
             flat = np.concatenate([surface.points[k] for k in side]) @ np.column_stack([u, v])
             if len(flat) >= 8:
-                choices.append(fit_circle(flat))
+                choices.append(fit_round(flat))
                 if form == FREE and axis[2] == 0.0:  # lying: its diameter is the height of its highest point
                     choices.append(lying_circle(flat, np.column_stack([u, v])))
         if cap:
@@ -394,13 +395,6 @@ def rim_circle(flat: np.ndarray, footprint: float) -> list[tuple[np.ndarray, flo
     near[~(beyond.max(axis=1) < footprint)] = 0.0
     best = int(np.argmax(near))
     return [(centre[best], radius[best] + 0.25 * footprint)] if near[best] > 0.0 else []
-
-
-def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return (centre, radius) of the least-squares circle through points (N, 2)."""
-    a = np.column_stack([2 * points, np.ones(len(points))])
-    solution, *_ = np.linalg.lstsq(a, (points**2).sum(axis=1), rcond=None)
-    return solution[:2], np.sqrt(max(solution[2] + solution[:2] @ solution[:2], 1e-8))
 
 
 def clusters(surface):

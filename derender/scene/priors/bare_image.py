@@ -223,6 +223,7 @@ class BareImagePrior(GrammarPrior):
 
 
 MOST_SHARED = 0.99  # correlation of neighbours: at 1 no number of pixels would tell anything
+SHARE = ("", 1e-9, 1.0 - 1e-9)
 # Of each group of numbers what it is read into, and (unit, least, most) by name; "" is that of all others.
 GROUPS: dict[str, tuple[Any, dict]] = {
     "missed": (Missed, {"pixels": ("", 1e-9), "": ("", 1e-9, 1.0)}),
@@ -232,18 +233,19 @@ GROUPS: dict[str, tuple[Any, dict]] = {
     "floor": (Floors, {"height": ("m", 1e-9), "spread": ("", 1.0 + 1e-9), "share": ("", 1e-9),
                        "explained": ("", 1e-9), "": ("", 1e-9, 1.0)}),
 }  # fmt: skip
-NUMBERS = {"slack": "m", "slack_seen": "m", "overlap": "m", "faces": "m", "hanging": "", "tipping": ""}
+NUMBERS = {**dict.fromkeys(("slack", "slack_seen", "overlap", "faces"), ("m", 1e-6)), "crowding": ("", 1e-9),
+           **dict.fromkeys(("hanging", "tipping"), ("", 1e-300, 1.0)), "stranger": SHARE}  # fmt: skip
+
+
+def numbers_of(section: Section, limits: dict[str, tuple]) -> dict[str, float]:
+    """Return the numbers of a section that are named with (unit, least, most), as far as it has them."""
+    return {name: section[name].number(*where) for name, where in limits.items() if name in section}
 
 
 def read_loose(section: Section) -> Loose:
     """Read a `structure:` section of the type bare-image, all but its offspring; what is left out has its default."""
-    section.allow("type", "offspring", "unit", "seen_from", "missed", "crowding", "stranger", "second_support",
-                  "shared", "existence", "things", "cartons", "floor", "friction", *NUMBERS)  # fmt: skip
-    found: dict = {}
-    for key, unit in NUMBERS.items():
-        if key in section:
-            upper = None if unit else 1.0
-            found[key] = section[key].number(unit, lower=1e-300 if not unit else 1e-6, upper=upper)
+    section.allow("type", "offspring", "unit", "seen_from", "second_support", "cartons", "friction", *GROUPS, *NUMBERS)
+    found: dict = {**numbers_of(section, NUMBERS)}
     if "friction" in section:
         found["friction"] = read_distribution(section["friction"])
     if "unit" in section:
@@ -257,27 +259,18 @@ def read_loose(section: Section) -> Loose:
         if key in section:
             names = [each.name for each in fields(kind)]
             told = section[key].section().allow(*names)
-            given = {name: limits.get(name, limits[""]) for name in names if name in told}
-            found[key] = kind(**{name: told[name].number(*where) for name, where in given.items()})
-    if "crowding" in section:
-        found["crowding"] = section["crowding"].number(lower=1e-9)
-    if "stranger" in section:
-        found["stranger"] = section["stranger"].number(lower=1e-9, upper=1.0 - 1e-9)
+            found[key] = kind(**numbers_of(told, {name: limits.get(name, limits[""]) for name in names}))
     if "second_support" in section:
-        second = section["second_support"].section().allow("probability", "within")
-        if "probability" in second:
-            found["second_support"] = second["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
-        if "within" in second:
-            found["within"] = second["within"].number("m", lower=1e-6)
+        second = numbers_of(section["second_support"].section().allow("probability", "within"),
+                            {"probability": SHARE, "within": ("m", 1e-6)})  # fmt: skip
+        found |= {"second_support" if name == "probability" else name: number for name, number in second.items()}
     if "shared" in section:
         if found["shared"].least >= found["shared"].most:
             remedy = "write {least: 0.1, most: 0.75}; with {power: 0} each pixel tells all"
             raise section["shared"].fault("the least correlation is not below the most", remedy)
     if "cartons" in section:
         told = section["cartons"].section().allow("probability", "most", "extent", "gap")
-        carton: dict = {}
-        if "probability" in told:
-            carton["probability"] = told["probability"].number(lower=1e-9, upper=1.0 - 1e-9)
+        carton: dict = {**numbers_of(told, {"probability": SHARE, "gap": ("m", 1e-6)})}
         if "most" in told:
             carton["most"] = told["most"].integer(lower=2, upper=9)
         if "extent" in told:
@@ -285,7 +278,5 @@ def read_loose(section: Section) -> Loose:
             if not isinstance(carton["extent"], Distribution):
                 remedy = "write a distribution, or pass them with --known"
                 raise told["extent"].fault("cartons of one size only", remedy)
-        if "gap" in told:
-            carton["gap"] = told["gap"].number("m", lower=1e-6)
         found["cartons"] = Cartons(**carton)
     return Loose(**found)
