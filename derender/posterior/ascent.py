@@ -31,7 +31,7 @@ class Domain(NamedTuple):
 
     lower: np.ndarray  # (P,) float64
     upper: np.ndarray  # (P,) float64
-    period: np.ndarray  # (P,) float64, 0 = none (then they are ignored)
+    period: np.ndarray  # (P,) float64, 0 = none, else they are 0 and this
 
     def bring(self, values: np.ndarray) -> np.ndarray:
         """Return the nearest values inside."""
@@ -53,9 +53,9 @@ class Placement(NamedTuple):
 
     vertices: np.ndarray  # as in Model
     extents: np.ndarray  # as in Model
-    numbers: np.ndarray  # as in Chain (`compiled/layout.py`)
-    pose: np.ndarray  # as in Chain (`compiled/layout.py`)
-    relative: np.ndarray  # as in Chain (`compiled/layout.py`)
+    numbers: np.ndarray  # as in Chain (`compiled/prior.py`)
+    pose: np.ndarray  # as in Chain (`compiled/prior.py`)
+    relative: np.ndarray  # as in Chain (`compiled/prior.py`)
     vertex: np.ndarray
     slot: np.ndarray
 
@@ -89,7 +89,8 @@ def new_placement(graph: SceneGraph, addresses: Sequence[str]) -> tuple[Placemen
             raise DerenderError(f"no number is called {address!r}", remedy=suggest(wanted, [q.name for q in known]))
         parameter = known[found[0]]
         slot[p] = found[0] + (0 if of_contact else SHAPES)
-        lower[p], upper[p], period[p] = parameter.lower, parameter.upper, parameter.period or 0.0
+        period[p] = parameter.period or 0.0
+        lower[p], upper[p] = (0.0, period[p]) if parameter.period else (parameter.lower, parameter.upper)
         if not of_contact:
             lower[p] = max(lower[p], SMALLEST / max(extents[n, found[0] + 1].max(), 1e-9))
     placement = Placement(vertices, extents, numbers, pose, np.eye(4), vertex_of, slot)

@@ -80,8 +80,8 @@ class MapProblem:
         for address, (low, high) in (ranges or {}).items():
             p = self.addresses.index(address)
             whole = self.domain.period[p] > 0 and abs(high - low - self.domain.period[p]) < 1e-9
-            self.domain.lower[p], self.domain.upper[p] = low, high
-            self.domain.period[p] = self.domain.period[p] if whole else 0.0
+            if not whole:
+                self.domain.lower[p], self.domain.upper[p], self.domain.period[p] = low, high, 0.0
         observed = np.asarray(observed, float)
         seen = np.isfinite(observed) & (observed > 0)
         spread = np.broadcast_to(np.asarray(sigma, float), observed.shape)
@@ -114,9 +114,7 @@ class MapProblem:
 
     def random_starts(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return (count, P) starts, uniform over finite ranges; a number without one stays as the graph has it."""
-        domain = self.domain
-        low = np.where(domain.period > 0, 0.0, domain.lower)
-        length = np.where(domain.period > 0, domain.period, domain.upper - domain.lower)
+        low, length = self.domain.lower, self.domain.upper - self.domain.lower
         drawn = rng.uniform(size=(count, len(self.addresses)))
         finite = np.isfinite(low) & np.isfinite(length)
         return np.where(finite, np.where(finite, low, 0) + np.where(finite, length, 0) * drawn, self.values)
@@ -158,8 +156,7 @@ class MapProblem:
         """
         count = len(self.addresses)
         start = self.domain.bring(np.asarray(start, float))
-        low = np.where(self.domain.period > 0, 0.0, self.domain.lower)
-        length = np.where(self.domain.period > 0, self.domain.period, self.domain.upper - self.domain.lower)
+        low, length = self.domain.lower, self.domain.upper - self.domain.lower
         places, steps = start[None], COARSE_STEPS_ALONE
         if count <= len(GENERATORS) and np.all(np.isfinite(length)):
             shares = np.outer(np.arange(LATTICE), GENERATORS[:count]) / LATTICE + (start - low) / length

@@ -1,4 +1,4 @@
-"""To the flat arrays of `layout.py`: from a scene's target Model and Chain, from a mixture of kernels its Kernels."""
+"""To the flat arrays of `prior.py`: from a scene's target Model and Chain, from a mixture of kernels its Kernels."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple

@@ -74,7 +74,7 @@ class KernelType:
 
     keeps_children : whether it leaves the children of the object that it moves where they are in the world.
     proposal : the compiled function. Of a STEP: (rng, unknowns, laws, values, tangents, members, factor, scale) -> log
-        ratio, NaN where there is no proposal; see `compiled/layout.py` for the arrays. Of PLACING: (rng, places,
+        ratio, NaN where there is no proposal; see `compiled/prior.py` for the arrays. Of PLACING: (rng, places,
         periods, old, new) -> log ratio, from the place `old` of some objects to their place `new`.
     """
 

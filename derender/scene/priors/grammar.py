@@ -18,7 +18,7 @@ from derender.registry import suggest
 from derender.scene.distributions import Categorical, Distribution, distributions
 from derender.scene.graph import SceneGraph, Vertex
 from derender.scene.priors.objects import ContactPrior, ShapePrior, draw_vertex, fault, top_face
-from derender.scene.priors.terms import Term, sample_until_allowed, total_log_density
+from derender.scene.priors.terms import Term
 from derender.scene.priors.tree import ROOT, Prior, RootPrior, TreeObject, TreePrior, seat, vertex_addresses
 from derender.scene.shapes import shapes
 
@@ -118,10 +118,7 @@ class GrammarPrior(Prior):
                 )
         return row
 
-    def sample(self, rng: np.random.Generator) -> SceneGraph:
-        return sample_until_allowed(rng, self._sample, self.constraints)
-
-    def _sample(self, rng: np.random.Generator) -> SceneGraph:
+    def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
         root_pose = self.root.sample(rng)
         vertices = self.tree.sample_vertices(rng)
         numbers: Counter = Counter()
@@ -147,7 +144,7 @@ class GrammarPrior(Prior):
         """Return the kind of a grown vertex, None if no kind is like it."""
         return next((kind for kind, entry in self.shapes.items() if entry.matches(vertex)), None)
 
-    def log_density(self, graph: SceneGraph) -> float:
+    def unconstrained_log_density(self, graph: SceneGraph) -> float:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
         base = self.tree.by_name
         total = self.root.log_density(graph.root_pose)
@@ -182,7 +179,7 @@ class GrammarPrior(Prior):
                 total += count.log_density(number)
             elif number:
                 return -math.inf
-        return total + total_log_density(self.constraints, graph) if self.constraints else total
+        return total
 
     def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
@@ -235,10 +232,7 @@ class Algorithm1Prior(Prior):
         """Log of the total mass of Eq. 4."""
         return math.log1p(math.exp(-self.mean_parents) * math.expm1(-self.mean_children))
 
-    def sample(self, rng: np.random.Generator) -> SceneGraph:
-        return sample_until_allowed(rng, self._sample, self.constraints)
-
-    def _sample(self, rng: np.random.Generator) -> SceneGraph:
+    def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
         while True:
             parents, children = self._parents.sample(rng), self._children.sample(rng)
             if parents or not children:
@@ -257,7 +251,7 @@ class Algorithm1Prior(Prior):
         entry = entries[int(len(entries) * rng.random())]
         vertices[name] = draw_vertex(rng, name, entry, self.contacts, parent, *seat(vertices, parent))
 
-    def log_density(self, graph: SceneGraph) -> float:
+    def unconstrained_log_density(self, graph: SceneGraph) -> float:
         """Return Eq. 4, plus the log density of the root's pose."""
         vertices = {vertex.name: vertex for vertex in graph.vertices}
         first = {name for name, vertex in vertices.items() if vertex.parent == ROOT}
@@ -275,7 +269,7 @@ class Algorithm1Prior(Prior):
                 return total
         if second:
             total -= second * math.log(len(first))
-        return total + total_log_density(self.constraints, graph) if self.constraints else total
+        return total
 
     def _entry(self, vertex: Vertex) -> ShapePrior | None:
         return next((entry for entry in self.shapes.values() if entry.matches(vertex)), None)

@@ -17,7 +17,7 @@ from derender.registry import suggest
 from derender.scene.codec.yaml_tree import Node
 from derender.scene.contacts import contacts
 from derender.scene.distributions import Categorical, Distribution
-from derender.scene.graph import SceneGraph, Vertex
+from derender.scene.graph import ROOT, SceneGraph, Vertex
 from derender.scene.pose import from_quaternion, quaternion, rotation_x, rotation_z, translation
 from derender.scene.priors.objects import (
     QUATERNION,
@@ -173,13 +173,24 @@ class Prior(ABC):
     told apart by their place in the graph, not by their name: names never change a density.
     """
 
-    @abstractmethod
+    constraints: tuple[Term, ...] = ()  # terms that multiply the density; with them it is known up to a constant
+
     def sample(self, rng: np.random.Generator) -> SceneGraph:
         """Return one graph drawn from the prior."""
+        return sample_until_allowed(rng, self.sample_unconstrained, self.constraints)
 
     @abstractmethod
+    def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
+        """Return one graph drawn by what its objects say alone, whatever the terms say of it."""
+
     def log_density(self, graph: SceneGraph) -> float:
         """Return log p(G), -inf where the prior is zero."""
+        total = self.unconstrained_log_density(graph)
+        return total + total_log_density(self.constraints, graph) if self.constraints and total > -math.inf else total
+
+    @abstractmethod
+    def unconstrained_log_density(self, graph: SceneGraph) -> float:
+        """Return log p(G) by what its objects say alone."""
 
     @abstractmethod
     def free_addresses(self, graph: SceneGraph) -> dict[str, Distribution]:
@@ -195,9 +206,6 @@ class Prior(ABC):
         ``log_density + log_orderings`` is the density of the scene as a set of objects without an order.
         """
         return 0.0
-
-
-ROOT = "root"
 
 
 @dataclass(frozen=True)
@@ -287,11 +295,7 @@ class TreePrior(Prior):
         )
         return graph_free and not self.root.free_addresses()
 
-    def sample(self, rng: np.random.Generator) -> SceneGraph:
-        return sample_until_allowed(rng, self.sample_unconstrained, self.constraints)
-
     def sample_unconstrained(self, rng: np.random.Generator) -> SceneGraph:
-        """Draw a scene by what its objects say alone, whatever the terms say of it."""
         root_pose = self.root.sample(rng)
         vertices = tuple(self.sample_vertices(rng).values())
         return SceneGraph(root_pose=root_pose, vertices=vertices, gravity=self.gravity)
@@ -313,7 +317,7 @@ class TreePrior(Prior):
             )
         return vertices
 
-    def log_density(self, graph: SceneGraph) -> float:
+    def unconstrained_log_density(self, graph: SceneGraph) -> float:
         vertices = {vertex.name: vertex for vertex in graph.vertices}
         if vertices.keys() != self.by_name.keys():
             return -math.inf
@@ -322,7 +326,7 @@ class TreePrior(Prior):
             if total == -math.inf:
                 return total
             total += self.vertex_log_density(item, vertices)
-        return total + total_log_density(self.constraints, graph) if self.constraints else total
+        return total
 
     def vertex_log_density(self, item: TreeObject, vertices: Mapping[str, Vertex]) -> float:
         """Return the log density of one object's parent, shape parameters and contact, given those before it."""
