@@ -7,7 +7,7 @@ distributions, faces and parents may be open.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -26,6 +26,7 @@ from derender.scene.priors.objects import (
     ShapePrior,
     Value,
     draw,
+    draw_vertex,
     fault,
     log_density,
     top_face,
@@ -305,16 +306,8 @@ class TreePrior(Prior):
         vertices: dict[str, Vertex] = {}
         for item in self.objects:
             parent = item.parent.sample(rng) if isinstance(item.parent, Categorical) else item.parent
-            shape, top = seat(vertices, parent)
-            vertices[item.name] = Vertex(
-                name=item.name,
-                shape=item.shape.type,
-                parameters=item.shape.sample(rng),
-                parent=parent,
-                contact=item.contact.sample(rng, shape, item.shape.type, top),
-                options=dict(item.shape.options),
-                supports=item.supports,
-            )
+            drawn = draw_vertex(rng, item.name, item.shape, item.contact, parent, *seat(vertices, parent))
+            vertices[item.name] = replace(drawn, supports=item.supports)
         return vertices
 
     def unconstrained_log_density(self, graph: SceneGraph) -> float:
