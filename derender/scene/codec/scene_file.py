@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from derender.errors import DerenderError
+from derender.errors import at_fault
 from derender.registry import Registry, suggest
 from derender.scene.codec.yaml_tree import List, Node, Section
 from derender.scene.contacts import contacts
@@ -136,12 +136,8 @@ def read_prior(top: Section, folder: Path) -> Prior:
     rules: tuple[ContactRule, ...] = ()
     for name, node in top["contacts"].section().items():
         rules += read_rules(node, name)
-    try:
+    with at_fault(section.where):
         return structures[kind].read(section, Parts(root, objects, kinds, ContactPrior(rules), terms))
-    except DerenderError as error:
-        if error.where is not None:
-            raise
-        raise section.fault(error.what, error.remedy) from None
 
 
 def read_gravity(node: Node | None) -> tuple[float, float, float]:
@@ -264,10 +260,8 @@ def _read_contact(node: Node | None, parents: list[str], child: str, place: Sect
     for parent in dict.fromkeys(parents):
         pairs = contacts[kind].choices(shapes[parent], shapes[child])
         if not pairs:
-            try:
+            with at_fault(section.where):
                 contacts[kind].default_choice(shapes[parent], shapes[child])
-            except DerenderError as error:
-                raise section.fault(error.what, error.remedy) from None
         for face, key, index in ((wanted[0], "parent_face", 0), (wanted[1], "child_face", 1)):
             known = {str(pair[index]) for pair in pairs}
             for each in face.choices if isinstance(face, Categorical) else (face,):

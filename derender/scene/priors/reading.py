@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.registry import Parameter, suggest
 from derender.scene.codec.yaml_tree import Item, List, Node, Section
 from derender.scene.contacts import contacts
@@ -67,10 +67,8 @@ def read_distribution(node: Node, unit: str = "") -> Any:
         nodes = [] if detail.plain() is None else [detail]
     units = ["" if key in kind.dimensionless else unit for key in kind.names]
     numbers = [item.number(units[k] if k < len(units) else "") for k, item in enumerate(nodes)]
-    try:
+    with at_fault(detail.where):
         return kind(*numbers)
-    except DerenderError as error:
-        raise detail.fault(error.what, error.remedy) from None
 
 
 def read_categorical(node: Node, choices: Iterable[str] | None = None) -> Categorical:
@@ -88,10 +86,8 @@ def read_categorical(node: Node, choices: Iterable[str] | None = None) -> Catego
     else:
         for item in detail.sequence():
             weights[item.text(choices)] = 1.0
-    try:
+    with at_fault(detail.where):
         return Categorical(weights)
-    except DerenderError as error:
-        raise detail.fault(error.what, error.remedy) from None
 
 
 def read_count(node: Node) -> Any:
@@ -105,10 +101,8 @@ def read_count(node: Node) -> Any:
             if not key.isdigit() or int(key) > 1000:
                 raise item.fault(f"{key!r} is no number of objects", "write {0: 0.5, 1: 0.5}")
             weights[int(key)] = item.number(lower=0.0)
-        try:
+        with at_fault(detail.where):
             return Categorical(weights)
-        except DerenderError as error:
-            raise detail.fault(error.what, error.remedy) from None
     count = read_distribution(node)
     if not count.discrete or count.support[0] < 0:
         raise node.fault(
@@ -125,14 +119,12 @@ def read_shape(node: Node, folder: Path, extra: tuple[str, ...] = (), name: str 
     `extra` are keys that the caller reads itself; `name` stands in for `type` where that is left out.
     """
     if isinstance(node, Section):
-        kind = node["type"].text(shapes) if "type" in node or name is None else name
-        if kind not in shapes:
-            raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes) + ", or give its type")
+        kind, other = node["type"].text(shapes) if "type" in node or name is None else name, ", or give its type"
     else:
-        kind = node.text(shapes) if node.plain() is not None or name is None else name
-        if kind not in shapes:
-            raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes))
+        kind, other = node.text(shapes) if node.plain() is not None or name is None else name, ""
         node = Section(node.file, node.line, node.address, {}, {})
+    if kind not in shapes:
+        raise node.fault(f"no shape is called {kind!r}", suggest(kind, shapes) + other)
     shape = shapes[kind]
     names = [parameter.name for parameter in shape.parameters]
     node.allow("type", *names, *shape.options, *extra)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from derender.errors import DerenderError
+from derender.errors import DerenderError, at_fault
 from derender.registry import Registry
 from derender.scene.codec.yaml_tree import Node, Section
 from derender.scene.graph import Constraint, SceneGraph
@@ -233,8 +233,6 @@ def read_terms(node: Node, names: tuple[str, ...]) -> tuple[Term, ...]:
             found.append(term_types[kind].read(detail, names))
             continue
         kind = item.text(term_types)
-        try:
+        with at_fault(item.where):
             found.append(term_types[kind].read(None, names))
-        except DerenderError as error:
-            raise item.fault(error.what, error.remedy) from None
     return tuple(found)
