@@ -86,7 +86,8 @@ def report_of(
     if camera is not None and observed is not None:
         if told is None and posterior is not None and posterior.explanation is not None:
             told = posterior.explanation.depth
-        fit = fit_of(graph, camera, observed, likelihood or {}, told)
+        uneven = 0.0 if posterior is None else posterior.meta.get("noise", 0.0)
+        fit = fit_of(graph, camera, observed, likelihood or {}, told, uneven)
         doubts = (*doubts, *check_fit(graph, fit, camera, observed, likelihood or {}))
     if posterior is not None:
         posterior = replace(posterior, meta={**posterior.meta, **trust.judgement(doubts, fit)})

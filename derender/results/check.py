@@ -87,11 +87,12 @@ def _largest(design: np.ndarray, numbers: np.ndarray, limit: np.ndarray, triples
 # Unexplained regions.  What is nowhere as wide as a few pixels is a silhouette's fault.
 THIN = 320  # columns of the image for each pixel that a thing may be thin and yet count
 LEAST_SHARE = 0.001  # of the valid pixels that a region must have to be told
-MOST_IN_ALL = 0.05  # share of the valid pixels that may be unexplained
+MOST_IN_ALL = 0.04  # share of the valid pixels that may be unexplained
 MOST_IN_ONE = 0.01  # and of one region alone: a thing that was missed
 MOST_TOLD = 3  # regions
 # What is taken as it is seen explains nothing.
-SOME_BACKGROUND, MOST_BACKGROUND = 0.05, 0.6  # shares of the valid pixels: it counts, and is too much
+SOME_BACKGROUND, MOST_OVER = 0.05, 0.04  # shares of the valid pixels: it counts; a region over the floor is too much
+RIM = 0.03  # metres within the outline of the floor that is seen: there the walls of a bin stand
 # A floor that is none: the least share of what shows no solid; the sine of its normal's turn about the optical axis.
 LEAST_FLOOR, SIDEWAYS = 0.4, 0.6
 # The same of one that is looked at straight on (cosine) from so many metres or more: few cameras hang so high.
@@ -120,7 +121,7 @@ def check_fit(
         return ()
     doubts = [
         *unexplained(fit, valid),
-        *too_much_background(fit, valid),
+        *background_over_floor(graph, fit, camera, observed),
         *no_floor(graph, fit, valid),
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
@@ -135,28 +136,45 @@ def check_fit(
 def unexplained(fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return a doubt about coherent regions that neither solids nor floor nor background explain."""
     left = valid & ~fit.explained & ~fit.background
-    wide = 2 * max(1, round(left.shape[1] / THIN)) + 1
-    label, count = ndimage.label(ndimage.binary_opening(left, np.ones((wide, wide))))
-    sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
-    order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
-    if not order:
+    found = coherent(left, valid)
+    if not found:
         return []
-    regions = tuple(
-        Region(LETTERS[place], label == k + 1, float(sizes[k])) for place, k in enumerate(order[:MOST_TOLD])
-    )
+    regions = found[:MOST_TOLD]
     total = float(left.sum() / valid.sum())
     words = ", ".join(f"region {region.name} {region.where}" for region in regions)
-    more = f" and {len(order) - MOST_TOLD} more" if len(order) > MOST_TOLD else ""
-    serious = total > MOST_IN_ALL or bool(sizes[order[0]] > MOST_IN_ONE)
+    more = f" and {len(found) - MOST_TOLD} more" if len(found) > MOST_TOLD else ""
+    serious = total > MOST_IN_ALL or found[0].share > MOST_IN_ONE
     return [Doubt(f"{percent(total)} of the image is not explained: {words}{more}", serious, regions)]
 
 
-def too_much_background(fit: Fit, valid: np.ndarray) -> list[Doubt]:
-    """Return a doubt where the floor and what stands on it are a small part of what is seen."""
-    share = float(fit.background[valid].mean())
-    if share <= MOST_BACKGROUND:
-        return []
-    return [Doubt(f"{percent(share)} of the image is taken as background, which says nothing of what it is")]
+def coherent(mask: np.ndarray, valid: np.ndarray) -> tuple[Region, ...]:
+    """Return the Regions of a mask (H, W), the largest first, without what is thin or small; valid : (H, W) bool."""
+    wide = 2 * max(1, round(mask.shape[1] / THIN)) + 1
+    label, count = ndimage.label(ndimage.binary_opening(mask, np.ones((wide, wide))))
+    sizes = np.bincount(label.ravel(), minlength=count + 1)[1:] / valid.sum()
+    order = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= LEAST_SHARE]
+    return tuple(
+        Region(LETTERS[place % len(LETTERS)], label == k + 1, float(sizes[k])) for place, k in enumerate(order)
+    )
+
+
+def background_over_floor(graph: "SceneGraph", fit: Fit, camera: Camera, observed: np.ndarray) -> list[Doubt]:
+    """Return a doubt about coherent regions over the visible floor that are taken as background: what stands there is
+    not told. What lies beyond it, the room behind a table, says nothing of what is on it."""
+    from scipy.spatial import ConvexHull
+
+    valid, poses = np.isfinite(observed), graph.poses()
+    points, over = camera.points(observed), np.zeros(observed.shape, bool)
+    for pose in (poses[vertex.name] for vertex in graph.vertices if vertex.body.size() is None):
+        shown = coherent(valid & fit.explained & (fit.label == 0), valid)
+        if shown:
+            local = (points - pose[:3, 3]) @ pose[:3, :3]
+            sides = ConvexHull(local[shown[0].mask][:, :2]).equations
+            inside = (local[..., :2] @ sides[:, :2].T + sides[:, 2]).max(axis=-1) < -RIM
+            over |= fit.background & inside & (local[..., 2] > fit.tolerance)
+    regions = tuple(region for region in coherent(over, valid) if region.share > MOST_OVER)
+    words = ", ".join(f"{percent(region.share)} of the image {region.where}" for region in regions)
+    return [Doubt(f"what stands over the floor is taken as background: {words}", True, regions)] if regions else []
 
 
 def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
@@ -167,7 +185,7 @@ def no_floor(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
     floor = float((valid & fit.explained & (fit.label == 0)).sum())
     background = float(fit.background.sum())
     doubts = []
-    if 0.0 < background <= MOST_BACKGROUND * valid.sum() and floor < LEAST_FLOOR * (floor + background):
+    if 0.0 < background and floor < LEAST_FLOOR * (floor + background):
         words = f"the floor explains {percent(floor / valid.sum())} of the image only, less than the background"
         doubts.append(Doubt(words))
     if any(abs(pose[0, 2]) > SIDEWAYS for pose in planes):

@@ -77,18 +77,32 @@ def explain(
         depth[behind] = smooth_surface(filled, behind)[behind]
         label[behind] = BACKGROUND
     with np.errstate(invalid="ignore"):
-        off = np.abs(depth - filled) > tolerance
-    missed = (label == FLOOR) & valid & off
+        off = np.abs(depth - filled)
+    missed = (label == FLOOR) & valid & (off > tolerance)
     if bent is not None:
-        with np.errstate(invalid="ignore"):
-            floor = bent & missed & (np.abs(depth - filled) < MOST_BENT * filled)
+        floor = bent & missed & (off < MOST_BENT * filled)
         depth[floor] = smooth_surface(filled, floor)[floor]
         missed &= ~floor
+    missed &= off * slants(graph, index, camera) > tolerance
     label[missed], depth[missed] = UNEXPLAINED, np.nan
     free = np.array([graph.vertex(name).shape == "thing" for name in names], bool)
     for _ in range(coarse if free.any() else 0):
         grow(label, depth, filled, free)
     return Explanation(label, depth.astype(np.float32), tuple(names))
+
+
+def slants(graph: SceneGraph, index: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return (H, W) by how many metres a point is off the plane that is met there when it is one off in depth, 1 at
+    most: what lies flat on a floor that is seen at a slant is far off it along the ray; 1 where no plane is met.
+
+    index : (H, W) int, of the solid that is met, as `render_depth` has it.
+    """
+    found, rays = np.ones(index.shape), camera.rays()
+    for place, name in enumerate(graph.solid_names):
+        if graph.vertex(name).shape == "plane":
+            on = index == place
+            found[on] = np.minimum(np.abs(rays[on] @ graph.poses()[name][:3, 2]), 1.0)
+    return found
 
 
 @njit(cache=True, nogil=True)

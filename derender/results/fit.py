@@ -13,6 +13,7 @@ from scipy import ndimage
 from derender.camera.intrinsics import Camera
 from derender.render.blur import blur
 from derender.render.raycast.depth import render_depth
+from derender.results.explanation import slants
 
 if TYPE_CHECKING:
     from derender.scene.graph import SceneGraph
@@ -79,7 +80,7 @@ class Fit(NamedTuple):
         the model takes as background, or nothing.
     predicted : float64 metres, the depth of solids, floor and the likelihood's wall; NaN where there is none of them.
     explained : bool; a depth was observed and lies within the tolerance of what is predicted at the pixel or, at a
-        silhouette, between what is predicted about it.
+        silhouette, between what is predicted about it; of a floor how far off its plane it lies counts.
     """
 
     label: np.ndarray
@@ -98,6 +99,7 @@ def fit_of(
     observed: np.ndarray,
     likelihood: Mapping[str, Any],
     told: np.ndarray | None = None,
+    uneven: float = 0.0,
 ) -> Fit:
     """Return how well a scene fits an image.
 
@@ -105,6 +107,7 @@ def fit_of(
     likelihood : its numbers by name; of them `blur` (pixels) and `background` (metres, where nothing else is seen).
     told : (H, W) metres that inference says explain the pixels, as the sensor bends them, the background among them
         and what it hides (explanation.py), NaN where nothing does; None: what the scene predicts.
+    uneven : metres, one standard deviation, by which inference found the floor to be off its plane.
     """
     clean, solid = render_depth(graph.solids(), camera)
     objects = {vertex.name: (place, vertex.body.size()) for place, vertex in enumerate(graph.vertices, start=1)}
@@ -119,6 +122,8 @@ def fit_of(
     low, high = neighbourhood(clean, AT_EDGES + int(np.ceil(pixels)))
     with np.errstate(invalid="ignore"):
         explained = (observed >= low - tolerance) & (observed <= high + tolerance)
+        flat = np.minimum(np.maximum(tolerance, DEVIATIONS * uneven), MOST_TOLERANCE * observed)
+        explained |= (label == 0) & (np.abs(observed - clean) * slants(graph, solid, camera) <= flat)
         if told is not None:
             near = np.abs(observed - told) <= tolerance
             nearer = clean - told  # than the solid is: by the sensor's bend, or something else hides it
@@ -131,7 +136,7 @@ def fit_of(
     valid = np.isfinite(observed)
     share = float((explained | background)[valid].mean()) if valid.any() else 0.0
     depth = blur(clean, pixels) if pixels and np.isfinite(clean).all() else clean
-    depth = np.where(background | bent, observed if told is None else told, depth)
+    depth = np.where((near & (label == 0)) | bent, observed if told is None else told, depth)
     return Fit(label, depth.astype(np.float32), clean, tolerance, explained, background, share, noise)
 
 

@@ -11,7 +11,7 @@ from derender.results.check import check_fit
 from derender.results.fit import fit_of
 from derender.results.trust import judgement, trusted
 from derender.scene.graph import SceneGraph
-from derender.scene.pose import rotation_x, rotation_y, translation
+from derender.scene.pose import rotation_y, translation
 
 CAMERA = Camera.from_field_of_view(160, 120)
 LIKELIHOOD = {"sigma": 0.002, "blur": 0.5, "background": 10.0}
@@ -71,12 +71,14 @@ def test_noise_that_hides_a_solid_is_told():
     assert any("a noise of 60 mm was fitted where flat patches show" in each for each in words)
 
 
-def test_background_is_no_explanation():
+def test_background_over_the_floor_is_no_explanation_and_beyond_it_says_nothing_of_what_is_on_it():
     empty = scene()
-    far = SceneGraph(translation(0.0, 2.0, 0.9) @ rotation_x(np.deg2rad(145)), empty.vertices)
-    seen = image(TRUE)
-    (doubt,) = [d for d in doubts_of(far, seen, {}, told=seen) if d.serious]
-    assert "taken as background" in doubt.words
+    seen = image(scene(cube("large", side=0.18, theta=0.3)))
+    (doubt,) = doubts_of(empty, seen, told=seen)
+    assert doubt.serious and doubt.words.startswith("what stands over the floor is taken as background: ")
+    behind = image(TRUE)
+    behind[:48] = behind[102:] = 3.0  # a room about a table, in over half of the image
+    assert doubts_of(TRUE, behind, told=behind) == ()
 
 
 def test_what_the_border_cuts_is_worth_knowing_and_what_fills_the_view_is_serious():
@@ -114,7 +116,7 @@ def test_range_instead_of_depth_is_told():
 def test_a_floor_that_explains_less_than_the_background_is_doubted():
     seen = image(TRUE)
     fit = fit_of(TRUE, CAMERA, seen, LIKELIHOOD)
-    nearer = (np.arange(120)[:, None] < 75) & (fit.label == 0)
+    nearer = (np.arange(120)[:, None] < 95) & (fit.label == 0)
     seen[nearer] -= 0.2
     told = np.where(nearer, seen, fit.depth)
     assert any("less than the background" in doubt.words for doubt in doubts_of(TRUE, seen, told=told))

@@ -111,3 +111,14 @@ def test_flat_patches_show_the_noise(sigma, growth):
     ends = np.array([0.75, 1.6])
     assert noise.at(ends) == pytest.approx(sigma + growth * ends**2, rel=0.35, abs=1e-6)
     assert flat_noise(np.full((20, 20), np.nan)).sigma == 0.0
+
+
+def test_what_lies_flat_on_a_floor_seen_at_a_slant_is_that_floor():
+    """Eight millimetres over it, which are over twenty along a ray that meets it at twenty degrees."""
+    low = on_floor(elevation=20.0, distance=1.2)
+    bare = fit_of(low, CAMERA, np.ones(CAMERA.shape), {}).depth.astype(float)
+    height = np.abs(CAMERA.rays() @ low.poses()["floor"][:3, 2])
+    for over, share in ((0.008, 1.0), (0.05, 0.0)):
+        part = (bare > 0.9) & (bare < 1.5)
+        seen = np.where(part, bare - over / height, np.nan)
+        assert fit_of(low, CAMERA, seen, {}).explained[part].mean() == pytest.approx(share, abs=0.02)
