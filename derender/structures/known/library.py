@@ -19,10 +19,9 @@ from derender.errors import DerenderError
 from derender.scene.codec.yaml_tree import read_yaml
 from derender.scene.priors.reading import read_shape
 from derender.scene.shapes import Body, shapes
-from derender.scene.solids import BOX, CYLINDER, MESH, SPHERE
+from derender.scene.solids import BOX, CYLINDER, SPHERE
 
 MOST_TRIANGLES = 20_000
-PROXIES = {BOX: BOX, MESH: BOX, CYLINDER: CYLINDER, SPHERE: SPHERE}
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Known:
     def proxy(self) -> int:
         """The kind of solid that stands for it where solids must not enter each other: a mesh's oriented box."""
         kind = self.body.shape.solid_kind
-        return BOX if kind is None else PROXIES.get(kind, BOX)
+        return kind if kind in (CYLINDER, SPHERE) else BOX
 
     @cached_property
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
