@@ -7,11 +7,19 @@ import numpy as np
 
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
-from derender.render.likelihoods import likelihoods
+from derender.render.likelihoods import Likelihood, likelihoods
 from derender.render.raycast.engine import for_steps, load_state, new_engine, rescore_state, with_blur
 from derender.render.raycast.region import pixel_log_densities
 from derender.render.raycast.state import CURRENT, DEPTH, GOING_ON, OBSERVED, PAD, SIGMA, EngineState
 from derender.scene.solids import Solids
+
+
+def engine_under(
+    likelihood: Likelihood, values: Mapping[str, float], camera: Camera, observed: np.ndarray, solids: Solids
+) -> EngineState:
+    """Return the state for an image (H, W) under a likelihood's numbers and for scenes of such solids."""
+    row, beside = likelihood.row(values), likelihood.beside(observed, values)
+    return new_engine(camera, observed, solids, likelihood.code, row, values["blur"], beside)
 
 
 class DepthEvaluator:
@@ -83,16 +91,7 @@ class DepthEvaluator:
         """Make a scene the current one; return its log likelihood. Another structure than the last gets a new state."""
         state = self.state
         if state is None or not self._fits(state, solids):
-            state = new_engine(
-                self.camera,
-                self.observed,
-                solids,
-                self.likelihood.code,
-                self.likelihood.row(self.values),
-                self.values["blur"],
-                self.likelihood.beside(self.observed, self.values),
-            )
-            self.state = state
+            self.state = state = engine_under(self.likelihood, self.values, self.camera, self.observed, solids)
             self._meshes = solids.meshes
         return load_state(
             state, np.ascontiguousarray(solids.pose, np.float64), np.ascontiguousarray(solids.size, np.float64)

@@ -28,12 +28,12 @@ from derender.render.raycast.engine import (
     Views,
     engine_of_view,
     make_views,
-    new_engine,
     propose_views,
     rescore_state,
     settle_views,
     with_blur,
 )
+from derender.render.raycast.evaluator import engine_under
 from derender.render.raycast.state import CANDIDATE, CURRENT
 from derender.sampling.diagnostics import agree, far_apart
 from derender.sampling.evidence import Evidence, evidence
@@ -233,18 +233,8 @@ def engine_of(chart: Chart, sensor: Sensor) -> Views:
     solids = Solids(kinds, np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)), np.full(count, -1, np.int32), ())
     states = []
     for view in sensor.views:
-        likelihood, camera = view.likelihood, view.camera
-        row = likelihood.row(view.values)
-        state = new_engine(
-            camera,
-            view.observed,
-            solids,
-            likelihood.code,
-            row,
-            view.values["blur"],
-            likelihood.beside(view.observed, view.values),
-        )
-        state.rectangle[:, 0] = 0, camera.width, 0, camera.height
+        state = engine_under(view.likelihood, view.values, view.camera, view.observed, solids)
+        state.rectangle[:, 0] = 0, view.camera.width, 0, view.camera.height
         states.append(state)
     return make_views(states, np.array([view.into for view in sensor.views]))
 
