@@ -145,8 +145,6 @@ def solids_of(vertices: list[Vertex], poses: Mapping[str, np.ndarray]) -> Solids
     return Solids(kind, pose, size, mesh, tuple(meshes))
 
 
-__all__ = ["ROOT", "Constraint", "Contact", "SceneGraph", "Vertex"]
-
 STANDARD_GRAVITY = 9.81
 """m / s^2"""
 ROOT_BODY = Body(shapes["frame"])

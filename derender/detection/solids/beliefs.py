@@ -248,9 +248,6 @@ def share_upright(prior: GrammarPrior, kind: str) -> float:
     return float(sum(share for choice, share in found[0].probabilities.items() if choice[0] in AROUND))
 
 
-__all__ = ["BARE_IMAGE", "CUBE", "ROWS", "Beliefs", "bare_image", "beliefs_of"]
-
-
 class Rules(NamedTuple):
     """What solids may do to each other.
 

@@ -18,7 +18,7 @@ from derender.detection.solids.misfit import AS_SEEN
 from derender.detection.solids.state import State
 from derender.results.posterior import StructurePosterior
 from derender.sampling.evidence import Evidence, draw_t, fit, log_t
-from derender.structures.draws.chart import FLOOR_WAYS, Chart, make_chart, placed, rows_at
+from derender.structures.draws.chart import Chart, make_chart, placed, rows_at
 from derender.structures.draws.curvature import Curvature
 from derender.structures.draws.faces import at_median_unseen, lost_at_edges, true_faces
 from derender.structures.draws.metropolis import Draws, ascend, engine_of, evaluate, load, sample, under_blur
@@ -402,7 +402,3 @@ def near_evidence(refined: Refined, solids: tuple[int, ...] | None = None) -> fl
     load(engine, chart, refined.values)
     precision = Curvature(engine, chart, refined.sensor, refined.values).precision(list(members))
     return height - 0.5 * float(np.linalg.slogdet(precision / (2.0 * np.pi))[1])
-
-
-__all__ = ["FLOOR_WAYS", "Refined", "at_mode", "chains_of", "climb", "load", "only_draw", "refine",
-           "settled", "structure_posterior", "with_sensor_refitted"]  # fmt: skip
