@@ -259,11 +259,8 @@ def joined_to_floor(
     whole = above.copy()  # without the pixels at jumps, so that components end there
     for axis in (0, 1):
         step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
-        near = step < (limit[1:] if axis == 0 else limit[:, 1:])
-        if axis == 0:
-            whole[1:] &= near
-        else:
-            whole[:, 1:] &= near
+        later = (slice(None),) * axis + (slice(1, None),)
+        whole[later] &= step < limit[later]
     labels, _ = ndimage.label(whole)
     for label in np.unique(labels[whole & inside]):
         member = labels == label

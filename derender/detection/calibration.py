@@ -97,7 +97,7 @@ def fit_sensor(
         found = sum(table.set_values(values) or 0.0 for table in tables) + believed(values)
         gained, height, again = found - height, found, again + 1
         progress(again / AGAIN)
-    white = [whitened(residual, depth, values) for residual, depth in pairs]
+    white = [NOISE.whitened(depth + residual, depth, values) for residual, depth in pairs]
     every = np.abs(np.concatenate([image[np.isfinite(image)] for image in white]))
     return Fit({name: values[name] for name in ("sigma", "sigma_growth", *begin)}, int(every.size),
                (correlation([residual for residual, _ in pairs], 0, 1),
@@ -135,16 +135,6 @@ def likeliest(
     free = np.where(is_share, np.log(first / np.where(is_share, 1.0 - first, 1.0)), np.log(first))
     settings = {"maxfev": rounds, "fatol": ACCURATE, "xatol": ACCURATE, "adaptive": True}
     return numbers(minimize(loss, free, method="Nelder-Mead", options=settings).x)
-
-
-def log_density(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> float:
-    """Return the log density of residuals (H, W), NaN where there is none, about a surface at `depth`."""
-    return NOISE.log_density(depth + residual, depth, values)
-
-
-def whitened(residual: np.ndarray, depth: np.ndarray, values: dict[str, float]) -> np.ndarray:
-    """Return residuals (H, W) about a surface at `depth`, whitened, NaN where there is none."""
-    return NOISE.whitened(depth + residual, depth, values)
 
 
 def correlation(images: list[np.ndarray], up: int, left: int) -> float:

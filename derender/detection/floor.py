@@ -130,13 +130,7 @@ def plane_through(
     sigma = float(1.4826 * weighted_median(np.abs(residual[inner]), weight[inner]))
     inliers = np.zeros(depth.size, bool)
     inliers[good[inner]] = True
-    origin = chosen.mean(axis=0)
-    origin = origin - (origin @ normal - offset) * normal
-    right = np.array([1.0, 0, 0]) - normal[0] * normal
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(normal, right), normal])
-    pose[:3, 3] = origin
+    pose = frame_of(normal, offset, chosen.mean(axis=0))
     return Floor(pose, max(sigma, 3e-4), inliers.reshape(depth.shape))
 
 

@@ -12,6 +12,14 @@ from derender.compilation.cache import njit
 APART = 6.0  # widths of a pixel between the points of neighbours that belong to different bodies
 
 
+def components(tied: np.ndarray) -> list[list[int]]:
+    """Return what hangs together, in order, of N things of which some are tied (N, N) bool to each other."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, part = connected_components(tied, directed=False)
+    return [np.flatnonzero(part == k).tolist() for k in range(count)]
+
+
 @njit(cache=True, nogil=True)
 def separation(points, j, i, v, u):
     """Return the squared distance of two pixels' points."""

@@ -15,7 +15,7 @@ from derender.compilation.cache import njit
 from derender.detection.background import frame_seen, is_background
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
 from derender.detection.outline import ends_of, foot_radius, vertical_axis
-from derender.detection.patches import separation
+from derender.detection.patches import components, separation
 from derender.detection.search.bodies import label_bodies
 from derender.detection.search.greedy import Settings, complexity, total_energy
 from derender.detection.search.observation import CORRELATED, HIDDEN_FLOOR, LOWEST, Observation, near
@@ -203,16 +203,7 @@ def groups_of(image: Image, state: State, body: np.ndarray, count: int) -> list[
     both = (label >= 0) & (body >= 0)
     np.add.at(shares, (label[both], body[both]), 1)
     shows = shares > 0.1 * np.maximum(shares.sum(axis=1, keepdims=True), 1)
-    groups, left = [], set(range(len(state)))
-    while left:
-        group, ahead = set(), {left.pop()}
-        while ahead:
-            group |= ahead
-            bodies = shows[list(ahead)].any(axis=0)
-            ahead = {k for k in left if (shows[k] & bodies).any()}
-            left -= ahead
-        groups.append(sorted(group))
-    return groups
+    return components((shows[:, None] & shows[None]).any(axis=2))
 
 
 def best_subset(seen: Observation, state: State, keep: set[int], members: list[int], cost: Cost, settings: Settings,

@@ -2,18 +2,15 @@
 
 from collections.abc import Iterator
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from derender.detection.outline import convex_outline, ends_of
+from derender.detection.patches import Patches, components
 from derender.detection.solids.image import make_row
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.scene.solids import BOX, CYLINDER, SPHERE
-
-if TYPE_CHECKING:
-    from derender.detection.patches import Patches
-
 
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 THINNEST = 0.008
@@ -41,7 +38,7 @@ class Surface(NamedTuple):
     sigma: float
 
 
-def make_surface(points: np.ndarray, patches: "Patches", origin: np.ndarray, footprint: float, sigma: float) -> Surface:
+def make_surface(points: np.ndarray, patches: Patches, origin: np.ndarray, footprint: float, sigma: float) -> Surface:
     """Collect the points (H, W, 3) of each patch."""
     flat = patches.label.ravel()
     order = np.argsort(flat, kind="stable")
@@ -405,18 +402,8 @@ def clusters(surface):
         for b in range(count):
             if a != b and surface.touching[a, b] >= TOUCH and convex(surface, a, b):
                 joined[a, b] = True
-    found = set()
-    remaining = set(range(count))
-    while remaining:
-        component, frontier = set(), {remaining.pop()}
-        while frontier:
-            component |= frontier
-            frontier = {b for a in frontier for b in np.flatnonzero(joined[a])} - component
-        remaining -= component
-        found.add(tuple(sorted(int(k) for k in component)))
-    for a in range(count):
-        found.add((a, *[int(b) for b in np.flatnonzero(joined[a])]))
-    return sorted({tuple(sorted(c)) for c in found})
+    own = [[a, *np.flatnonzero(joined[a]).tolist()] for a in range(count)]
+    return sorted({tuple(sorted(c)) for c in (*components(joined), *own)})
 
 
 def all_hypotheses(surface: Surface, shapes: tuple[str, ...]) -> list[Hypothesis]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from derender.compilation.threads import THREADS, in_threads
+from derender.detection.patches import components
 from derender.detection.search.bodies import FEWEST, box_about
 from derender.detection.search.greedy import (
     Changed,
@@ -175,8 +176,6 @@ def crossed(rng: np.random.Generator, image: Image, state: State, other: State, 
 def parts(image: Image, state: State, other: State) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
     """Return the solids of one state and of another, by index, of each part of the scene: what shows in the same pixels
     hangs together."""
-    from scipy.sparse.csgraph import connected_components
-
     one, two = (held_out(image, each, -1)[1] for each in (state, other))
     count, more = len(state), len(other)
     both = (one >= 0) & (two >= 0)
@@ -185,11 +184,8 @@ def parts(image: Image, state: State, other: State) -> list[tuple[tuple[int, ...
     least = np.minimum(np.bincount(one[one >= 0], minlength=count)[:, None], np.bincount(two[two >= 0], minlength=more))
     tied = np.zeros((count + more, count + more), bool)
     tied[:count, count:] = shared > SHARED * least
-    number, part = connected_components(tied, directed=False)
-    return [
-        (tuple(np.flatnonzero(part[:count] == k).tolist()), tuple(np.flatnonzero(part[count:] == k).tolist()))
-        for k in range(number)
-    ]
+    return [(tuple(k for k in part if k < count), tuple(k - count for k in part if k >= count))
+            for part in components(tied)]  # fmt: skip
 
 
 def first_search(rng: np.random.Generator, image: Image, hypotheses: list[Hypothesis], settings: Settings) -> State:
