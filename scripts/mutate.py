@@ -1,7 +1,7 @@
 """Break the heart of inference in one named place at a time, and see whether a test notices.
 
     python scripts/mutate.py --check            does the table still fit the code?
-    python scripts/mutate.py                    all of it: hours
+    python scripts/mutate.py                    all of it: some twenty minutes where kernels are compiled
     python scripts/mutate.py jumps -j 2         those of whose title or file a word is part, two at a time
 
 Each mutation is made in a copy of the tree, where the tests that should notice it are run; it is caught where one of
@@ -183,8 +183,8 @@ def misfits() -> list[str]:
 
 
 def copied(folder: Path) -> Path:
-    """Return a copy of the tree in a folder."""
-    ignored = shutil.ignore_patterns("__pycache__", ".*_cache")
+    """Return a copy of the tree in a folder, with what is compiled there: most kernels do not depend on a mutation."""
+    ignored = shutil.ignore_patterns(".*_cache")
     for name in COPIED:
         source = ROOT / name
         if source.is_dir():

@@ -47,7 +47,7 @@ def folder(tmp_path):
 
 def test_there_are_only_blocks_that_a_test_runs():
     languages = {match[2] for match in FENCE.finditer(README)}
-    assert languages <= {"sh", "python", "yaml", "json"}
+    assert languages <= {"sh", "python", "yaml", "json", "text"}
     assert README.count("```") == 2 * len(list(FENCE.finditer(README)))
 
 
@@ -74,6 +74,18 @@ def test_every_make_target_named_exists_and_the_ci_runs_the_readmes_test_command
         assert re.search(rf"^{target} ", help_text, re.MULTILINE), target
     assert "make test" in blocks("sh")[0][3]
     assert (ROOT / ".ci" / "run").read_text().rstrip().endswith("make test")
+
+
+def test_infer_prints_what_is_shown(folder):
+    """The same best structure and addresses; the numbers are of the machine and the day that printed them."""
+    command = [sys.executable, "-m", "derender"]
+    subprocess.run([*command, "sample"], cwd=folder, check=True)
+    told = subprocess.run([*command, "infer", "sample_000.npz"], cwd=folder, capture_output=True, text=True, check=True)
+    shown = blocks("text")[0][3].splitlines()
+    words = shown[0].partition("  ")[2]
+    assert told.stdout.splitlines()[0].endswith(words) and shown[-1].startswith("the chains agree")
+    addresses = [line.split()[0] for line in told.stdout.splitlines()]
+    assert {line.split()[0] for line in shown[2:-1] if line != "..."} <= {*addresses}
 
 
 @pytest.mark.parametrize("text", parameters("python"))
