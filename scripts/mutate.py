@@ -1,7 +1,7 @@
 """Break the heart of inference in one named place at a time, and see whether a test notices.
 
     python scripts/mutate.py --check            does the table still fit the code?
-    python scripts/mutate.py                    all of it: some twenty minutes where kernels are compiled
+    python scripts/mutate.py                    all of it: ten minutes, once kernels are compiled
     python scripts/mutate.py jumps -j 2         those of whose title or file a word is part, two at a time
 
 Each mutation is made in a copy of the tree, where the tests that should notice it are run; it is caught where one of
