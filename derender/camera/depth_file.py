@@ -61,6 +61,13 @@ class DepthImage(NamedTuple):
     camera_is_guess: bool = False
     meta: dict[str, Any] = {}
 
+    def __repr__(self) -> str:
+        height, width = self.depth.shape
+        known = self.depth[np.isfinite(self.depth)]
+        depths = f"{known.min():.3g} to {known.max():.3g} m" if known.size else "no depths"
+        guess = ", its camera a guess" if self.camera_is_guess else ""
+        return f"<DepthImage: {width} x {height}, {depths} in {known.size / self.depth.size:.0%} of it{guess}>"
+
 
 @only_its_keywords
 def read_depth(

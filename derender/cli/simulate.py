@@ -130,6 +130,8 @@ def command(
                 talk.warn(f"{option} says nothing here: many scenes make a table")
         return _table(paths, what, ask, margin, output, as_json, talk)
     found, best, source = _one(paths[0], what, ask, margin or as_json, forces, talk)
+    if forces and not best.forces:
+        talk.say("no forces hold this scene as it is")
     made = {"seed": seed, "version": __version__, "command": options.command_line()}
     if (output or animate or settle) and best.trajectory is None:
         raise DerenderError("statics moves nothing", "--engine statics", "use --engine mujoco or both")

@@ -13,6 +13,7 @@ from derender.camera.intrinsics import Camera
 from derender.document import LikelihoodPrior
 from derender.errors import DerenderError
 from derender.interface.scene import Scene, axes_for, picture_html, plot_depth, table_html
+from derender.report.tables import text_table
 from derender.results import posterior as kept
 from derender.results.table import SIDES, digits, extents_text
 from derender.scene.graph import SceneGraph
@@ -59,6 +60,23 @@ class Found(NamedTuple):
 
 class Objects(tuple[Found, ...]):
     """The objects of a posterior, a tuple of `Found`, by number or by name."""
+
+    HEAD = ("object", "type", "size ± half of the 90 % range, cm", "rests on", "p")
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return what is known of each in words, as HEAD names it."""
+        told: list[tuple[str, ...]] = []
+        for found in self:
+            ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
+            words = extents_text(found.size, ranges)
+            told.append((found.name, found.type, words, found.parent, digits(found.probability)))
+        return told
+
+    def __repr__(self) -> str:
+        return text_table(self.rows(), self.HEAD)
+
+    def _repr_html_(self) -> str:
+        return table_html(self.HEAD, self.rows())
 
     def __getitem__(self, key: Any) -> Any:
         if isinstance(key, str):
@@ -264,14 +282,8 @@ class Posterior(kept.Posterior):
         if self.image is not None:
             depth = self.image.depth
             shown = picture_html(pictures.paint(depth, *pictures.depth_limits(depth)), "observed depth")
-        rows = []
-        for found in self.objects:
-            ranges = np.column_stack([found.size - found.size_error, found.size + found.size_error])
-            words = extents_text(found.size, ranges)
-            rows.append((found.name, found.type, words, found.parent, digits(found.probability)))
         likely = "<br>".join(f"{share} {escape(words)}" for share, words in told_structures(self)[:MOST_LINES])
-        head = ("object", "type", "size ± half of the 90 % range, cm", "rests on", "p")
-        return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{table_html(head, rows)}</div>"
+        return f"<div>{shown}{self.best.picture_html()}<p>{likely}</p>{self.objects._repr_html_()}</div>"
 
     def _camera(self) -> Camera:
         if self.camera is None:

@@ -66,8 +66,9 @@ def test_simulate_a_scene(capsys, folder):
 
 def test_simulate_asks_both_engines_settles_and_makes_a_table(capsys, folder):
     scene = ("simulate", "falls.yaml", "--engine", "both", "--margin", "--forces", "--settle", "settled.yaml")
-    status, out, _ = run(capsys, *scene, "--json")
+    status, out, err = run(capsys, *scene, "--json")
     found = json.loads(out)
+    assert "no forces hold this scene" in err
     assert status == 0 and found["engines"] == {"statics": "falls", "mujoco": "falls"} and found["margin"] == 0
     assert list(found["first_moved"]) == ["top"] and found["p_verdict"]["falls"] == 1
     assert json.loads(run(capsys, "simulate", "settled.yaml", "--engine", "both", "--json")[1])["verdict"] == "stands"

@@ -203,6 +203,12 @@ def test_notebooks_show_pictures_that_need_no_network(posterior):
         page = thing._repr_html_()
         assert "data:image/png;base64," in page and "http" not in page
         assert all(found.name in page for found in posterior.objects)
+    shown = repr(posterior.objects).splitlines()
+    assert shown[0].startswith("object") and [line.split()[0] for line in shown[1:]] == [
+        o.name for o in posterior.objects
+    ]
+    height, width = posterior.image.depth.shape
+    assert repr(posterior.image).startswith(f"<DepthImage: {width} x {height}, ") and len(repr(posterior.image)) < 80
 
 
 def test_plots_go_into_ones_own_axes(posterior):
