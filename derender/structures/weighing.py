@@ -39,9 +39,7 @@ from derender.structures.draws.refined import (
 # Nats below the best at which `near_evidence` has to do: a box whose length hardly shows was found 9 nats likelier than
 # that had it, 5 below the best. And the error that is taken for its own.
 IMPROBABLE, NEAR_ERROR = 14.0, 2.0
-# Draws from which an integral is taken, and its error in nats at which others are drawn: a walk may have met a place
-# from which few return, and one of four that disagrees by five nats had weights change by .2.
-DRAWS, FAILED = 150, 1.0
+DRAWS = 150  # to which the mixture is fitted from which an integral is taken
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES, MORE = 4, 8  # of the rest, drawn for odds that are close, and for those that are open then
@@ -77,21 +75,16 @@ def evidence_and_draws(rng: np.random.Generator, refined: Refined,
         return Evidence(held, 0.0), np.empty((0, len(values)))
     steps = 10 + 5 * len(refined.state) if solids is None else 5 * len(solids)
 
-    def integrated() -> tuple[Evidence, np.ndarray]:
-        drawn = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
-        return log_evidence(rng, chart, sensor, values, drawn, members), drawn[0].values
-
-    found = integrated()
-    if found[0].standard_error < FAILED or sensor.worth < 1.0:
-        return found
-    return min(found, integrated(), key=lambda each: each[0].standard_error)
+    (drawn,) = sample(rng, chart, sensor, values, 1, DRAWS, steps, members)
+    return log_evidence(rng, chart, sensor, values, drawn.values, members), drawn.values
 
 
 class Block:
-    """Some solids of a structure with the others at their mode: its integrals, each made once."""
+    """Some solids of a structure with the others at their mode, or all and the floor (None): its integrals, each made
+    once."""
 
-    def __init__(self, refined: Refined, places: list[int]) -> None:
-        self.refined, self.places = refined, tuple(places)
+    def __init__(self, refined: Refined, places: list[int] | None) -> None:
+        self.refined, self.places = refined, None if places is None else tuple(places)
         self.apart = refined.sensor.log_prior()  # it is in no integral
         self._evidence: Any = None
 
@@ -107,19 +100,20 @@ class Block:
         return self._evidence
 
 
-def of_block(rng: np.random.Generator, trial: Refined, places: list[int], own: Block) -> Weighed:
+def of_block(rng: np.random.Generator, block: Block, own: Block) -> Weighed:
     """Return the Weighed of a structure that differs from the best in a few solids, the others at their mode.
 
-    places : indices of those solids in it. own : Block of those of the best.
+    block : of those solids in it. own : of those of the best.
     """
-    block = Block(trial, places)
-    both = block.places, own.places
-    odds = block.near - own.near
-    if odds < -IMPROBABLE:
-        return Weighed(trial, odds, NEAR_ERROR, both)
+    both = None if block.places is None or own.places is None else (block.places, own.places)
+    near = Weighed(block.refined, block.near - own.near, NEAR_ERROR, both)
+    if near.odds < -IMPROBABLE:
+        return near
     found, held = block.evidence(rng), own.evidence(rng)
     error = math.hypot(found.standard_error, held.standard_error)
-    return Weighed(trial, found.log + block.apart - held.log - own.apart, error, both)
+    if error > NEAR_ERROR:  # normals about both modes tell more
+        return near
+    return near._replace(odds=found.log + block.apart - held.log - own.apart, error=error)
 
 
 def surest(alike: list[Weighed]) -> Weighed:
@@ -137,10 +131,10 @@ def surest(alike: list[Weighed]) -> Weighed:
 
 
 def surest_of_each(weighed: list[Weighed]) -> list[Weighed]:
-    """Return the Weighed of each structure and of each number of shared solids that `surest` chooses."""
+    """Return the Weighed of each structure that `surest` chooses."""
     alike: dict[tuple, list] = {}
     for each in weighed:
-        alike.setdefault((discrete_part(each.trial.state), each.places), []).append(each)
+        alike.setdefault(discrete_part(each.trial.state), []).append(each)
     return [surest(some) for some in alike.values()]
 
 
@@ -157,7 +151,7 @@ def made_sure(rng, best, others, drawn, rules):
     drawn : function of rng that returns (n, D) draws of the best's coordinates.
     """
     others = list(others)
-    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE and each.places is not None]
+    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE + each.error and each.places is not None]
     if not close:
         return others
     draws = drawn(rng)

@@ -12,7 +12,7 @@ from derender.detection.solids.interpenetration import lowest
 from derender.detection.solids.polish import FREE, UPRIGHT
 from derender.detection.solids.state import FLOOR, State
 from derender.render.raycast.state import BLUR, RADIUS, taps_of
-from derender.sampling.evidence import Evidence, draw_t, log_t
+from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures import weighing
 from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
@@ -198,23 +198,13 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
         rng, solid(BOX, (0.08,) * 3, cube=True), {"sigma": 0.01, "blur": 0.5}, camera(32, 24)
     )
     modes = [at_mode(rng, solid(BOX, (0.08,) * 3, cube=cube), floor_pose(), sensor, RULES) for cube in (True, False)]
-    first = of_block(rng, modes[1], [0], Block(modes[0], [0]))
+    first = of_block(rng, Block(modes[1], [0]), Block(modes[0], [0]))
     far = first._replace(odds=-20.0)
     draws = modes[0].values + 5e-4 * rng.standard_normal((20, len(modes[0].values)))
     again, same = made_sure(rng, modes[0], [first, far], lambda rng: draws, RULES)
     assert same is far and abs(again.odds - first.odds) < 4.0 * math.hypot(again.error, first.error) + 0.3
     one_failed = averaged(np.array([-1.0, -1.2, -0.9, 3.0]), np.array([0.1, 0.1, 0.1, 30.0]))  # 7.38 was said once
     assert abs(one_failed["odds"] + 1.03) < 0.05 and one_failed["error"] < 0.2
-
-
-def test_an_integral_that_failed_is_made_again(monkeypatch):
-    """One of 2.86 nats of error said that what was 2.6 nats less likely was 5.1 so, too far to be looked at closer."""
-    rng, cube = np.random.default_rng(11), solid(BOX, (0.08,) * 3, cube=True)
-    sensor, chart, values = observe(rng, cube, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
-    made = [Evidence(1.0, 2.86), Evidence(3.5, 0.1)]
-    monkeypatch.setattr(weighing, "log_evidence", lambda *given: made.pop(0))
-    found = weighing.evidence_over(rng, Refined(cube, chart, values, sensor, 0.0, 0.0), (0,))
-    assert found == Evidence(3.5, 0.1) and not made
 
 
 @pytest.mark.parametrize(("error", "places"), [(0.1, 4), (1.0, 12)])
@@ -371,7 +361,7 @@ def test_a_structure_that_was_weighed_again_counts_by_its_surest_odds():
     former = weighed(box, -2.9, places=None)
     assert surest([weighed(box, -3.0), former]).odds == -3.0, "weighed against another best"
     assert surest([weighed(box, -11.0, NEAR_ERROR), former._replace(odds=-1.3)]).odds == -1.3
-    assert len(surest_of_each([former, weighed(box, -3.0)])) == 2
+    assert [each.odds for each in surest_of_each([former, weighed(box, -3.0)])] == [-3.0]
 
 
 def test_a_best_that_is_beaten_is_weighed_by_the_same_block():
@@ -379,6 +369,20 @@ def test_a_best_that_is_beaten_is_weighed_by_the_same_block():
     best, (beaten,) = leading(weighed(other, 0.0).trial, [one])
     assert best is one.trial and beaten.trial.state is other
     assert beaten[1:] == (-2.0, 0.1, ((0,), (0, 1)))
+
+
+def test_of_structures_about_as_likely_either_is_what_others_are_weighed_against():
+    """A can and a cube took turns as the integrals fell; the can ended nine nats below, where it is as likely."""
+    cube, can, box = solid(BOX, (0.06,) * 3, cube=True), solid(CYLINDER, (0.06,) * 3), solid(BOX, (0.08, 0.06, 0.05))
+    best = weighed(cube, 0.0).trial
+    others = [weighed(can, 0.9, 0.1), weighed(box, 4.0, 2.0)]
+    assert leading(best, others) == (best, others)
+    ahead = weighed(can, 3.0, 0.1, ((1,), (1,)))
+    pair = solid(CYLINDER, (0.06,) * 3).add(box.rows[0], UPRIGHT, False, FLOOR, 0.0)
+    ahead = ahead._replace(trial=ahead.trial._replace(state=pair))
+    other = weighed(pair, -1.0, 0.1)
+    _, (rest, _) = leading(best, [ahead, other])
+    assert rest.odds == -4.0 and rest.places == ((0, 1), (0, 1)), "it is weighed again against the new one"
 
 
 def test_a_box_that_is_longer_than_a_cube_has_the_face_that_is_seen_where_the_cube_has_it():
