@@ -160,7 +160,7 @@ def evaluate_dynamics(count, first, sensor, kinds, keep, verbose):
     """Make films, infer what moves how, print the table; `keep` : folder of results that are not done again, or ''."""
     folder = make_folder(keep) if keep else None
     rows = []
-    for kind in kinds:
+    for kind in kinds or FILMS:
         for seed in range(first, first + count):
             path = folder and folder / f"{kind}_{seed:03d}.json"
             if path and path.exists():

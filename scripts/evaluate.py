@@ -22,6 +22,7 @@ first scene that pays for loading the compiled code.
 """
 
 import argparse
+import importlib
 import json
 import sys
 import time
@@ -33,7 +34,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from real_frames import evaluate_mosd, real_folder, report_sizes  # noqa: E402
 from sequences import KINDS  # noqa: E402
-from tracking_figures import evaluate_tracking  # noqa: E402
 
 from derender.cli import status_of
 from derender.evaluation.made_scenes import SETS, make_scene  # noqa: E402
@@ -80,19 +80,29 @@ def evaluate_made(name, count, first, options, verbose):
     return row
 
 
-def evaluate_motion(arguments):
-    """Print the figures of dynamics, prediction or tosses."""
-    import dynamics_figures
-    import evaluate_prediction
+def evaluators(given):
+    """Return what measures each set that has a script of its own, by name, to be imported when it is asked for."""
+    kinds, films = tuple(filter(None, given.kinds.split(","))), (given.n, given.first, given.sensor)
+    options, verbose = Options(method=given.method), given.verbose
 
-    kinds, keep = tuple(filter(None, arguments.kinds.split(","))), arguments.keep
-    films = (arguments.n, arguments.first, arguments.sensor)
-    if arguments.sets == ["dynamics"]:
-        dynamics_figures.evaluate_dynamics(*films, kinds or dynamics_figures.FILMS, keep, arguments.verbose)
-    elif arguments.sets == ["prediction"]:
-        evaluate_prediction.evaluate_prediction(*films, kinds or evaluate_prediction.FILMS, keep)
-    else:
-        evaluate_prediction.evaluate_tosses(arguments.n, arguments.first, keep)
+    def of(module, function, *arguments):
+        return lambda: getattr(importlib.import_module(module), f"evaluate_{function}")(*arguments)
+
+    return {
+        "frames": of("evaluate_frames", "frames", given.only, given.kinds, given.keep, given.method, verbose),
+        "floors": of("evaluate_frames", "floors", given.only, given.kinds, verbose),
+        "whitening": of("evaluate_whitening", "whitening", given.only),
+        "tracking": of("tracking_figures", "tracking", *films, kinds or KINDS, verbose),
+        "trust": of("evaluate_trust", "trust", given.n, given.first, verbose),
+        "dynamics": of("dynamics_figures", "dynamics", *films, kinds, given.keep, verbose),
+        "prediction": of("evaluate_prediction", "prediction", *films, kinds, given.keep),
+        "tosses": of("evaluate_prediction", "tosses", given.n, given.first, given.keep),
+        "physics": of("evaluate_physics", "physics", given.n),
+        "verdicts": of("evaluate_stability", "verdicts", given.n, given.first, options),
+        "stands": of("evaluate_stability", "stands", given.n, given.first, options),
+        "views": of("evaluate_views", "views", given.n, given.first, verbose),
+        "peers": of("evaluate_peers", "peers", given.n, given.first, options),
+    }
 
 
 def main():
@@ -107,53 +117,9 @@ def main():
     parser.add_argument("--keep", default="", help="folder of results of films or frames that are not done again")
     parser.add_argument("--only", default="", help="of labelled frames, such as ycbv_0,tum_desk_1; default: all")
     arguments = parser.parse_args()
-    if arguments.sets in (["dynamics"], ["prediction"], ["tosses"]):
-        evaluate_motion(arguments)
-        return
-    if arguments.sets == ["frames"]:
-        from evaluate_frames import evaluate_frames
-
-        evaluate_frames(arguments.only, arguments.kinds, arguments.keep, arguments.method, arguments.verbose)
-        return
-    if arguments.sets == ["floors"]:
-        from evaluate_frames import evaluate_floors
-
-        evaluate_floors(arguments.only, arguments.kinds, arguments.verbose)
-        return
-    if arguments.sets == ["whitening"]:
-        from evaluate_whitening import evaluate_whitening
-
-        evaluate_whitening(arguments.only)
-        return
-    if arguments.sets == ["tracking"]:
-        kinds = tuple(arguments.kinds.split(",")) if arguments.kinds else KINDS
-        evaluate_tracking(arguments.n, arguments.first, arguments.sensor, kinds, arguments.verbose)
-        return
-    if arguments.sets == ["trust"]:
-        from evaluate_trust import evaluate_trust
-
-        evaluate_trust(arguments.n, arguments.first, arguments.verbose)
-        return
-    if arguments.sets == ["views"]:
-        from evaluate_views import evaluate_views
-
-        evaluate_views(arguments.n, arguments.first, arguments.verbose)
-        return
-    if arguments.sets == ["peers"]:
-        from evaluate_peers import evaluate_peers
-
-        evaluate_peers(arguments.n, arguments.first, Options(method=arguments.method))
-        return
-    if arguments.sets == ["physics"]:
-        from evaluate_physics import evaluate_physics
-
-        evaluate_physics(arguments.n)
-        return
-    if arguments.sets in (["verdicts"], ["stands"]):
-        from evaluate_stability import evaluate_stands, evaluate_verdicts
-
-        evaluate = evaluate_verdicts if arguments.sets == ["verdicts"] else evaluate_stands
-        evaluate(arguments.n, arguments.first, Options(method=arguments.method))
+    alone = evaluators(arguments)
+    if len(arguments.sets) == 1 and arguments.sets[0] in alone:
+        alone[arguments.sets[0]]()
         return
     unknown = set(arguments.sets) - set(SETS + REAL_SETS)
     if unknown:

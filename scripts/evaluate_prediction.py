@@ -134,7 +134,7 @@ def evaluate_prediction(count, first, sensor, kinds, keep):
     folder = make_folder(keep) if keep else None
     print(HEAD.format("kind", "things"))
     everything = []
-    for kind in kinds:
+    for kind in kinds or FILMS:
         rows = []
         for seed in range(first, first + count):
             path = folder and folder / f"prediction_{kind}_{seed:03d}.json"

@@ -42,14 +42,21 @@ def place_bridge(rng):
 
 def let_rest(sizes: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Let upright boxes come to rest where they stand; see `come_to_rest`."""
-    bodies = []
-    for size, pose in zip(sizes, poses, strict=True):
-        yaw = np.arctan2(pose[1, 0], pose[0, 0])
-        bodies.append(
-            f'<body pos="{" ".join(map(str, pose[:3, 3]))}" quat="{np.cos(yaw / 2)} 0 0 {np.sin(yaw / 2)}"><freejoint/>'
-            f'<geom type="box" size="{" ".join(str(s / 2) for s in size)}"/></body>'
-        )
+    turns = [about_z(np.arctan2(pose[1, 0], pose[0, 0])) for pose in poses]
+    bodies = [free_body("box", *each) for each in zip(sizes, poses[:, :3, 3], turns, strict=True)]
     return come_to_rest(bodies, 2.0)
+
+
+def about_z(yaw: float) -> np.ndarray:
+    """Return the quaternion (4,), w first, of a turn about z."""
+    return np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+
+
+def free_body(kind: str, size: np.ndarray, place: np.ndarray, turn: np.ndarray) -> str:
+    """Return the MJCF of a solid that is free to move. place : (3,) metres. turn : (4,) quaternion, w first."""
+    shape, extents = {"sphere": ("sphere", size[:1]), "cylinder": ("cylinder", size[[0, 2]])}.get(kind, ("box", size))
+    numbers = (" ".join(map(str, each)) for each in (place, turn, extents / 2))
+    return '<body pos="{}" quat="{}"><freejoint/><geom type="{shape}" size="{}"/></body>'.format(*numbers, shape=shape)
 
 
 def settled_bridge(rng: np.random.Generator) -> Any:
@@ -116,22 +123,14 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
     bears most of the object's weight (upward part of the contact force); None where the scene does not come to rest.
     """
     geoms, height = [], 0.02
-    for index, (kind, size) in enumerate(zip(kinds, sizes, strict=True)):
-        shape, half = {
-            "sphere": ("sphere", f"{size[0] / 2}"),
-            "cylinder": ("cylinder", f"{size[0] / 2} {size[2] / 2}"),
-        }.get(kind, ("box", " ".join(str(s / 2) for s in size)))
+    for kind, size in zip(kinds, sizes, strict=True):
         quaternion = rng.normal(size=4)
         if rng.random() < upright_share:
-            yaw = rng.uniform(0, 2 * np.pi)
-            quaternion = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+            quaternion = about_z(rng.uniform(0, 2 * np.pi))
         quaternion /= np.linalg.norm(quaternion)
         height += float(np.linalg.norm(size)) / 2
         x, y = rng.uniform(-spread, spread, 2)
-        geoms.append(
-            f'<body name="b{index}" pos="{x} {y} {height}" quat="{" ".join(map(str, quaternion))}"><freejoint/>'
-            f'<geom type="{shape}" size="{half}"/></body>'
-        )
+        geoms.append(free_body(kind, size, np.array([x, y, height]), quaternion))
         height += float(np.linalg.norm(size)) / 2 + 0.005
     rest = come_to_rest(geoms, seconds)
     if rest is None:

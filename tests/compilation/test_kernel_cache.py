@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import derender
-from derender.compilation.cache import PACKAGE, Kernel, _candidates, _read, njit, source_stamp
+from derender.compilation.cache import PACKAGE, Kernel, njit
 from derender.compilation.entries import Entries, fcntl, is_private, read_entry
 
 PROBE = """
@@ -208,33 +208,10 @@ def test_what_was_loaded_can_be_compiled_into_another(package):
     assert run(package)[0] == ["42", "True"]
 
 
-def test_stamps_follow_imports():
-    def reached(source):
-        waiting, seen = [source], set()
-        while waiting:
-            file = waiting.pop()
-            if file not in seen:
-                seen.add(file)
-                waiting += _read(file)[1]
-        return {str(file.relative_to(PACKAGE)) for file in seen}
-
-    files = reached(PACKAGE / "posterior" / "compiled" / "evaluate.py")
-    names = {name.replace(os.sep, "/") for name in files}
-    assert {"render/raycast/lanes.py", "render/raycast/lane_code.py", "scene/solids.py", "posterior/kernels/base.py",
-            "scene/distributions/continuous.py"} <= names  # fmt: skip
-    assert "posterior/compiled/evaluate.py" not in reached(PACKAGE / "render" / "raycast" / "engine.py")
-    assert source_stamp(PACKAGE / "scene" / "solids.py") != source_stamp(PACKAGE / "scene" / "pose.py")
-
-
 def test_every_kernel_of_the_package_uses_this_cache():
     for source in Path(derender.__file__).parent.rglob("*.py"):
         if source.parts[-2:] != ("compilation", "compiler.py"):
             assert "from numba import njit" not in source.read_text(), source
-
-
-def test_the_source_folder_comes_before_the_users(tmp_path):
-    folders = list(_candidates(tmp_path / "module.py"))
-    assert tmp_path / "__pycache__" in folders[:2]
 
 
 FACTORY = """

@@ -5,13 +5,11 @@ import html.parser
 import io
 import json
 import re
-import zlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from derender.camera.image_files import png_bytes
 from derender.camera.intrinsics import Camera
 from derender.render.raycast.depth import render_depth
 from derender.report import pictures, svg, tables
@@ -164,17 +162,6 @@ def test_page_without_image_or_posterior(report):
 
 def _none():
     return Solids(np.zeros(0, np.int32), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros(0, np.int32))
-
-
-def test_png_is_a_png():
-    rng = np.random.default_rng(1)
-    pixels = rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    data = png_bytes(pixels)
-    from PIL import Image
-
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)
-    # A chunk with a wrong checksum must not pass: the reader above is no rubber stamp.
-    assert zlib.crc32(data[12:29]) == int.from_bytes(data[29:33], "big")
 
 
 def test_paint_puts_ends_at_ends_and_holes_in_grey():
