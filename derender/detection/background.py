@@ -253,24 +253,14 @@ def joined_to_floor(
     beyond = above & ~inside
     if beyond.sum() < BEYOND * max(above.sum(), 1):
         return found
-    from scipy import ndimage
-
-    limit = 4 * footprint + 0.004
-    whole = above.copy()  # without the pixels at jumps, so that components end there
-    for axis in (0, 1):
-        step = np.linalg.norm(np.diff(points, axis=axis), axis=-1)
-        later = (slice(None),) * axis + (slice(1, None),)
-        whole[later] &= step < limit[later]
-    labels, _ = ndimage.label(whole)
-    for label in np.unique(labels[whole & inside]):
+    labels, _ = label_bodies(points, above, 4 * footprint + 0.004)
+    for label in np.unique(labels[above & inside]):
         member = labels == label
         own = points[member]
         spread = float(np.ptp(own[:, :2], axis=0).max())
         if (member & inside).sum() >= JOINING and own[:, 2].max() < camera_height and spread < FILLING:
             found |= member
-    if not found.any():
-        return found
-    return above & ndimage.binary_dilation(found, iterations=1)
+    return found
 
 
 ANGLES = 90  # directions of a wall that are tried, over half a turn

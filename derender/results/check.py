@@ -119,6 +119,7 @@ def check_fit(
     valid = np.isfinite(observed)
     if not valid.any():
         return ()
+    solids = solids_shown(graph, fit, valid)
     doubts = [
         *unexplained(fit, valid),
         *background_over_floor(graph, fit, camera, observed),
@@ -126,8 +127,8 @@ def check_fit(
         *too_noisy(fit, observed, likelihood),
         *wrong_kind(observed, camera, fit.noise),
         *wrong_focal_length(graph, fit, camera, observed),
-        *unborne_solids(graph, fit, valid),
-        *at_the_border(graph, fit),
+        *unborne_solids(solids, fit, valid),
+        *at_the_border(solids),
         *nothing_but_a_plane(graph, fit, camera, observed),
     ]
     return tuple(sorted(doubts, key=lambda doubt: not doubt.serious))
@@ -219,48 +220,40 @@ def too_noisy(fit: Fit, observed: np.ndarray, likelihood: Mapping[str, Any]) -> 
     ]
 
 
-def unborne_solids(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Doubt]:
+def solids_shown(graph: "SceneGraph", fit: Fit, valid: np.ndarray) -> list[Region]:
+    """Return the Regions, by their names, of the solids that are predicted to show in FEW_PIXELS or more."""
+    masks = [(vertex.name, fit.label == place) for place, vertex in enumerate(graph.vertices, start=1)]
+    return [Region(name, mask, mask.sum() / valid.sum()) for name, mask in masks if mask.sum() >= FEW_PIXELS]
+
+
+def unborne_solids(solids: list[Region], fit: Fit, valid: np.ndarray) -> list[Doubt]:
     """Return doubts about solids that are predicted where nothing returned, or something else is seen."""
     doubts = []
     elsewhere = float((~valid)[fit.label == 0].mean()) if (fit.label == 0).any() else 0.0
-    for place, vertex in enumerate(graph.vertices, start=1):
-        mask = fit.label == place
-        count = int(mask.sum())
-        if count < FEW_PIXELS:
-            continue
-        missing = float((~valid)[mask].mean())
+    for region in solids:
+        missing = float((~valid)[region.mask].mean())
+        fitting = float(fit.explained[region.mask & valid].mean()) if missing < 1.0 else 1.0
         if missing > max(MOST_MISSING, min(MORE_MISSING * elsewhere, 0.9)):
-            region = Region(vertex.name, mask, count / valid.sum())
-            doubts.append(
-                Doubt(f"nothing returned from {percent(missing)} of {vertex.name}, {region.where}", True, (region,))
-            )
-            continue
-        seen = mask & valid
-        fitting = float(fit.explained[seen].mean()) if seen.any() else 1.0
-        if fitting < LEAST_FITTING:
-            region = Region(vertex.name, mask, count / valid.sum())
-            words = f"{vertex.name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
+            words = f"nothing returned from {percent(missing)} of {region.name}, {region.where}"
+            doubts.append(Doubt(words, True, (region,)))
+        elif fitting < LEAST_FITTING:
+            words = f"{region.name} explains {percent(fitting)} of what is seen where it should be, {region.where}"
             doubts.append(Doubt(words, True, (region,)))
     return doubts
 
 
-def at_the_border(graph: "SceneGraph", fit: Fit) -> list[Doubt]:
+def at_the_border(solids: list[Region]) -> list[Doubt]:
     """Return doubts about solids that the image's border cuts, or that fill the image."""
     doubts = []
-    for place, vertex in enumerate(graph.vertices, start=1):
-        mask = fit.label == place
-        count = int(mask.sum())
-        if count < FEW_PIXELS:
-            continue
-        region = Region(vertex.name, mask, count / mask.size)
-        if region.share > FILLING:
-            words = f"{vertex.name} fills {percent(region.share)} of the image, so that little shows what it stands on"
-            doubts.append(Doubt(words, True, (region,)))
-            continue
-        outline = count - int(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1).sum())
+    for region in solids:
+        mask, filled = region.mask, float(region.mask.mean())
+        outline = int((mask & ~ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1)).sum())
         cut = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
-        if cut > CUT * (outline + cut):
-            words = f"{vertex.name} is cut by the image's border: how big it is beyond is a guess"
+        if filled > FILLING:
+            words = f"{region.name} fills {percent(filled)} of the image, so that little shows what it stands on"
+            doubts.append(Doubt(words, True, (region,)))
+        elif cut > CUT * (outline + cut):
+            words = f"{region.name} is cut by the image's border: how big it is beyond is a guess"
             doubts.append(Doubt(words, cut > MOST_CUT * (outline + cut), (region,)))
     return doubts
 

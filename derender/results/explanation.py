@@ -105,25 +105,18 @@ def slants(graph: SceneGraph, index: np.ndarray, camera: Camera) -> np.ndarray:
     return found
 
 
-@njit(cache=True, nogil=True)
-def grow(label, depth, seen, free):
+def grow(label: np.ndarray, depth: np.ndarray, seen: np.ndarray, free: np.ndarray) -> None:
     """Let unexplained pixels join the free-form thing of a neighbour without a step between them, in place.
 
     free : (N,) bool, which objects are free-form.
     """
-    height, width = label.shape
-    before = label.copy()
-    for j in range(height):
-        for i in range(width):
-            if before[j, i] != UNEXPLAINED or not seen[j, i] > 0.0:
-                continue
-            for way in range(4):
-                v = j + (1 if way == 0 else -1 if way == 1 else 0)
-                u = i + (1 if way == 2 else -1 if way == 3 else 0)
-                if v < 0 or v >= height or u < 0 or u >= width or before[v, u] < 0 or not free[before[v, u]]:
-                    continue
-                if abs(seen[v, u] - seen[j, i]) < STEP * seen[j, i]:
-                    label[j, i], depth[j, i] = before[v, u], seen[j, i]
+    labels, depths = np.pad(label, 1, constant_values=UNEXPLAINED), np.pad(seen, 1)
+    joins = (label == UNEXPLAINED) & (seen > 0.0)
+    for down, across in ((2, 1), (0, 1), (1, 2), (1, 0)):
+        beside = np.s_[down : down + label.shape[0], across : across + label.shape[1]]
+        owner = labels[beside]
+        own = joins & (owner >= 0) & free[np.maximum(owner, 0)] & (np.abs(depths[beside] - seen) < STEP * seen)
+        label[own], depth[own] = owner[own], seen[own]
 
 
 @njit(cache=True, nogil=True)

@@ -27,11 +27,8 @@ def place_words(mask: np.ndarray) -> str:
     down, across = rows.mean() / mask.shape[0], columns.mean() / mask.shape[1]
     vertical = "" if 0.4 <= down <= 0.6 else "above" if down < 0.4 else "below"
     sideways = "" if 0.4 <= across <= 0.6 else "left of" if across < 0.4 else "right of"
-    if not vertical and not sideways:
-        return "in the middle"
-    if vertical and sideways:
-        return f"{vertical} and {sideways} the middle"
-    return f"{vertical or sideways} the middle"
+    words = [word for word in (vertical, sideways) if word]
+    return f"{' and '.join(words)} the middle" if words else "in the middle"
 
 
 if TYPE_CHECKING:
@@ -148,15 +145,17 @@ def chain_doubts(posterior: "Posterior", rows: Sequence[Mapping[str, Any]], lost
 def left_open(posterior: "Posterior", row: Mapping[str, Any]) -> float:
     """Return by how many metres, one standard deviation of all chains, what is open of a number moves its object.
 
-    A length by itself, an angle at half the object's diagonal; inf for any other number. Real faces are off by the
-    `faces` of a posterior's `meta`: chains that disagree about less tell the same.
+    A length by itself, an angle at half the object's diagonal, a number of a quaternion, which is half an angle, at all
+    of it; inf for any other number. Real faces are off by the `faces` of a posterior's `meta`: chains that disagree
+    about less tell the same.
     """
     name = row["address"].partition(".")[0]
     graph = posterior.best_part.graph
     size = graph.body(name).size() if name in graph.names else None
-    if size is None or row["unit"] not in ("mm", "°"):
-        return np.inf
-    return float(row["draws"].std() * (1.0 if row["unit"] == "mm" else 0.5 * np.linalg.norm(size)))
+    wide = 0.0 if size is None else float(np.linalg.norm(size))
+    moves = {"mm": 1.0, "°": 0.5 * wide, **dict.fromkeys(("qw", "qx", "qy", "qz"), wide)}
+    factor = moves.get(row["unit"] or row["address"].rpartition(".")[2])
+    return np.inf if size is None or factor is None else float(row["draws"].std() * factor)
 
 
 def enough_draws(rows: Sequence[Mapping[str, Any]]) -> int:

@@ -48,7 +48,9 @@ def seen_by_a_sensor(faces):
     return SimpleNamespace(meta={"faces": faces}, best_part=part)
 
 
-@pytest.mark.parametrize("address, spread", [("box_1.contact.theta", 0.01), ("box_1.width", 0.001)])
+@pytest.mark.parametrize(
+    "address, spread", [("box_1.contact.theta", 0.01), ("box_1.width", 0.001), ("box_1.contact.qy", 0.005)]
+)
 def test_chains_that_disagree_about_less_than_faces_are_off_are_trusted(address, spread):
     values = np.random.default_rng(0).standard_normal((2, 100, 1)) + [[[-1.0]], [[1.0]]]
     rows = parameter_rows([address], spread * values / values.std())
