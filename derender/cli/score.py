@@ -2,12 +2,14 @@
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from derender.cli import options
 from derender.cli.options import Talk
+from derender.errors import DerenderError
 
 if TYPE_CHECKING:
     from derender.document import Document
@@ -49,7 +51,9 @@ def command(
 
     document = read_scene_document(scene)
     if image is None:
-        image = _own_image(scene)
+        image = str(Path(scene) / "observation.npz")
+        if not Path(image).exists():
+            raise DerenderError("there is no image to score it against", scene, "write derender score SCENE IMAGE")
     found = read_depth(image, camera, depth_scale)
     if found.camera_is_guess and document.camera is not None and document.camera.shape == found.depth.shape:
         found = read_depth(image, document.camera, depth_scale)
@@ -65,18 +69,6 @@ def command(
     click.echo(f"log prior       {_number(under.log_density)}  ({under.name}{why})")
     click.echo(f"log likelihood  {_number(score.log_likelihood)}  ({name})")
     click.echo(_table(score.shares))
-
-
-def _own_image(scene: str) -> str:
-    """Return the image in a folder that infer wrote."""
-    from pathlib import Path
-
-    from derender.errors import DerenderError
-
-    path = Path(scene) / "observation.npz"
-    if not path.exists():
-        raise DerenderError("there is no image to score it against", scene, "write derender score SCENE IMAGE")
-    return str(path)
 
 
 def _likelihood(document: "Document") -> tuple[str, dict[str, float]]:

@@ -35,7 +35,10 @@ def _shown(scene: str, as_json: bool) -> Iterator[Any]:
     """Yield the text of each scene that the argument names."""
     path = Path(scene)
     if scene != "-" and path.is_dir():
-        yield _of_folder(path, as_json)
+        from derender.cli.reading import read_scene
+
+        found = read_scene(scene)
+        yield _of_graph(found.graph, found.posterior, as_json)
         return
     from derender.document import read_documents, read_prior_document
 
@@ -54,18 +57,6 @@ def _where(name: str) -> list[str]:
     from derender.document import built_in_priors
 
     return [f"from {data_path(f'priors/{name}.yaml')}"] if name in built_in_priors() else []
-
-
-def _of_folder(folder: Path, as_json: bool) -> str:
-    """Show the posterior in a folder; where there is only a scene, that."""
-    if (folder / "posterior.npz").exists():
-        from derender.results.posterior import load
-
-        posterior = load(folder / "posterior.npz")
-        return _of_graph(posterior.best_graph(), posterior, as_json)
-    from derender.cli.reading import read_scene_document
-
-    return _of_graph(read_scene_document(str(folder)).graph, None, as_json)
 
 
 def _of_graph(graph: Any, posterior: Any, as_json: bool) -> str:
