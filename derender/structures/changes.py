@@ -83,8 +83,8 @@ def other_shapes(best: Refined, i: int, shapes: tuple[str, ...]) -> list[Any]:
         return []
     row, kind = state.rows[i], int(state.rows[i][0])
     size = row[13:16]
-    # a box becomes a can about the axis across which it is most nearly square
-    axis = int(np.argmin([abs(size[k - 1] - size[k - 2]) for k in range(3)])) if kind == BOX else 2
+    # a box becomes a can about the axis across which it is most nearly square, a cube about the one that stands
+    axis = min((2, 0, 1), key=lambda k: abs(size[k - 1] - size[k - 2])) if kind == BOX else 2
     order = [(axis + 1) % 3, (axis + 2) % 3, axis]
     turned = np.eye(3) if kind == SPHERE else rotation_of(row)[:, order]
     wide, mean = np.sqrt(size[order[0]] * size[order[1]]), np.prod(size) ** (1.0 / 3.0)

@@ -16,7 +16,7 @@ from derender.sampling.evidence import draw_t, log_t
 from derender.scene.solids import BOX, CYLINDER
 from derender.structures import weighing
 from derender.structures.alternatives import MOST_PATIENT, QUICK, as_boxes, climbed_higher, of_one_solid, quick_steps
-from derender.structures.changes import longer, stood_up, uprighted
+from derender.structures.changes import longer, other_shapes, stood_up, uprighted
 from derender.structures.draws.chart import HELD
 from derender.structures.draws.metropolis import engine_of, evaluate, load, sample, walker_at, with_blurs_drawn
 from derender.structures.draws.refined import (
@@ -448,6 +448,16 @@ def test_a_round_solid_is_tried_as_the_cube_that_the_box_in_its_place_suggests()
     sides = trial.state.rows[0, 13:16]
     assert all(sides.min() - 1e-9 <= state.rows[0, 13] <= sides.max() + 1e-9 for state in states)
     assert as_boxes(trial, [trial], 0) == []
+
+
+def test_a_cube_in_few_pixels_is_tried_as_a_can_that_stands():
+    """All its axes are as square: about the first it lay, and two seeds said .41 and 0 of the can that stands."""
+    rng = np.random.default_rng(3)
+    cube = solid(BOX, (0.06,) * 3, cube=True)
+    sensor, chart, values = observe(rng, cube, {"sigma": 0.006, "blur": 0.5}, camera(32, 24))
+    best = Refined(cube, chart, values, sensor, *load(engine_of(chart, sensor), chart, values))
+    (can,) = other_shapes(best, 0, ("box", "cube", "cylinder"))
+    assert can.forms == [UPRIGHT] and int(can.rows[0, 0]) == CYLINDER
 
 
 def test_what_gave_way_to_a_solid_goes_back_where_that_is_taken_away():
