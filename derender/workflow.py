@@ -107,7 +107,7 @@ def ask(
 ) -> Request:
     """Read all files that an inference needs and return the Request; the arguments are those of `infer_to_folder`."""
     document = read_prior_document(prior) if prior is not None else None
-    seen = look_at(reading.read(image), document, image, warn)
+    seen = look_at(reading.read(image, None if document is None else document.camera), document, image, warn)
     check_request(options, document, prior, gradient, warn)
     if isinstance(options.known, str | Path):
         from derender.structures.known.library import read_library

@@ -302,12 +302,16 @@ class Reading:
     up: str | None = None
     topic: str | None = None
 
-    def read(self, path: str | Path) -> DepthImage:
+    def read(self, path: str | Path, camera: Camera | None = None) -> DepthImage:
         """Return the depth image of a file.
+
+        camera : taken with its unit where nothing else says which it is and it fits the image, such as a prior's.
 
         Raises DerenderError : anything that makes the image, its camera or its confidence unusable.
         """
         seen = read_depth(path, self.camera, self.depth_scale, self.topic)
+        if seen.camera_is_guess and camera is not None and camera.shape == seen.depth.shape and str(path) != "-":
+            seen = read_depth(path, camera, self.depth_scale, self.topic)
         if self.up is not None:
             down = [-number for number in direction(self.up)]
             seen = seen._replace(camera=replace(seen.camera, gravity=unit_vector(down, "--up")))

@@ -45,7 +45,7 @@ def command(
         derender score results/
         derender score results/ frame.png --camera camera.json --json | python -m json.tool
     """
-    from derender.camera.depth_file import read_depth
+    from derender.camera.depth_file import Reading
     from derender.cli.reading import read_scene_document
     from derender.report.scores import score_prior, score_scene
 
@@ -54,10 +54,8 @@ def command(
         image = str(Path(scene) / "observation.npz")
         if not Path(image).exists():
             raise DerenderError("there is no image to score it against", scene, "write derender score SCENE IMAGE")
-    found = read_depth(image, camera, depth_scale)
-    if found.camera_is_guess and document.camera is not None and document.camera.shape == found.depth.shape:
-        found = read_depth(image, document.camera, depth_scale)
-    elif found.camera_is_guess:
+    found = Reading(camera, depth_scale).read(image, document.camera)
+    if found.camera_is_guess:
         talk.warn("there is no camera with this image: taking a field of view of 60 degrees")
     name, values = _likelihood(document)
     under = score_prior(document, prior)

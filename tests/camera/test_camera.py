@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from derender.camera.camera_file import camera_from_tree, read_camera
-from derender.camera.depth_file import read_depth, write_depth
+from derender.camera.depth_file import Reading, read_depth, write_depth
 from derender.camera.intrinsics import Camera
 from derender.errors import DerenderError
 
@@ -246,6 +246,15 @@ def test_a_camera_beside_the_image_is_its_own_unless_one_is_given(tmp_path):
     assert read_depth(image, {"fx": 90, "fy": 90, "cx": 31, "cy": 23}).camera.fx == 90.0
     write_depth(tmp_path / "own.npz", beside.depth, Camera(80, 80, 31, 23, 64, 48))
     assert read_depth(tmp_path / "own.npz").camera.fx == 80.0  # that of the file itself comes first
+
+
+def test_a_prior_s_camera_comes_with_its_unit(tmp_path):
+    camera = Camera(60, 60, 31.5, 23.5, 64, 48, depth_scale=0.1)
+    write_depth(tmp_path / "image.png", np.full((48, 64), 0.9), camera)
+    assert np.allclose(Reading().read(tmp_path / "image.png", camera).depth, 0.9)
+    assert np.allclose(Reading().read(tmp_path / "image.png").depth, 9.0)  # nothing says so
+    other = Camera(60, 60, 31.5, 23.5, 32, 24, depth_scale=0.1)
+    assert Reading().read(tmp_path / "image.png", other).camera_is_guess  # of another image
 
 
 def test_the_fallback_sees_sixty_degrees():
