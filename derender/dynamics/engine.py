@@ -34,6 +34,7 @@ FIRMER = 3.0
 # overdamped, and its corners hop and lose friction.
 SLIDING_RESTITUTION = 0.135
 
+FAR = 1e3  # a margin, in units of lengths of the engine, at which two bodies never touch
 # An error that is always there: of the engine's steps, between two frames, m / s.
 LEAST_SPEED = 5e-4
 # An impact in the engine depends on when within a step it begins, by some hundredths of its speed from one end of the
@@ -75,10 +76,10 @@ class Engine:
     ----------
     matter : bodies and gravity; those in `names` move, all others are fixed.
     names : N of the moving bodies.
-    interval : seconds that `advance` advances by.
+    interval : seconds that `advance` advances by. coarser : times that its steps are as long as usual.
     """
 
-    def __init__(self, matter: Matter, names: tuple[str, ...], interval: float) -> None:
+    def __init__(self, matter: Matter, names: tuple[str, ...], interval: float, coarser: float = 1.0) -> None:
         order = {name: k for k, name in enumerate(names)}
         bodies = [body._replace(fixed=body.name not in order) for body in matter.bodies]
         bodies.sort(key=lambda body: order.get(body.name, len(order)))
@@ -89,7 +90,7 @@ class Engine:
         self.interval = interval
         self.masses = np.array([body.weight_in_kg() for body in bodies[: len(names)]])
         self._names, self._bodies = names, bodies
-        self._steps = [int(np.ceil(interval / step)) for step in (LONGEST_STEP, IMPACT_STEP)]
+        self._steps = [int(np.ceil(interval / step / coarser)) for step in (LONGEST_STEP, IMPACT_STEP)]
         self._worlds = [self._world(matter, interval / count) for count in self._steps]
         self._masses: tuple = ()
         self._rest: tuple = ()
@@ -102,6 +103,13 @@ class Engine:
             np.minimum(dimensions, WITHOUT_SPINNING if flat else WITHOUT_ROLLING, out=dimensions)
         world.model.pair_solreffriction[:, 1] *= FIRMER
         return world
+
+    def part(self) -> None:
+        """Let the moving bodies pass through each other."""
+        for world in self._worlds:
+            owner = world.model.geom_bodyid
+            both = (owner[world.model.pair_geom1] > 0) & (owner[world.model.pair_geom2] > 0)
+            world.model.pair_margin[both] = -FAR
 
     def tell(self, material: Material) -> None:
         """Set friction, restitution, masses and contact time."""

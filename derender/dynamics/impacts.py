@@ -4,11 +4,13 @@ A film of the engine begins anew after each impact: with which speed, and with w
 parabolas through the tracked centres.
 """
 
+from itertools import combinations
+
 import numpy as np
 
 from derender.dynamics.engine import LEVER, STEADY
-from derender.dynamics.motion import Motion
-from derender.dynamics.states import difference, from_poses, moved
+from derender.dynamics.motion import STRUCK_WITHIN, Motion
+from derender.dynamics.states import difference, from_poses, moved, to_poses
 
 # A tracked velocity that changes by so many of its own standard errors, and by more than steady contacts change it,
 # shows an impact.
@@ -32,6 +34,7 @@ class Impacts:
     rested : (N,) bool, whether a body rests in the first frame.
     tracked : (T, N, 13), states at rest at the tracked poses. spread : (T, N, 6, 6), their covariances.
     is_cut : (T, N) bool, the first frame and the first one after each impact; cuts : their (frame, body).
+    blows : (frame, body, body, m / s) of the cuts at which two bodies may have struck each other, and how fast.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -45,6 +48,7 @@ class Impacts:
         self.spread = np.where(known, motion.covariances, np.eye(6))
         self.is_cut = self._cuts()
         self.cuts = [(int(frame), int(k)) for frame, k in np.argwhere(self.is_cut)]
+        self.blows = self._blows()
 
     def _cuts(self) -> np.ndarray:
         """Return (T, N) bool: the first tracked frame after an impact, and the first frame of all."""
@@ -77,6 +81,24 @@ class Impacts:
         result[-2:] = False
         result[0] = True
         return result
+
+    def _blows(self) -> list[tuple[int, int, int, float]]:
+        """Return (frame, body, body, m / s) of the cuts at which two bodies may have met, and how fast."""
+        states, found = self.filled(), []
+        for frame in range(1, self.frames):
+            met: set[int] = set()
+            for k, j in combinations(np.flatnonzero(self.is_cut[frame]).tolist(), 2):
+                apart = np.diff(states[max(frame - FITTED, 0) : frame, [k, j], :3], axis=1)[:, 0]
+                if len(apart) < 2 or met & {k, j}:
+                    continue
+                fast = float(np.linalg.norm(apart[-1] - apart[0])) / ((len(apart) - 1) * self.motion.step)
+                near = STRUCK_WITHIN + fast * self.motion.step
+                poses = to_poses(states[frame - 1 : frame + 1, [k, j]])
+                bodies = [self.bodies[k], self.bodies[j]]
+                if min(a._replace(pose=p[0]).gap(b._replace(pose=p[1])) for a, b in [bodies] for p in poses) < near:
+                    found.append((frame, k, j, fast))
+                    met |= {k, j}
+        return found
 
     def filled(self) -> np.ndarray:
         """Return tracked states (T, N, 13) at rest, interpolated where a body was not seen."""

@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.special import logsumexp
 
 from derender.dynamics.engine import Engine, Scales
@@ -16,9 +15,9 @@ from derender.dynamics.shooting import Errors, Path, Shooting
 from derender.physics.mujoco_model import Diverged
 from derender.posterior.smc import next_temperature, systematic
 
-# Where Levenberg-Marquardt may start: friction, restitution, and masses as the prior says or so many times off. Films
-# from all of them are held against the tracked poses, and it starts from the nearest few frictions.
-FRICTIONS, HEAVIER, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), (1.7, 3.0), 3
+# Where Levenberg-Marquardt may start: films of these frictions are held against the tracked poses, and it starts from
+# the nearest few.
+FRICTIONS, STARTS = (0.1, 0.2, 0.35, 0.6, 0.9), 3
 # Where something may be struck: restitutions (with one alone, what is struck seems heavier or rougher), and contact
 # times (seconds), tried with those that are near: of all four there are too many.
 RESTITUTIONS, CONTACT_TIMES = (0.1, 0.35, 0.55, 0.75), (0.002, 0.006)
@@ -30,14 +29,16 @@ SHORT, LONG = 3, 8
 CLOSE = 10.0
 # Before the scales are learnt, engine and tracking are given much room: first velocities are poor.
 FIRST = Scales(0.3, 0.05, 4.0, 4.0)
+# The step in a scale's logarithm at which its density's curvature is measured.
+CURVED = 0.2
 # No step improves the cost by this many nats: done.
 DONE = 0.05
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-6, 1e-3, 1e6
 # Importance sampling: the least and the most rounds, draws of each, how many equally weighted draws are enough, the
 # share of draws from the prior (where the motion tells nothing), and the proposal's degrees of freedom and widening.
-# Then how many draws the weights are made to be worth at least, and how many draws are kept.
+# Then the share of their number that weighted draws are made to be worth at least, and how many draws are kept.
 ROUNDS, MOST_ROUNDS, DRAWS, ENOUGH, FROM_PRIOR, FREEDOM, WIDER = 2, 4, 80, 50.0, 0.15, 5.0, 1.2
-FEWEST = 30.0
+FEWEST = 0.1
 KEPT = 1000
 
 
@@ -49,7 +50,7 @@ class Mode(NamedTuple):
     path : states, offsets and coordinates there.
     by_pose, by_defect : derivatives about it, as `Shooting.derivatives` gives them.
     robust : (T, N), by how much each tracked pose counts.
-    scales : learnt there.
+    scales : learnt there. uncertain : (4,) standard errors of their logarithms.
     log_marginal : with all unknowns integrated out, linear about this mode.
     covariance : (Z, Z) of all unknowns: changes at the cuts, offsets, coordinates.
     first : (12 N, 12 N), covariance of the states in the first frame.
@@ -60,6 +61,7 @@ class Mode(NamedTuple):
     by_defect: np.ndarray
     robust: np.ndarray
     scales: Scales
+    uncertain: np.ndarray
     log_marginal: float
     covariance: np.ndarray
     first: np.ndarray
@@ -81,13 +83,6 @@ class Draws(NamedTuple):
     def effective(self) -> float:
         """How many equally weighted draws these are worth."""
         return float(np.exp(-logsumexp(2 * self.log_weights)))
-
-    def widened(self, rng: np.random.Generator, apart: np.ndarray, most: np.ndarray) -> "Draws":
-        """Return draws whose coordinates' standard deviations have grown by `apart` (P,), up to `most` (P,)."""
-        weights = np.exp(self.log_weights)
-        own = weights @ (self.coordinates - weights @ self.coordinates) ** 2
-        more = np.sqrt(np.clip(most**2 - own, 0.0, apart**2))
-        return self._replace(coordinates=self.coordinates + more * rng.standard_normal(self.coordinates.shape))
 
     def resampled(self, rng: np.random.Generator, count: int = KEPT) -> tuple[np.ndarray, np.ndarray]:
         """Return coordinates (count, P) and scales' logarithms (count, S), by systematic resampling in random order."""
@@ -150,8 +145,8 @@ def log_marginal(
 
 def learn_scales(
     shooting: Shooting, path: Path, derivatives: tuple, scales: Scales, robust: np.ndarray | None
-) -> tuple[Scales, float]:
-    """Return the scales of highest marginal density about a path, and it: a search along each in turn."""
+) -> tuple[Scales, float, np.ndarray]:
+    """Return the scales of highest marginal density about a path, it, and their logarithms' standard errors (4,)."""
 
     def density(logarithms: np.ndarray) -> float:
         errors = shooting.errors(path, Scales(*np.exp(logarithms)), robust)
@@ -159,7 +154,7 @@ def learn_scales(
 
     prior = shooting.parameters.prior
     best = np.log(scales)
-    value, step = density(best), np.full(len(scales), 0.7)
+    value, step = density(best), np.full(len(scales), 0.7)  # a search along each in turn
     while step.max() > 0.1:
         for number in range(len(scales)):
             for sign in (1, -1):
@@ -171,29 +166,29 @@ def learn_scales(
                     break
             else:
                 step[number] /= 2
-    return Scales(*np.exp(best)), value
+    ways = CURVED * np.eye(len(scales))
+    curvature = [(2 * value - density(best + way) - density(best - way)) / CURVED**2 for way in ways]
+    return Scales(*np.exp(best)), value, np.maximum(curvature, prior.log_scales()[1] ** -2) ** -0.5
 
 
 def find_mode(shooting: Shooting, path: Path, scales: Scales, steps: int, robust: np.ndarray | None = None) -> Mode:
     """Climb, then learn the scales, and how much each tracked pose counts."""
     path = climb(shooting, path, scales, steps, robust)
     derivatives = shooting.derivatives(path)
-    scales, value = learn_scales(shooting, path, derivatives, scales, robust)
+    scales, value, uncertain = learn_scales(shooting, path, derivatives, scales, robust)
     errors = shooting.errors(path, scales, robust)
     precision = log_marginal(shooting, path, derivatives, errors, False)[1]
     covariance = np.linalg.inv(precision)
     ways = shooting.first
     first = ways @ covariance[: ways.shape[1], : ways.shape[1]] @ ways.T
     weights = shooting.robust(path, errors, scales)
-    return Mode(path, *derivatives, weights, scales, value, covariance, first)
+    return Mode(path, *derivatives, weights, scales, uncertain, value, covariance, first)
 
 
 def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
     """Return coordinates to start from: of several frictions those whose films lie nearest to the tracked centres, each
-    with its nearest mass ratio and, where something may be struck, bounce."""
+    with its nearest bounce where something may be struck. Masses begin as the prior says: momentum leads to theirs."""
     middle, told = shooting.parameters.middle(), shooting.restitution()
-    ratios = [np.zeros(len(middle) - ALWAYS)]
-    ratios += [sign * math.log(times) * row for row in np.eye(len(ratios[0])) for times in HEAVIER for sign in (-1, 1)]
     usual = middle[1] if told is None or not shooting.struck else told
 
     def nearest(starts: list[np.ndarray]) -> tuple[float, np.ndarray]:
@@ -201,13 +196,7 @@ def first_coordinates(shooting: Shooting) -> list[np.ndarray]:
         return min(far), starts[int(np.argmin(far))]
 
     bounces = (usual, *RESTITUTIONS) if shooting.struck else (usual,)
-    tried = [
-        nearest([
-            np.array([math.log(friction), bounce, middle[2], *(middle[ALWAYS:] + ratio)])
-            for ratio, bounce in product(ratios, bounces)
-        ])
-        for friction in FRICTIONS
-    ]  # fmt: skip
+    tried = [nearest([np.array([math.log(each), bounce, *middle[2:]]) for bounce in bounces]) for each in FRICTIONS]
     found = sorted(tried, key=lambda pair: pair[0])[:STARTS]
     if shooting.struck:
         times = (middle[2], *np.log(CONTACT_TIMES))
@@ -228,26 +217,21 @@ def find_modes(shooting: Shooting) -> list[Mode]:
 
     The best goes on with lost poses counted as what they are, which is another density: starts are compared without.
     """
-    found = [find_mode(shooting, shooting.first_path(start), FIRST, SHORT) for start in first_coordinates(shooting)]
+    coarse = shooting.coarser()
+    found = [find_mode(coarse, coarse.first_path(start), FIRST, SHORT) for start in first_coordinates(coarse)]
     found.sort(key=lambda mode: -mode.log_marginal)
     best = find_mode(shooting, found[0].path, found[0].scales, LONG, found[0].robust)
     return [best, *(mode for mode in found[1:] if mode.log_marginal > found[0].log_marginal - CLOSE)]
 
 
-def apart(modes: Sequence[Mode]) -> np.ndarray:
-    """Return (P,) by how much the coordinates of modes differ from the best's, root mean square.
-
-    After an impact films are chaotic, and so is their density: 10 nats between modes, of which each is narrow, are the
-    engine's noise and no evidence. (At steps of .8 to 1 times the engine's, densities of four collisions differ by up
-    to 5 nats.) Draws are about the best one alone.
-    """
-    coordinates = np.array([mode.path.coordinates for mode in modes])
-    return np.sqrt(np.mean((coordinates - coordinates[0]) ** 2, axis=0))
-
-
 def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarray], float]:
-    """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about a mode."""
-    parameters = shooting.parameters
+    """Return the log density of (coordinates, scales' logarithms), with the film linear in the states about a mode.
+
+    It is so about the states that are likeliest with these coordinates: with those of the mode itself a film of another
+    friction would be late for a blow, which is not linear.
+    """
+    parameters, size = shooting.parameters, shooting.size
+    follow = mode.covariance[:size, size:] @ np.linalg.inv(mode.covariance[size:, size:])
     untold = None if shooting.bounces(mode.path) else parameters.material(mode.path.coordinates)
 
     def density(coordinates: np.ndarray, logarithms: np.ndarray) -> float:
@@ -255,11 +239,13 @@ def target_of(shooting: Shooting, mode: Mode) -> Callable[[np.ndarray, np.ndarra
         outside = parameters.inside(coordinates) != coordinates
         if not np.isfinite(prior) or np.delete(outside, 1).any():
             return -np.inf
+        off = coordinates - mode.path.coordinates
         try:
-            path = shooting.rolled(mode.path._replace(coordinates=coordinates), untold=untold)
+            path = shooting.stepped(mode.path, np.concatenate([follow @ off, off]), untold)
         except Diverged:
             return -np.inf
-        errors = shooting.errors(mode.path, Scales(*np.exp(logarithms)), mode.robust)
+        about = mode.path._replace(coordinates=coordinates)
+        errors = shooting.errors(about, Scales(*np.exp(logarithms)), mode.robust)
         return log_marginal(shooting, path, (mode.by_pose, mode.by_defect), errors, True)[0] + prior
 
     return density
@@ -280,15 +266,13 @@ def sample(
     """
     size, spread = parameters.size, parameters.prior.log_scales()[1]
     floor = 1e-4 * np.diag(np.concatenate([parameters.spread(), spread]) ** 2)
-    first = np.zeros((size + len(spread), size + len(spread)))
-    first[size:, size:] = np.diag((0.5 * spread) ** 2)
     rounds: list[list[tuple[np.ndarray, np.ndarray]]] = []
     points, target, log_weights = np.empty((0, size + len(spread))), np.empty(0), np.empty(0)
     for number in range(MOST_ROUNDS):
         if number >= ROUNDS and Draws(points, points, log_weights - logsumexp(log_weights)).effective > ENOUGH:
             break
         if number:
-            weights = np.exp(log_weights - logsumexp(log_weights))
+            weights = np.exp(_flattened(log_weights))  # one or two draws of all the weight tell no covariance
             centre = weights @ points
             away = points - centre
             fitted = (weights[:, None] * away).T @ away
@@ -296,7 +280,7 @@ def sample(
         else:
             components = []
             for mode in modes:
-                first[:size, :size] = mode.covariance[-size:, -size:]
+                first = block_diag(mode.covariance[-size:, -size:], np.diag(mode.uncertain**2))
                 components.append(
                     (np.concatenate([mode.path.coordinates, np.log(mode.scales)]), (first + floor) * WIDER**2)
                 )
@@ -309,13 +293,12 @@ def sample(
 
 
 def _flattened(log_weights: np.ndarray) -> np.ndarray:
-    """Return normalised log weights, raised to the greatest power up to 1 at which they are worth FEWEST draws.
+    """Return normalised log weights, raised to the greatest power up to 1 at which FEWEST of the draws are their worth.
 
     Where impacts make the density so rugged that a few draws carry all the weight, its peaks are the engine's chaos:
     then the posterior is as wide as the rest of it.
     """
-
-    raised = next_temperature(log_weights, 0.0, FEWEST / len(log_weights)) * log_weights
+    raised = next_temperature(log_weights, 0.0, FEWEST) * log_weights
     return raised - logsumexp(raised)
 
 
@@ -369,9 +352,6 @@ def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = Non
     shooting = Shooting(motion, parameters, engine)
     modes = find_modes(shooting)
     found = sample(target_of(shooting, modes[0]), parameters, modes, rng, draws)
-    if shooting.struck:
-        wider = found.widened(rng, apart(modes), parameters.spread())
-        found = found._replace(coordinates=np.array([parameters.inside(each) for each in wider.coordinates]))
     if not shooting.bounces(modes[0].path):  # the density does not depend on how things bounce: the prior remains
         found.coordinates[:, 1:ALWAYS] = [parameters.sample_prior(rng)[1:ALWAYS] for _ in found.coordinates]
     return Identified(parameters, modes, found)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_solve, solve_triangular
 
 from derender.dynamics.engine import LATE, LEVER, SLIDING_RESTITUTION, Engine, Material, Scales, velocity_errors
-from derender.dynamics.impacts import BOUNCE, Impacts
+from derender.dynamics.impacts import BOUNCE, STRUCK, Impacts
 from derender.dynamics.motion import Motion
 from derender.dynamics.parameters import Parameters
 from derender.dynamics.states import CHANGE, difference, moved
@@ -24,6 +24,9 @@ from derender.dynamics.support import FREE, flush, plane_under, ways_of
 # corners rattle. Metres, radians, m / s, rad / s; and of the material's coordinates.
 STEPS = np.repeat([1e-3, 0.01, 0.03, 0.2], 3)
 COORDINATE_STEP = 0.03
+COARSER = 4.0  # times the engine's own steps
+# Of the 12 numbers of a defect: those that tell of changes along a plane, as `ways_of` orders them, and the others.
+ALONG, HELD = [0, 1, 3, 6, 7, 9], [2, 4, 5, 8, 10, 11]
 # Tracked centres may be off by a constant: a size or a floor that is wrong by so many metres.
 OFFSET = 0.002
 # Velocity at a cut before anything is seen of it: m / s, rad / s.
@@ -57,7 +60,7 @@ class Errors(NamedTuple):
     """Covariances of the residuals about a path."""
 
     factors: list[np.ndarray]  # N lower Cholesky factors (6 F, 6 F) of each body's covariance over its F tracked frames
-    defects: np.ndarray  # (T, N, 12), variances of the states at cuts
+    defects: np.ndarray  # (T, N, 12), variances of `Shooting.defects`
     log_determinant: float  # half the log determinant of all
 
 
@@ -69,15 +72,20 @@ class Shooting(Impacts):
         self.parameters, self.engine = parameters, engine
         self.noise = [motion.noise(k) for k in range(self.count)]
         states, planes = self.filled(), [body.pose for body in motion.matter.bodies if body.kind == "plane"]
-        # what was struck may rock: only in the first frame is a body held to the plane on which it lies
-        self.planes = [
-            plane_under(self.bodies[k], planes, states[:, k]) if frame == 0 else None for frame, k in self.cuts
-        ]
+        # what comes down on a plane may rock; what lay on it before a blow, too, is held to it
+        self.planes = [plane_under(self.bodies[k], planes, states[max(frame - 1, 0) :, k]) for frame, k in self.cuts]
+        # Bodies that lie on a floor throughout meet in blows alone. What those do is told by what follows: films of
+        # blows are chaotic, and jump with each start. (Where no blow is seen, what is struck hardly moves.)
+        self.apart = len(self.blows) >= self.count - 1 > 0 and all(plane is not None for plane in self.planes)
+        if self.apart:
+            engine.part()
         self.ways = []
         for (frame, k), plane in zip(self.cuts, self.planes, strict=True):
             ways = FREE if plane is None else ways_of(plane, flush(self.bodies[k], plane, states[frame, k])[0])
             # tracking that holds a pose says that the body rests: its speed is no unknown
             self.ways.append(ways[:, : ways.shape[1] // 2] if frame == 0 and self.rested[k] else ways)
+        held = [plane is not None and frame > 0 for plane, (frame, _) in zip(self.planes, self.cuts, strict=True)]
+        self.flush = {cut: ways for cut, ways, yes in zip(self.cuts, self.ways, held, strict=True) if yes}
         self.spins = [self._first_spin(states, frame, k) for frame, k in self.cuts]
         ends = np.cumsum([0, *(ways.shape[1] for ways in self.ways)])
         self.parts = [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -89,6 +97,11 @@ class Shooting(Impacts):
         speed = np.linalg.norm(self.first_speed(states, frame, k)[:3])
         return float(2 * np.hypot(speed, BALL_SURFACE) / self.sizes[k])
 
+    def coarser(self) -> "Shooting":
+        """Return the same with films at steps so long that they tell where to climb, in a third of the time."""
+        motion = self.motion
+        return Shooting(motion, self.parameters, Engine(motion.matter, motion.names, motion.step, COARSER))
+
     @property
     def size(self) -> int:
         """Number of unknowns besides the material's: changes at the cuts, and offsets."""
@@ -96,8 +109,8 @@ class Shooting(Impacts):
 
     @property
     def struck(self) -> bool:
-        """Whether there may be an impact: tracking shows one, something is in the air, or may strike something."""
-        return self.count > 1 or len(self.cuts) > self.count or any(plane is None for plane in self.planes)
+        """Whether the engine may meet an impact: tracking shows one, something is in the air, or may strike another."""
+        return self.count > 1 and not self.apart or any(plane is None for plane in self.planes)
 
     @property
     def first(self) -> np.ndarray:
@@ -164,7 +177,7 @@ class Shooting(Impacts):
     def bounces(self, path: Path) -> bool:
         """Return whether an impact along a path tells restitution: one that is fast, or that tracking shows of two."""
         if self.count > 1 and len(self.cuts) > self.count:
-            return True
+            return not self.apart
         return self.struck and bool(self.impulses(path)[..., 0].max(initial=0.0) > BOUNCE)
 
     def tracking_residuals(self, path: Path) -> np.ndarray:
@@ -174,8 +187,40 @@ class Shooting(Impacts):
         return np.where(self.seen[..., None], change, 0.0)
 
     def defects(self, path: Path) -> np.ndarray:
-        """Return the states minus where the engine arrives (T, N, 12); zero but at the cuts after the first frame."""
-        return difference(path.arrived, path.states) * (self.is_cut & (np.arange(self.frames) > 0)[:, None])[..., None]
+        """Return the states minus where the engine arrives (T, N, 12); zero but at the cuts after the first frame.
+
+        Of two bodies that struck each other the first one's velocity is that of both together, the second one's that
+        to the first, as they were when it happened. Where a body is held to a plane, only what is along it counts:
+        corners rattle, by which nothing is told.
+        """
+        later = self.is_cut & (np.arange(self.frames) > 0)[:, None]
+        change = difference(path.arrived, path.states) * later[..., None]
+        for frame, k, j, _ in self.blows:
+            pair = [k, j]
+            if self.apart:
+                change[frame, pair, 6:9] += self._slowed(path, frame, pair)
+            first, second = change[frame, pair, 6:9]
+            shares = self._shares(k, j, path.coordinates)
+            change[frame, pair, 6:9] = shares @ [first, second], second - first
+        for cut, ways in self.flush.items():
+            along = ways.T @ change[cut]
+            change[cut] = 0.0
+            change[cut][ALONG] = along
+        return change
+
+    def _slowed(self, path: Path, frame: int, pair: list[int]) -> np.ndarray:
+        """Return (2, 3), m / s, by how much more friction slowed two bodies since a blow in the states of a path than
+        where the engine arrives without it; how long ago it was, the way of the one that rested before says."""
+        both = np.stack([path.states[frame, pair], path.arrived[frame, pair]])[..., 7:10]  # (2, 2, 3)
+        speed = np.linalg.norm(both, axis=-1)
+        rested = np.flatnonzero(speed[1] < RESTS)
+        if len(rested) != 1:
+            return np.zeros((2, 3))
+        way = np.linalg.norm((path.states - path.arrived)[frame, pair[rested[0]], :3])
+        friction, after = self.parameters.material(path.coordinates).friction, speed[0, rested[0]]
+        lost = np.sqrt(after**2 + 2 * friction * np.linalg.norm(self.engine.gravity) * way) - after
+        along = both / np.maximum(speed, max(lost, RESTS))[..., None]
+        return lost * (along[0] - along[1])
 
     def derivatives(self, path: Path, sides: int = 2) -> tuple[np.ndarray, np.ndarray]:
         """Return derivatives of `tracking_residuals` (T, N, 6, Z) and `defects` (T, N, 12, Z), by fixed differences.
@@ -242,14 +287,14 @@ class Shooting(Impacts):
             for frame in range(1, self.frames):
                 if self.is_cut[frame, k]:
                     far, fast = float(reached[frame] @ reached[frame]), float(carried[frame] @ carried[frame])
-                    defects[frame, k, 0:3] = LEAST_POSITION**2 + far
-                    defects[frame, k, 3:6] = LEAST_ROTATION**2 + lever**2 * far
-                    defects[frame, k, 6:9] = fast
-                    defects[frame, k, 9:12] = lever**2 * fast
+                    own = [LEAST_POSITION**2 + far, LEAST_ROTATION**2 + lever**2 * far, fast, lever**2 * fast]
+                    defects[frame, k] = np.repeat(own, 3)
                     reached[frame] = 0.0
             reached[self.is_cut[:, k]] = 0.0
             shown = np.flatnonzero(self.seen[:, k])
             model = reached[shown] @ reached[shown].T
+            for frame, *pair, _ in self.blows:  # it may have begun before the frame that shows it, by what that takes
+                model += np.diag((shown == frame - 1) * (k in pair) * (STRUCK / 2) ** 2)
             covariance = np.zeros((len(shown), 6, len(shown), 6))
             for axis in range(6):
                 covariance[:, axis, :, axis] = model * (1.0 if axis < 3 else lever**2)
@@ -260,8 +305,34 @@ class Shooting(Impacts):
             factor = np.linalg.cholesky(covariance.reshape(6 * len(shown), -1))
             factors.append(factor)
             total += float(np.sum(np.log(np.diag(factor))))
+        self._add_blows(defects, path.coordinates, scales.impact)
+        for cut in self.flush:
+            defects[cut][HELD] = 1.0
         total += 0.5 * float(np.sum(np.log(defects)))
         return Errors(factors, defects, total)
+
+    def _add_blows(self, defects: np.ndarray, coordinates: np.ndarray, impact: float) -> None:
+        """Add to the variances (T, N, 12) of defects what is not known of blows between two bodies.
+
+        Where on their faces, when and how elastically they hit each other changes their velocity to each other by as
+        much as it was. The momentum of both is kept but for a share `impact`, and for friction since a moment that is
+        not known: so it tells the ratio of their masses, however the engine bounces.
+        """
+        step, friction = self.engine.interval, self.parameters.material(coordinates).friction
+        slowed = friction * float(np.linalg.norm(self.engine.gravity)) * step / np.sqrt(12)
+        for frame, k, j, fast in self.blows:
+            shares = self._shares(k, j, coordinates)
+            for body, share in zip((k, j), shares[::-1] * fast, strict=True):
+                lever = LEVER / self.sizes[body]
+                off = share * np.array([step / 2, lever * step / 2, np.hypot(impact, slowed / share), lever])
+                defects[frame, body] += np.repeat(off**2, 3)
+            own = defects[frame, [k, j], 6:9]
+            defects[frame, k, 6:9], defects[frame, j, 6:9] = shares**2 @ own, own.sum(axis=0) + fast**2
+
+    def _shares(self, k: int, j: int, coordinates: np.ndarray) -> np.ndarray:
+        """Return (2,) the shares of two bodies in the mass of both."""
+        masses = self.parameters.material(coordinates).masses[[k, j]]
+        return masses / masses.sum()
 
     def _weights(self, k: int, scales: Scales) -> np.ndarray:
         """Return by what each error of body k's poses is multiplied (F, 6); how a sphere turns is not seen at all."""
@@ -300,14 +371,14 @@ class Shooting(Impacts):
         """Return all residuals of a path in standard errors, without those of priors."""
         return self.whitened(errors, self.tracking_residuals(path)[..., None], self.defects(path)[..., None])[:, 0]
 
-    def stepped(self, path: Path, change: np.ndarray) -> Path:
-        """Return the path after a change (Z,) of all unknowns."""
+    def stepped(self, path: Path, change: np.ndarray, untold: Material | None = None) -> Path:
+        """Return the path after a change (Z,) of all unknowns; untold : as of `rolled`."""
         states = path.states.copy()
         for (frame, k), part, ways in zip(self.cuts, self.parts, self.ways, strict=True):
             states[frame, k] = moved(states[frame, k], ways @ change[part])
         offsets = path.offsets + change[self.parts[-1].stop : self.size].reshape(-1, 3)
         coordinates = self.parameters.inside(path.coordinates + change[self.size :])
-        return self.rolled(Path(states, path.arrived, offsets, coordinates))
+        return self.rolled(Path(states, path.arrived, offsets, coordinates), untold=untold)
 
     def robust(self, path: Path, errors: Errors, scales: Scales) -> np.ndarray:
         """Return by how much each tracked pose's precision counts (T, N), by what of its residual is tracking's."""

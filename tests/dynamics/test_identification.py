@@ -5,7 +5,7 @@ import pytest
 
 from derender.dynamics import inference
 from derender.dynamics.engine import FIRMER, SLIDING_RESTITUTION, Engine, Material
-from derender.dynamics.inference import ENOUGH, Draws, first_coordinates, identify, sample
+from derender.dynamics.inference import ENOUGH, first_coordinates, identify, sample
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
 from derender.dynamics.result import Answer
@@ -155,7 +155,7 @@ class Mode:
     def __init__(self, coordinates, width, log_marginal=0.0):
         self.path, self.robust = type("Path", (), {"coordinates": np.asarray(coordinates)}), None
         self.scales, self.log_marginal = np.exp([-3.0, -4.0, 0.1, 0.1]), log_marginal
-        self.covariance = width**2 * np.eye(3)
+        self.covariance, self.uncertain = width**2 * np.eye(3), np.full(4, 0.5)
 
 
 def test_weighted_draws_have_the_targets_moments():
@@ -197,15 +197,15 @@ def test_what_a_moving_body_comes_near_moves_too_and_what_stands_aside_does_not(
     assert film.names == ("slider", "near")
 
 
-@pytest.mark.parametrize("friction, ratio", [(0.28, 0.6), (0.22, 1.6)])
-def test_a_climb_begins_near_the_friction_and_the_masses_of_a_collision(friction, ratio):
-    """From a friction and a ratio half as great or twice it ended elsewhere, 15 nats and more below, and was sure."""
-    film = collision(friction, ratio, 0.2, np.random.default_rng(1))
-    engine = Engine(film.matter, film.names, film.step)
-    parameters = Parameters(film.names, engine.masses, read_dynamics_prior())
-    starts = first_coordinates(Shooting(film, parameters, engine))
-    off = [np.abs(parameters.values(start)[[0, 3]] / [friction, ratio] - 1.0) for start in starts]
-    assert min(max(each) for each in off) < 0.35  # neighbours on the grid are up to 1.75 times each other
+@pytest.mark.parametrize("friction, ratio, restitution", [(0.28, 0.6, 0.1), (0.22, 1.6, 0.6)])
+def test_momentum_tells_the_ratio_of_masses_whatever_a_blow_gives_back(friction, ratio, restitution):
+    """Films of blows were trusted: they are chaotic, and one with .74 times the mass was sure where .41 was true."""
+    film = collision(friction, ratio, restitution, np.random.default_rng(3), 3e-4)
+    rng = np.random.default_rng(0)
+    draws = Answer(identify(film, rng, draws=30), rng).draws
+    for name, truth in (("friction", friction), ("mass_ratio.struck.striker", ratio)):
+        low, middle, high = np.quantile(draws[name], [0.02, 0.5, 0.98])
+        assert low < truth < high and abs(middle / truth - 1) < 0.15
 
 
 def test_what_tracking_holds_rests_until_it_is_struck():
@@ -241,15 +241,9 @@ def test_starts_are_compared_by_one_density_and_the_best_goes_on_with_lost_poses
     find = lambda *_: Mode(np.zeros(3), 0.1, next(values))  # noqa: E731
     monkeypatch.setattr(inference, "find_mode", find)
     monkeypatch.setattr(inference, "first_coordinates", lambda _: [None] * 4)
-    modes = inference.find_modes(type("Shooting", (), {"first_path": staticmethod(lambda start: start)}))
+    shooting = type("Shooting", (), {"first_path": lambda _, start: start, "coarser": lambda self: self})
+    modes = inference.find_modes(shooting())
     assert [mode.log_marginal for mode in modes] == [1.0, 5.0, 4.0]
-
-
-def test_draws_about_one_mode_are_as_wide_as_modes_are_apart_but_no_wider_than_the_prior():
-    rng = np.random.default_rng(2)
-    draws = Draws(0.1 * rng.standard_normal((4000, 3)), np.zeros((4000, 4)), np.full(4000, -np.log(4000)))
-    wider = draws.widened(rng, np.array([0.0, 0.3, 3.0]), np.array([1.0, 1.0, 0.5])).coordinates.std(axis=0)
-    assert wider == pytest.approx([0.1, np.hypot(0.1, 0.3), 0.5], rel=0.05)
 
 
 def test_two_frames_and_uneven_times_are_refused():
