@@ -7,27 +7,29 @@ prediction: the first half of a made film's motion goes through `infer --track -
 thing that moves on at the film's end? Beside it one film of the engine with MuJoCo's default friction of 1 and no
 restitution, from the same inferred state. tosses: real tosses of a cube (see the README of the real frames). Of some,
 half a second of poses at 30 frames a second, with errors like those of tracking, tells friction and restitution; they
-are pooled (dynamics.prediction), and other tosses are predicted from their release. What holds the truth is a region of
+are pooled (`pool`), and other tosses are predicted from their release. What holds the truth is a region of
 90 %.
 """
 
 import json
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from real_frames import real_folder
 from sequences import FRAMES, KINDS, make_sequence, write_sequence
 
 from derender.atomic import make_folder
-from derender.dynamics.engine import Engine, Material
+from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.prediction import Lesson, come_to_rest, in_region, lesson, pool, predict, predict_another
+from derender.dynamics.prediction import come_to_rest, predict
 from derender.dynamics.states import moved, to_poses
 from derender.errors import DerenderError
 from derender.physics.bodies import Body, Matter
+from derender.physics.mujoco_model import Diverged
 from derender.structures.options import Options
 from derender.tracking.materials import motion_of_track
 from derender.tracking.run import track_to_folder
@@ -41,6 +43,80 @@ EVERY, SECONDS, MOST = 5, 0.5, 90  # of 148 poses a second; watched; intervals u
 POSE_ERROR = (0.0005, 0.005)  # metres and radians, of made tracked poses
 HEAD = "| {} | {} | in the 90 % region | median error, mm | default physics, mm | ratio |\n" + "|---" * 6 + "|"
 TEACHERS = 6  # tosses that tell the materials
+# A variance than which no film tells a number better.
+LEAST_VARIANCE = 1e-8
+
+
+def in_region(draws, truth, share=0.9):
+    """Return whether `truth` (D,) lies in the ellipsoid about draws (K, D) that holds a share of them."""
+    centre = np.median(draws, axis=0)
+    inverse = np.linalg.inv(np.cov(draws.T) + 1e-8 * np.eye(draws.shape[1]))
+    off = np.vstack([truth, draws]) - centre
+    far = np.einsum("ki,ij,kj->k", off, inverse, off)
+    return bool(far[0] <= np.quantile(far[1:], share))
+
+
+class Lesson(NamedTuple):
+    """What a film tells: mean, variance (P,) of the coordinates of `Parameters` and the scales' logarithms."""
+
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+class Pooled(NamedTuple):
+    """What films tell of another one: numbers (P,) as a lesson's, each of a t distribution."""
+
+    mean: np.ndarray  # (P,)
+    variance: np.ndarray  # (P,), the squares of their scales
+    freedom: int  # its degrees of freedom
+
+
+def lesson(found):
+    """Return what a film was found to tell."""
+    points, weights = np.hstack([found.draws.coordinates, found.draws.logarithms]), np.exp(found.draws.log_weights)
+    mean = weights @ points
+    return Lesson(mean, weights @ (points - mean) ** 2 + LEAST_VARIANCE)
+
+
+def pool(lessons):
+    """Return what at least two films tell of another one, whose numbers differ as theirs do.
+
+    Source: random effects of DerSimonian and Laird 1986, each number on its own. How much a few films differ is poorly
+    known: as Higgins, Thompson and Spiegelhalter 2009, the prediction is a t distribution. Its degrees of freedom, L -
+    1 of L films, are exact where each film tells its number well.
+    """
+    means, variances = (np.array(part) for part in zip(*lessons, strict=True))
+    weights = 1 / variances
+    centre = np.sum(weights * means, axis=0) / np.sum(weights, axis=0)
+    scatter = np.sum(weights * (means - centre) ** 2, axis=0)
+    freedom = np.sum(weights, axis=0) - np.sum(weights**2, axis=0) / np.sum(weights, axis=0)
+    spread = np.maximum((scatter - (len(means) - 1)) / freedom, 0.0)
+    weights = 1 / (variances + spread)
+    mean = np.sum(weights * means, axis=0) / np.sum(weights, axis=0)
+    return Pooled(mean, 1 / np.sum(weights, axis=0) + spread, len(means) - 1)
+
+
+def predict_another(told, parameters, engine, sizes, states, rng, count, most):
+    """Return draws (K, N, 13) of the states in which bodies come to rest from `states` (N, 13), K at most `count`.
+
+    Each draw has a material and scales of its own, and the engine's errors of those scales after each interval: what
+    an edge does at its first impact decides where the next one is, so that the spread grows with every impact. It is
+    not learnt from ends that were seen: one of many films from drawn materials meets them by luck, and the scatter
+    about it is too small (so, 90 % regions held .44 of real tosses).
+
+    told : by other films (`pool`).
+    sizes : (N,) mean side of each body, metres.
+    most : intervals after `states`.
+    """
+    draws, size = [], parameters.size
+    for _ in range(count):
+        numbers = told.mean + np.sqrt(told.variance) * rng.standard_t(told.freedom, len(told.mean))
+        material, scales = parameters.material(numbers[:size]), Scales(*np.exp(numbers[size:]))
+        try:
+            draws.append(come_to_rest(engine, sizes, states, material, most, scales, rng.standard_normal))
+        except Diverged:
+            continue
+    return np.array(draws)
 
 
 def default_of(engine):

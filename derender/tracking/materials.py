@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from derender.atomic import write_text
-from derender.dynamics.inference import identify
+from derender.dynamics.inference import Identified, identify
 from derender.dynamics.motion import Motion, motion_of
 from derender.dynamics.parameters import Prior
-from derender.dynamics.result import Answer
+from derender.dynamics.prediction import predict
+from derender.dynamics.result import LEVEL, Answer
+from derender.dynamics.shooting import RESTS
 from derender.errors import DerenderError
 from derender.physics.bodies import KIND_NAMES, Body, Matter
 from derender.scene.pose import inverse
@@ -26,7 +28,9 @@ HELD, HELD_FRAMES, QUIETEST = 0.5, 3, 0.1
 APART = 1 / 30
 # A thing is pushed by a hand where it rested for so many frames on a level floor (cosine to gravity) and then leaves
 # its place by so many metres, while nothing that moves by itself is within as many of it beyond what both are wide.
-RESTED_FRAMES, LEVEL, BEGUN, REACH = 2, 0.998, 0.004, 0.02
+RESTED_FRAMES, LEVEL_FLOOR, BEGUN, REACH = 2, 0.998, 0.004, 0.02
+# Films of what comes next, and for how long they go on at most, seconds: a slide at 3 m/s ends sooner.
+FILMS_AHEAD, SECONDS_AHEAD = 60, 2.0
 
 
 def motion_of_track(track: Track) -> Motion:
@@ -90,7 +94,7 @@ def _held(track: Track, back: np.ndarray) -> set[str]:
 def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
     """Return the names of the things that something unseen sets in motion, or what such a thing has struck."""
     gravity = np.asarray(track.gravity, float)
-    if track.floor is None or -track.floor[:3, 2] @ gravity < LEVEL * np.linalg.norm(gravity):
+    if track.floor is None or -track.floor[:3, 2] @ gravity < LEVEL_FLOOR * np.linalg.norm(gravity):
         return set()
     centres = (back[:, None] @ track.poses)[..., :3, 3]
     shift = np.linalg.norm(np.nan_to_num(centres - centres[0]), axis=-1)
@@ -115,7 +119,7 @@ def _pushed(track: Track, back: np.ndarray, handled: set[str]) -> set[str]:
 def materials_to_folder(
     track: Track, folder: Path, seed: int | None, command: str, prior: Prior | None = None
 ) -> list[str]:
-    """Write dynamics.npz and the `parameters` of track.json; return lines for the terminal, which the page has too.
+    """Write dynamics.npz, `parameters` and `ahead` of track.json; return lines for the terminal, also on the page.
 
     prior : what is believed of the materials before; None: the default of dynamics.parameters.
 
@@ -127,11 +131,37 @@ def materials_to_folder(
     if not motion.names:
         raise DerenderError("nothing moves by itself", folder, "leave out --dynamics")
     rng = np.random.default_rng(seed)
-    answer = Answer(identify(motion, rng, prior), rng)
+    found = identify(motion, rng, prior)
+    answer, ahead = Answer(found, rng), rests_ahead(found, motion, rng)
     answer.write(folder / "dynamics.npz", seed=seed, command=command)
     said = json.loads((folder / "track.json").read_text(encoding="utf-8"))
-    write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json()}))
+    write_text(folder / "track.json", json.dumps({**said, "parameters": answer.json(), "ahead": ahead}))
+    lines = answer.lines()
+    for name, told in ahead.items():
+        where = ", ".join(
+            f"{m:.3f} ({a:.3f}-{b:.3f})" for m, (a, b) in zip(told["mean"], told["interval"], strict=True)
+        )
+        lines.append(f"{name} comes to rest at {where} m")
     page = folder / "report.html"
     if page.is_file():
-        write_text(page, with_materials(page.read_text(encoding="utf-8"), answer.lines()))
-    return answer.lines()
+        write_text(page, with_materials(page.read_text(encoding="utf-8"), lines))
+    return lines
+
+
+def rests_ahead(found: Identified, motion: Motion, rng: np.random.Generator) -> dict[str, dict[str, list]]:
+    """Return where what still moves comes to rest: {name: its centre's `mean` (3,) and 90 % `interval` (3, 2)}.
+
+    Metres in the axes of the first camera; {} where all rests.
+    """
+    last = found.modes[0].path.states[-1]
+    fast = np.flatnonzero(np.linalg.norm(last[:, 7:10], axis=1) > RESTS)
+    if not len(fast):
+        return {}
+    ends = predict(found, motion, rng, FILMS_AHEAD, round(SECONDS_AHEAD / motion.step))
+    return {
+        motion.names[k]: {
+            "mean": ends[:, k, :3].mean(axis=0).tolist(),
+            "interval": np.quantile(ends[:, k, :3], [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0).T.tolist(),
+        }
+        for k in fast
+    }

@@ -115,3 +115,14 @@ def test_what_rested_and_is_struck_by_what_moves_is_kept():
 
     assert motion_of_track(both(0.0)).names == ("box_1", "box_2")
     assert motion_of_track(both(0.1)).names == ("box_1",)
+
+
+def test_a_film_that_ends_amid_a_slide_says_where_it_will_come_to_rest(tmp_path):
+    (tmp_path / "track.json").write_text(json.dumps({"objects": []}))
+    film = track(sliding(0.3, 1.8))  # it stops after .55 m, of which the 14 frames show .50 m
+    lines = materials_to_folder(film, tmp_path, 0, "test")
+    ahead = json.loads((tmp_path / "track.json").read_text())["ahead"]["box_1"]
+    low, high = ahead["interval"][0]
+    assert low < 1.8**2 / (2 * 0.3 * 9.81) < high and high - low < 0.1
+    assert low < ahead["mean"][0] < high and ahead["mean"][2] == pytest.approx(0.975, abs=0.005)
+    assert any(line.startswith("box_1 comes to rest at") for line in lines)

@@ -1,5 +1,8 @@
 """What will happen is held against a slide in closed form, and regions against how often they hold."""
 
+import importlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import t as student
@@ -8,7 +11,7 @@ from derender.dynamics.engine import Engine, Material, Scales
 from derender.dynamics.inference import identify
 from derender.dynamics.motion import motion_of
 from derender.dynamics.parameters import Parameters, read_dynamics_prior
-from derender.dynamics.prediction import Lesson, come_to_rest, in_region, pool, predict, predict_another
+from derender.dynamics.prediction import come_to_rest, predict
 from derender.dynamics.states import from_poses, moved, to_poses
 from derender.physics.bodies import Body, Matter
 from derender.physics.mujoco_model import Diverged
@@ -16,6 +19,13 @@ from derender.physics.mujoco_model import Diverged
 GRAVITY, STEP = 9.81, 1 / 30
 BOX = Body("box", "box", np.array([0.08, 0.07, 0.05]), np.eye(4))
 MATTER = Matter((Body("floor", "plane", np.zeros(3), np.eye(4)), BOX), np.array([0.0, 0.0, -GRAVITY]), ())
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """Return scripts/evaluate_prediction.py, which pools what films tell and says what region holds the truth."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts")
+    return importlib.import_module("evaluate_prediction")
 
 
 def start(speed):
@@ -53,11 +63,11 @@ def test_errors_of_the_engine_spread_where_things_end():
     assert spread(0.1) > 4 * spread(0.01) > 0
 
 
-def test_a_region_of_nine_tenths_holds_so_often():
+def test_a_region_of_nine_tenths_holds_so_often(script):
     rng, held = np.random.default_rng(1), []
     lower = np.array([[1.0, 0.0], [0.8, 0.3]])
     for _ in range(500):
-        held.append(in_region(rng.standard_normal((60, 2)) @ lower.T, lower @ rng.standard_normal(2)))
+        held.append(script.in_region(rng.standard_normal((60, 2)) @ lower.T, lower @ rng.standard_normal(2)))
     assert 0.83 < np.mean(held) < 0.94
 
 
@@ -79,35 +89,36 @@ def test_the_first_half_of_a_slide_tells_where_it_ends():
     assert np.quantile(ends, 0.02) < truth < np.quantile(ends, 0.98)
 
 
-def test_effects_that_differ_from_film_to_film_widen_what_another_film_may_be():
+def test_effects_that_differ_from_film_to_film_widen_what_another_film_may_be(script):
+    lesson, pool = script.Lesson, script.pool
     rng = np.random.default_rng(3)
     truth = 1.0 + 0.5 * rng.standard_normal((2000, 1))
     errors = rng.uniform(0.1, 0.4, (2000, 1))
     means = truth + errors * rng.standard_normal((2000, 1))
-    mean, variance, _ = pool([Lesson(*pair) for pair in zip(means, errors**2, strict=True)])
+    mean, variance, _ = pool([lesson(*pair) for pair in zip(means, errors**2, strict=True)])
     assert abs(mean[0] - 1.0) < 0.05 and abs(variance[0] / 0.25 - 1) < 0.1
     unequal = np.array([[1e-4], [1e-4], [1e-4], [1e-2]])  # what differs between films makes them count alike
     means = np.array([[0.0], [2.0], [0.0], [2.0]])
-    assert abs(pool([Lesson(*pair) for pair in zip(means, unequal, strict=True)]).mean[0] - 1.0) < 0.05
+    assert abs(pool([lesson(*pair) for pair in zip(means, unequal, strict=True)]).mean[0] - 1.0) < 0.05
     films = rng.standard_normal(
         (4000, 3)
     )  # three films, and a fourth: nine tenths of a t distribution hold it so often
-    told = [pool([Lesson(np.array([film]), np.array([1e-6])) for film in three]) for three in films]
+    told = [pool([lesson(np.array([film]), np.array([1e-6])) for film in three]) for three in films]
     off = [rng.standard_normal() - each.mean[0] for each in told]
     limits = [student.ppf(0.95, each.freedom) * np.sqrt(each.variance[0]) for each in told]
     assert abs(np.mean(np.abs(off) < limits) - 0.9) < 0.02
-    mean, variance, freedom = pool([Lesson(np.array([2.0]), np.array([0.01]))] * 4)
+    mean, variance, freedom = pool([lesson(np.array([2.0]), np.array([0.01]))] * 4)
     np.testing.assert_allclose([*mean, *variance, freedom], [2.0, 0.01 / 4, 3])
 
 
-def test_regions_of_another_film_hold_ends_that_impacts_and_materials_scatter():
+def test_regions_of_another_film_hold_ends_that_impacts_and_materials_scatter(script):
     engine, sizes, rng = Engine(MATTER, ("box",), STEP), np.array([0.067]), np.random.default_rng(4)
     parameters = Parameters(("box",), engine.masses, read_dynamics_prior())
     # Log friction, restitution, log contact time, logs of the scales; by how much films differ.
     middle = np.array([np.log(0.2), 0.2, np.log(0.003), *np.log([0.1, 0.02, 1.0, 1.0])])
     differ = np.array([0.1, 0.05, 0.1, 0.2, 0.2, 0.0, 0.0])
     signs = np.array([[1, 1, -1, 1, -1, 1, 1], [-1, -1, 1, -1, 1, -1, -1]] * 3)
-    told = pool([Lesson(middle + row * differ, np.full(7, 1e-6)) for row in signs])
+    told = script.pool([script.Lesson(middle + row * differ, np.full(7, 1e-6)) for row in signs])
     thrown = moved(start(0.8), np.array([[0.0, 0.0, 0.05, 0.3, 0.5, 0.2, 0.0, 0.0, 0.0, 3.0, 6.0, 0.0]]))
 
     ends = []
@@ -117,8 +128,8 @@ def test_regions_of_another_film_hold_ends_that_impacts_and_materials_scatter():
         ends.append(come_to_rest(engine, sizes, thrown, material, 40, scales, rng.standard_normal)[0, :2])
 
     def held(told):
-        draws = predict_another(told, parameters, engine, sizes, thrown, rng, 40, 40)[:, 0, :2]
-        return np.mean([in_region(draws, end) for end in ends])
+        draws = script.predict_another(told, parameters, engine, sizes, thrown, rng, 40, 40)[:, 0, :2]
+        return np.mean([script.in_region(draws, end) for end in ends])
 
     assert 0.8 < held(told)  # .9 but for the error of 40 draws and 40 ends, .07
     without_errors = np.concatenate([told.mean[:3], np.log([1e-3, 1e-3, 1.0, 1.0])])
