@@ -173,17 +173,12 @@ class Processes:
     """So many processes, each an executor of its own: one that dies takes only the frame with it that it was on."""
 
     def __init__(self, size: int, order: Order, output: str) -> None:
-        self._size, self.order, self.output = size, order, output
+        self.size, self.order, self.output = size, order, output
         self._idle: list[ProcessPoolExecutor] = []
         self._busy: dict[Future, tuple[ProcessPoolExecutor, Frame]] = {}
         self._context = get_context("spawn")
         with held(ENDING):
             resource_tracker.ensure_running()
-
-    @property
-    def size(self) -> int:
-        """How many frames can be in work at a time."""
-        return self._size
 
     @property
     def busy(self) -> int:

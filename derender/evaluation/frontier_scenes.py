@@ -350,19 +350,13 @@ def shared(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     return depth + SIGMA * depth**2 * smooth_noise(rng, depth.shape, SHARED)
 
 
-def stereo(
-    rng: np.random.Generator,
-    depth: np.ndarray,
-    baseline_focal: float = 30.0,
-    step: float = 1 / 32,
-    error: float = 0.05,
-    bias: float = 0.08,
-) -> np.ndarray:
+def stereo(rng: np.random.Generator, depth: np.ndarray) -> np.ndarray:
     """Return the depth as active stereo gives it: what is near is fattened by about a pixel, what only one eye sees is
     lost, disparities (in the sensor's pixels: 600 of focal length, 50 mm of baseline) are off by what neighbours share,
     slowly bent, and quantised."""
     from scipy import ndimage
 
+    baseline_focal, step, error, bias = 30.0, 1 / 32, 0.05, 0.08  # metres times pixels; the others pixels
     disparity = baseline_focal / np.nan_to_num(depth, nan=np.inf)
     fat = ndimage.maximum_filter(disparity, 3)
     reach = smooth_noise(rng, depth.shape, 3.0) > -0.7  # blocks match at their centres here and there

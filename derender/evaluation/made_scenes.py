@@ -140,15 +140,13 @@ def settle(rng, kinds, sizes, spread, upright_share=0.5, seconds=4.0):
     return poses, parents
 
 
-def stack(
-    rng: np.random.Generator, count: int, low: float = 0.04, high: float = 0.14
-) -> tuple[list[str], np.ndarray, np.ndarray, list[int | str]]:
+def stack(rng: np.random.Generator, count: int) -> tuple[list[str], np.ndarray, np.ndarray, list[int | str]]:
     """Return kinds, sizes, poses and parents of a flush tower of boxes: upright, centres anywhere on the face below."""
     kinds, sizes, poses, parents = [], [], [], []
     height, centre, yaw = 0.0, np.zeros(2), rng.uniform(0, np.pi / 2)
     for index in range(count):
         kind = "cube" if rng.random() < 0.5 else "box"
-        size = random_size(rng, kind, low, high)
+        size = random_size(rng, kind)
         if index:
             half = sizes[-1][:2] / 2
             offset = rng.uniform(-0.8, 0.8, 2) * half
