@@ -13,6 +13,7 @@ odds, the two are as likely as each other.
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from derender.detection.compounds import belongs_to, goes_on, goes_on_from, joined
 from derender.detection.freestanding import LEAST_EXISTENCE, existence_of
@@ -71,7 +72,7 @@ def leftovers(rng: np.random.Generator, seen: Observation, state: State, setting
         low, high = ends_of(seen.points[mask], ENDS)
         gain = float(misfit[mask].sum())
         if (
-            (interior(whole) & left).sum() < INNER * mask.sum()
+            (ndimage.binary_erosion(whole) & left).sum() < INNER * mask.sum()
             or high[2] <= max(LEFT_HEIGHT * seen.scale, settings.uneven)
             or max(high[:2] - low[:2]) >= LARGEST
         ):
@@ -100,14 +101,6 @@ def shows_alike(seen: Observation, state: State, mask: np.ndarray) -> bool:
     """Return whether the last solid of a state shows in the pixels of a mask (H, W) and hardly elsewhere."""
     shown = held_out(seen.image, state, -1)[1] == len(state) - 1
     return bool((shown & mask).sum() > SAME * (shown | mask).sum())
-
-
-def interior(mask: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: the pixels of a mask with it on all four sides."""
-    inside = mask.copy()
-    for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        inside &= np.roll(mask, way, axis)
-    return inside
 
 
 def with_solid(

@@ -197,7 +197,8 @@ def likeliest(depth: np.ndarray, camera: dict[str, float], factor: int, gravity:
         seen = over_candidate(depth, camera, factor, candidate, rounding, floating)
         if seen is None and not found:
             break  # the likeliest comes first: where it is none there is none
-        if seen is None or any(same_floor(seen.floor, other.floor) for other in found):
+        if seen is None or any((seen.floor.inliers & other.floor.inliers).sum() > SAME * seen.floor.inliers.sum()
+                               for other in found):  # fmt: skip
             continue
         found.append(seen)
         if seen.correlation <= CORRELATED:
@@ -245,11 +246,6 @@ def over_candidate(depth: np.ndarray, camera: dict[str, float], factor: int, can
                 return None  # a hill is flat too where it is tried closely enough
             return on_its_floor(depth, camera, factor, floor, rounding, floating, others)
     return None
-
-
-def same_floor(one: Floor, other: Floor) -> bool:
-    """Return whether most of a Floor's pixels are another's too."""
-    return bool((one.inliers & other.inliers).sum() > SAME * one.inliers.sum())
 
 
 def plane_of(floor: Floor) -> tuple[float, float, float, float]:
