@@ -53,20 +53,12 @@ LEVER = 2.0
 
 
 class Material(NamedTuple):
-    """What the engine is told of all bodies.
+    """What the engine is told of all bodies."""
 
-    Attributes
-    ----------
-    friction : Coulomb coefficient of every pair.
-    restitution : of every pair.
-    masses : (N,) float64, kg, of the moving bodies.
-    contact_time : seconds that a bounce takes: half a period of the contact's spring.
-    """
-
-    friction: float
-    restitution: float
-    masses: np.ndarray
-    contact_time: float = 0.002
+    friction: float  # Coulomb coefficient of every pair
+    restitution: float  # of every pair
+    masses: np.ndarray  # (N,) float64, kg, of the moving bodies
+    contact_time: float = 0.002  # seconds that a bounce takes: half a period of the contact's spring
 
 
 class Engine:

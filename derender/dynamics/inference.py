@@ -43,41 +43,25 @@ KEPT = 1000
 
 
 class Mode(NamedTuple):
-    """A local maximum.
+    """A local maximum."""
 
-    Attributes
-    ----------
-    path : states, offsets and coordinates there.
-    by_pose, by_defect : derivatives about it, as `Shooting.derivatives` gives them.
-    robust : (T, N), by how much each tracked pose counts.
-    scales : learnt there. uncertain : (4,) standard errors of their logarithms.
-    log_marginal : with all unknowns integrated out, linear about this mode.
-    covariance : (Z, Z) of all unknowns: changes at the cuts, offsets, coordinates.
-    first : (12 N, 12 N), covariance of the states in the first frame.
-    """
-
-    path: Path
-    by_pose: np.ndarray
+    path: Path  # states, offsets and coordinates there
+    by_pose: np.ndarray  # derivatives about it, as `Shooting.derivatives` gives them
     by_defect: np.ndarray
-    robust: np.ndarray
-    scales: Scales
-    uncertain: np.ndarray
-    log_marginal: float
-    covariance: np.ndarray
-    first: np.ndarray
+    robust: np.ndarray  # (T, N), by how much each tracked pose counts
+    scales: Scales  # learnt there
+    uncertain: np.ndarray  # (4,) standard errors of their logarithms
+    log_marginal: float  # with all unknowns integrated out, linear about this mode
+    covariance: np.ndarray  # (Z, Z) of all unknowns: changes at the cuts, offsets, coordinates
+    first: np.ndarray  # (12 N, 12 N), covariance of the states in the first frame
 
 
 class Draws(NamedTuple):
-    """Weighted draws of coordinates and scales.
+    """Weighted draws of coordinates and scales."""
 
-    Attributes
-    ----------
-    coordinates : (K, P). logarithms : (K, S), of the scales. log_weights : (K,), normalised.
-    """
-
-    coordinates: np.ndarray
-    logarithms: np.ndarray
-    log_weights: np.ndarray
+    coordinates: np.ndarray  # (K, P)
+    logarithms: np.ndarray  # (K, S), of the scales
+    log_weights: np.ndarray  # (K,), normalised
 
     @property
     def effective(self) -> float:
@@ -331,18 +315,11 @@ def _mixture(points: np.ndarray, rounds: list, parameters: Parameters) -> np.nda
 
 
 class Identified(NamedTuple):
-    """What the motion tells.
+    """What the motion tells."""
 
-    Attributes
-    ----------
-    parameters : what the coordinates mean.
-    modes : found, the best first.
-    draws : weighted, of coordinates and scales.
-    """
-
-    parameters: Parameters
-    modes: list[Mode]
-    draws: Draws
+    parameters: Parameters  # what the coordinates mean
+    modes: list[Mode]  # found, the best first
+    draws: Draws  # weighted, of coordinates and scales
 
 
 def identify(motion: Motion, rng: np.random.Generator, prior: Prior | None = None, draws: int = DRAWS) -> Identified:

@@ -25,40 +25,21 @@ MATERIAL = ("density", "mass", "friction", "elasticity", "fixed", "velocity", "a
 
 
 class Body(NamedTuple):
-    """A rigid body.
+    """A rigid body."""
 
-    Attributes
-    ----------
-    name : unique.
-    kind : plane, box, sphere, cylinder or mesh (the convex hull of `vertices`, or of each of its `parts`).
-    size : (3,) float64, full extents in metres (plane: zeros).
-    pose : (4, 4) float64, body to the frame of the scene.
-    vertices : (V, 3) float64 in the body's axes, metres, for a mesh; else None.
-    density : kg / m^3, used where `mass` is None.
-    mass : kg, or None.
-    friction : Coulomb coefficient, or None where nothing is said of it; see `pair_frictions` in materials.
-    elasticity : coefficient of restitution, 0 to 0.99: speed after a bounce over that before it; of two bodies that
-        meet the greater counts.
-    fixed : whether it stays where it is. Planes always do.
-    velocity : (3,) m / s of the centre of mass at the start, in the frame of the scene.
-    angular_velocity : (3,) rad / s at the start, in the frame of the scene.
-    parts : for each of the convex solids that a mesh is made of its corners (C, 3) float64 in the body's axes, metres;
-        () where it is convex itself, or taken to be.
-    """
-
-    name: str
-    kind: str
-    size: np.ndarray
-    pose: np.ndarray
-    vertices: np.ndarray | None = None
-    density: float = DENSITY
-    mass: float | None = None
-    friction: float | None = None
-    elasticity: float = 0.0
-    fixed: bool = False
-    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    parts: tuple[np.ndarray, ...] = ()
+    name: str  # unique
+    kind: str  # plane, box, sphere, cylinder or mesh (the convex hull of `vertices`, or of each of its `parts`)
+    size: np.ndarray  # (3,) float64, full extents in metres (plane: zeros)
+    pose: np.ndarray  # (4, 4) float64, body to the frame of the scene
+    vertices: np.ndarray | None = None  # (V, 3) float64 in the body's axes, metres, of a mesh
+    density: float = DENSITY  # kg / m^3, used where `mass` is None
+    mass: float | None = None  # kg
+    friction: float | None = None  # Coulomb coefficient, or None where nothing is said of it; see `pair_frictions`
+    elasticity: float = 0.0  # speed after a bounce over that before it, 0 to .99: of two that meet the greater counts
+    fixed: bool = False  # whether it stays where it is; planes always do
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m / s of its centre at the start, in the scene's frame
+    angular_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad / s at the start, in the scene's frame
+    parts: tuple[np.ndarray, ...] = ()  # corners (C, 3) of each convex solid of a mesh; () where it counts as convex
 
     @property
     def moves(self) -> bool:
@@ -120,18 +101,11 @@ def _hull(vertices: np.ndarray | None) -> tuple[float, np.ndarray]:
 
 
 class Matter(NamedTuple):
-    """What physics knows of a scene.
+    """What physics knows of a scene."""
 
-    Attributes
-    ----------
-    bodies : with extent, and planes, in the order of the scene's vertices.
-    gravity : (3,) float64, m / s^2 in the frame of the scene.
-    supports : pairs (child, parent) of the bodies that the graph says are in contact.
-    """
-
-    bodies: tuple[Body, ...]
-    gravity: np.ndarray
-    supports: tuple[tuple[str, str], ...]
+    bodies: tuple[Body, ...]  # with extent, and planes, in the order of the scene's vertices
+    gravity: np.ndarray  # (3,) float64, m / s^2 in the frame of the scene
+    supports: tuple[tuple[str, str], ...]  # pairs (child, parent) of the bodies that the graph says are in contact
 
     @property
     def up(self) -> np.ndarray:

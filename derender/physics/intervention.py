@@ -13,30 +13,20 @@ from derender.scene.pose import from_rotation_vector
 
 
 class Push(NamedTuple):
-    """A force on a body's centre of mass.
+    """A force on a body's centre of mass."""
 
-    Attributes
-    ----------
-    body : name. force : (3,) newtons in the frame of the scene. start, duration : seconds.
-    """
-
-    body: str
-    force: np.ndarray
-    start: float = 0.0
+    body: str  # its name
+    force: np.ndarray  # (3,) newtons in the frame of the scene
+    start: float = 0.0  # seconds
     duration: float = 0.1
 
 
 class Shake(NamedTuple):
-    """A floor that swings to and fro: its place is amplitude * (1 - cos(2 pi frequency t)) along a direction.
+    """A floor that swings to and fro: its place is amplitude * (1 - cos(2 pi frequency t)) along a direction."""
 
-    Attributes
-    ----------
-    frequency : 1 / s. amplitude : metres, half of what the floor travels. direction : (3,) unit vector.
-    """
-
-    frequency: float
-    amplitude: float
-    direction: np.ndarray
+    frequency: float  # 1 / s
+    amplitude: float  # metres, half of what the floor travels
+    direction: np.ndarray  # (3,) unit vector
 
     def acceleration(self, time: float) -> np.ndarray:
         """Return the floor's acceleration (3,) at a time: seen from it, all bodies have the opposite one."""

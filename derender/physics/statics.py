@@ -31,35 +31,22 @@ WITHIN = 2e-3
 
 
 class Contacts(NamedTuple):
-    """Points at which bodies touch.
+    """Points at which bodies touch."""
 
-    Attributes
-    ----------
-    first, second : (P,) int64, indices of bodies.
-    point : (P, 3) float64, in the frame of the scene. normal : (P, 3), unit, from the second body to the first.
-    gap : (P,) metres by which the two are apart; negative: overlap.
-    """
-
-    first: np.ndarray
+    first: np.ndarray  # (P,) int64, indices of bodies
     second: np.ndarray
-    point: np.ndarray
-    normal: np.ndarray
-    gap: np.ndarray
+    point: np.ndarray  # (P, 3) float64, in the frame of the scene
+    normal: np.ndarray  # (P, 3), unit, from the second body to the first
+    gap: np.ndarray  # (P,) metres by which the two are apart; negative: overlap
 
 
 class ContactForce(NamedTuple):
-    """What one body bears of another.
+    """What one body bears of another."""
 
-    Attributes
-    ----------
-    body, by : names; `by` pushes `body`.
-    point : (3,) metres, the centre of pressure. force : (3,) newtons, both in the frame of the scene.
-    """
-
-    body: str
+    body: str  # names; `by` pushes `body`
     by: str
-    point: tuple[float, float, float]
-    force: tuple[float, float, float]
+    point: tuple[float, float, float]  # metres, the centre of pressure, in the frame of the scene
+    force: tuple[float, float, float]  # newtons
 
 
 def widest_gap(unit: float) -> float:
