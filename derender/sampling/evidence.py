@@ -73,10 +73,10 @@ def evidence(
             mixture = mixture._replace(spreads=mixture.spreads / WIDER**2)
             continue
         weights = np.exp(logs - most)
-        former, log = found.log, float(most + math.log(weights.mean()))
-        # where the rounds still rise they have not met all of it
-        found = Evidence(log, max(spread_of_mean(weights), 0.5 * abs(log - former) if former > -np.inf else 0.0))
-        if worth(weights) >= ENOUGH:
+        former, log, many = found.log, float(most + math.log(weights.mean())), worth(weights)
+        still_rising = 0.5 * abs(log - former) if former > -np.inf else 0.0  # the rounds have not met all of it
+        found = Evidence(log, max(math.sqrt(max(1.0 / many - 1.0 / count, 0.0)), still_rising))
+        if many >= ENOUGH:
             break
         mixture = refitted(mixture, points, under, weights)
     return found
@@ -117,11 +117,6 @@ def refitted(mixture: Mixture, points: np.ndarray, under: np.ndarray, weights: n
 def worth(weights: np.ndarray) -> float:
     """Return how many independent draws points with these weights (m,) are worth."""
     return float(weights.sum() ** 2 / np.square(weights).sum())
-
-
-def spread_of_mean(weights: np.ndarray) -> float:
-    """Return the standard error of the mean of weights (m,), as a share of it."""
-    return float(weights.std() / weights.mean() / math.sqrt(len(weights)))
 
 
 def fit(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
