@@ -43,6 +43,10 @@ DRAWS = 150  # to which the mixture is fitted from which an integral is taken
 CLOSE = 5.0  # nats of odds, either way, at which more draws are made: a weight between .007 and .993
 APART = 2.0  # standard errors by which two modes of a structure differ
 PLACES, MORE = 4, 8  # of the rest, drawn for odds that are close, and for those that are open then
+# Coordinates times pixels up to which odds that are close are those of integrals over everything, made so many times:
+# with a corner of a solid in some ten pixels the floor and all solids give way to it, and what is drawn of them made
+# the ratio vary by e^9.
+TOGETHER, TIMES = 40_000, 3
 OPEN = 3.0, 0.2  # nats of odds, either way, and their error: two weights of a half are known to .05 then
 NOTHING = 20.0  # nats below another at which a ratio is 0 beside it: a two-billionth
 SETTLING = 30  # steps of each temperature for each solid that changes, where the rest is drawn
@@ -144,14 +148,24 @@ def discrete_part(state: State) -> Any:
 
 
 def made_sure(rng, best, others, drawn, rules):
-    """Return the Weighed of others with those whose odds are close weighed again, the rest drawn from the posterior:
-    at PLACES of it, and at MORE where that leaves odds OPEN, but where neighbouring pixels share noise: an integral
-    takes five times as long there.
+    """Return the Weighed of others with those whose odds are close weighed again, by the integral over everything where
+    that costs little, else the rest drawn from the posterior: at PLACES of it, and at MORE where that leaves odds OPEN,
+    but where neighbouring pixels share noise: an integral takes five times as long there.
 
     drawn : function of rng that returns (n, D) draws of the best's coordinates.
     """
     others = list(others)
-    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE + each.error and each.places is not None]
+    close = [k for k, each in enumerate(others) if abs(each.odds) < CLOSE + each.error]
+    small = [k for k in close if max(cost_of_all(best), cost_of_all(others[k].trial)) <= TOGETHER]
+    if small:
+        tasks = [partial(over_all, refined=each) for each in (best, *(others[k].trial for k in small))]
+        found = np.array([in_threads(rng, tasks) for _ in range(TIMES)])  # logs and errors
+        own, *whole = (averaged(*each.T) for each in found.swapaxes(0, 1))
+        for k, each in zip(small, whole, strict=True):
+            apart = others[k].trial.sensor.log_prior(("blur",)) - best.sensor.log_prior(("blur",))
+            odds, error = each["odds"] - own["odds"] + apart, math.hypot(each["error"], own["error"])
+            others[k] = others[k]._replace(odds=odds, error=error)
+    close = [k for k in close if k not in small and others[k].places is not None]
     if not close:
         return others
     draws = drawn(rng)
@@ -175,6 +189,11 @@ def made_sure(rng, best, others, drawn, rules):
     return others
 
 
+def cost_of_all(refined: Refined) -> int:
+    """Return the coordinates of a Refined times the pixels of its views."""
+    return len(refined.values) * sum(view.observed.size for view in refined.sensor.views)
+
+
 def integrals(rng: np.random.Generator, best: Refined, places: tuple[int, ...], draws: np.ndarray) -> list[Evidence]:
     """Return the Evidences over some solids of the best, and the blur, with all else at draws (n, D)."""
     return [over_all(rng, settled_at(rng, best, values, places), places) for values in draws]
@@ -195,7 +214,7 @@ def settled_at(rng: np.random.Generator, best: Refined, values: np.ndarray, plac
     return climb(rng, best.state, best.chart, start, best.sensor, SETTLING * len(places), members, ())
 
 
-def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...]) -> Evidence:
+def over_all(rng: np.random.Generator, refined: Refined, places: tuple[int, ...] | None = None) -> Evidence:
     """Return the Evidence over the coordinates of some solids and the blur.
 
     What is drawn beside them was drawn with the blur open: under one blur it would speak for the structure whose own

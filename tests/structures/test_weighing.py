@@ -46,6 +46,14 @@ from derender.structures.weighing import (
 )
 
 RULES = Rules(0.0015)
+
+
+@pytest.fixture
+def others_drawn(monkeypatch):
+    """Weigh what is close with the rest drawn, as where an integral over everything costs too much."""
+    monkeypatch.setattr(weighing, "TOGETHER", 0)
+
+
 ROUNDS, COUNT, FREEDOM = 7, 4000, 6.0
 SCALES = 2.0, 0.5, 4.0, 0.5, 4.0, 0.5  # of the covariance at first, of each t distribution of the mixture
 BLURS = np.linspace(-0.4, 0.4, 33)  # pixels about the best one
@@ -130,7 +138,7 @@ def refitted_part(points, weights, part):
 
 @pytest.mark.slow  # half a minute: hundreds of thousands of images
 @pytest.mark.parametrize("others, side, seed", [("box", 0.12, 2), ("can", 0.08, 1)])
-def test_cube_against_box_and_can_is_as_importance_sampling_has_it(others, side, seed):
+def test_cube_against_box_and_can_is_as_importance_sampling_has_it(others, side, seed, others_drawn):
     """A cube of forty pixels and one of ninety, noise of a centimetre, noise and blur unknown."""
     rng = np.random.default_rng(seed)
     cube = solid(BOX, (side,) * 3, cube=True)
@@ -167,7 +175,7 @@ HIDDEN = boxes(
 
 @pytest.mark.slow  # a minute each: millions of images
 @pytest.mark.parametrize("state, noise", [(BESIDE, 0.01), (STACKED, 0.01), (HIDDEN, 0.006)])
-def test_two_boxes_as_one_are_as_importance_sampling_has_it(state, noise):
+def test_two_boxes_as_one_are_as_importance_sampling_has_it(state, noise, others_drawn):
     """Side by side and one on the other, both flush, and one on the other where the seam does not show at all."""
     rng = np.random.default_rng(4)
     sensor, chart, values = observe(rng, state, {"sigma": noise, "blur": 0.5}, camera(48, 36))
@@ -184,7 +192,7 @@ def test_two_boxes_as_one_are_as_importance_sampling_has_it(state, noise):
         assert abs(sure.odds - odds) < 3.0 * math.hypot(sure.error, error, own_error) + 1.0
 
 
-def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
+def test_close_odds_are_made_sure_over_draws_of_what_structures_share(others_drawn):
     """The error that is stated then holds what the draws differ by; odds that are far are left alone."""
     found = averaged(np.array([0.0, 0.4, -0.4, 0.2]), np.full(4, 0.1))
     assert found["odds"] == pytest.approx(math.log(np.mean(np.exp([0.0, 0.4, -0.4, 0.2]))))
@@ -208,7 +216,7 @@ def test_close_odds_are_made_sure_over_draws_of_what_structures_share():
 
 
 @pytest.mark.parametrize(("error", "places"), [(0.1, 4), (1.0, 12)])
-def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, error, places):
+def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, others_drawn, error, places):
     state = solid(BOX, (0.1,) * 3, cube=True)
     sensor, chart, values = observe(np.random.default_rng(1), state, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
     best, asked = Refined(state, chart, values, sensor, 0.0, 0.0), []
@@ -217,6 +225,24 @@ def test_odds_that_are_open_are_integrated_at_more_places(monkeypatch, error, pl
     draws = np.arange(50.0)[:, None] * np.ones(len(values))
     made_sure(np.random.default_rng(2), best, [Weighed(best, 0.0, 1.0, ((0,), (0,)))], lambda rng: draws, RULES)
     assert len(set(asked)) == len(asked) == places
+
+
+def test_odds_in_a_small_image_are_those_of_integrals_over_everything():
+    """Whatever floor the best was drawn with: between floors of a cube's draws a ratio to a leaning one went by e^9."""
+    rng = np.random.default_rng(4)
+    cube = solid(BOX, (0.08,) * 3, cube=True)
+    sensor, _, _ = observe(rng, cube, {"sigma": 0.01, "blur": 0.5}, camera(32, 24))
+    sensor = sensor._replace(prior=PRIOR)
+    best, box = (
+        at_mode(rng, solid(BOX, (0.08,) * 3, cube=equal), floor_pose(), sensor, RULES) for equal in (True, False)
+    )
+    lower = best.values - 0.02
+    (told,) = made_sure(rng, best, [Weighed(box, 3.0, 0.1, None)], lambda rng: lower[None], RULES)
+    own, other = (weighing.over_all(np.random.default_rng(7), each) for each in (best, box))
+    assert abs(told.odds - (other.log - own.log)) < 4.0 * math.hypot(
+        told.error, own.standard_error, other.standard_error
+    )
+    assert told.error < 0.3
 
 
 def test_a_rival_goes_with_what_touches_it():
